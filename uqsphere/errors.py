@@ -1,0 +1,71 @@
+"""The error family: one exit code each, and a message a user can act on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "AccessError",
+    "FolderError",
+    "Problem",
+    "StudyError",
+    "TooManyFailures",
+    "UqsphereError",
+    "UsageError",
+]
+
+
+class UqsphereError(Exception):
+    """Base of every error that uqsphere raises on purpose."""
+
+    exit_code = 1
+
+
+class UsageError(UqsphereError):
+    """A command or a function was called with something it cannot take."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Problem:
+    """One fault of a study file, with the place where it stands (lines and columns count from 1)."""
+
+    line: int
+    column: int
+    path: str
+    message: str
+
+    def render(self, file: str) -> str:
+        """``file:line:column: path: message``; the path is left out where the file as a whole is meant."""
+        place = f"{file}:{self.line}:{self.column}: "
+        return place + (f"{self.path}: " if self.path else "") + self.message
+
+
+class StudyError(UqsphereError):
+    """A study file cannot be used; carries every fault that was found."""
+
+    exit_code = 2
+
+    def __init__(self, file: str, problems: list[Problem]) -> None:
+        self.file = file
+        self.problems = sorted(problems)
+        super().__init__("\n".join(problem.render(file) for problem in self.problems))
+
+
+class TooManyFailures(UqsphereError):
+    """More evaluations failed than the study's policy lets pass."""
+
+    exit_code = 4
+
+
+class FolderError(UqsphereError):
+    """A result folder is locked, belongs to another study, or is damaged."""
+
+    exit_code = 5
+
+
+class AccessError(UqsphereError):
+    """The operating system refused to read or write (disk full, permission, missing file)."""
+
+    exit_code = 6
