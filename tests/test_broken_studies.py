@@ -1,0 +1,401 @@
+"""Studies that are broken, one way each or several at once: exit code, place and first line of the message.
+
+``python tests/test_broken_studies.py`` prints them as a Markdown table.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from uqsphere.errors import AccessError, Problem, StudyError, UqsphereError
+from uqsphere.study import load_study
+
+BASE = """\
+title = "granite"
+seed = 7
+
+[sphere]
+material = "granite"
+E = { dist = "lognormal", mean = "52 GPa", cov = 0.12 }
+nu = 0.25
+radius = { dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }
+
+[bars]
+material = "maraging_steel"
+diameter = "40 mm"
+incident_length = "1.5 m"
+receiving_length = "1.5 m"
+incident_end = "free"
+
+[striker]
+speed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }
+length = "0.8 m"
+
+[pulse]
+shape = "trapezoid"
+rise = "25 us"
+fall = "25 us"
+
+[model]
+tolerance = 1e-6
+
+[limits.crushing]
+quantity = "p_max"
+strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }
+target = 0.01
+
+[[dependence]]
+of = ["sphere.E", "limits.crushing.strength"]
+spearman = 0.6
+
+[analysis]
+quantities = ["p_max"]
+quantiles = [0.05, 0.5]
+
+[margins]
+solve = "striker.speed"
+between = ["0.05 m/s", "20 m/s"]
+"""
+
+BLACK_BOX = """\
+[inputs]
+x1 = { dist = "uniform", lower = -1, upper = 1 }
+x2 = 2.0
+
+[outputs]
+names = ["y"]
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Broken:
+    """A broken study: what is replaced in the base, where the first fault is due, and what it says."""
+
+    name: str
+    edits: tuple[tuple[str, str], ...] = ()
+    at: str = ""
+    says: tuple[str, ...]
+    text: str | bytes | None = None
+    count: int = 1
+
+    def content(self) -> bytes:
+        """The file as it is written."""
+        if self.text is not None:
+            return self.text if isinstance(self.text, bytes) else self.text.encode()
+        text = BASE
+        for old, new in self.edits:
+            assert text.count(old) == 1, f"{self.name}: {old!r} stands {text.count(old)} times in the base"
+            text = text.replace(old, new)
+        return text.encode()
+
+    def line(self) -> int:
+        """Line of the first fault."""
+        if not self.at:
+            return 1
+        before, found, _ = self.content().partition(self.at.encode())
+        assert found, f"{self.name}: {self.at!r} is not in the text"
+        return before.count(b"\n") + 1
+
+
+def one(name: str, old: str, new: str, *says: str, at: str | None = None, count: int = 1) -> Broken:
+    return Broken(name=name, edits=((old, new),), at=new if at is None else at, says=says, count=count)
+
+
+SHAPE = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
+RADIUS = 'radius = { dist = "normal", mean = "10 mm", sd = "0.15 mm", lower = "9 mm" }'
+STRENGTH = 'strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }'
+SPEED = 'speed = { dist = "normal", mean = "0.5 m/s", cov = 0.02 }'
+DEEP = "[" * 40 + "1" + "]" * 40
+
+CASES = [
+    # the file as such
+    Broken(name="empty", text=b"", says=("the file is empty", "uqsphere new")),
+    Broken(name="blanks alone", text=b" \n\n\t\n", says=("the file is empty",)),
+    Broken(name="a comment alone", text=b"# nothing\n", says=("neither a scene", "nor a black box")),
+    Broken(name="bytes that are not text", text=b'title = "\xff\xfe"\n', says=("0xff is not UTF-8",)),
+    Broken(name="UTF-16", text='title = "x"'.encode("utf-16"), says=("UTF-16", "save it as UTF-8")),
+    Broken(name="a NUL", text=b'title = "x"\nseed = \0 1\n', at="seed", says=("NUL byte",)),
+    Broken(name="ten megabytes", text=b"# x\n" * 2_600_000, says=("larger than 1 MiB",)),
+    Broken(name="brackets without end", text=f"seed = 1\nx = {DEEP}\n", at="x =", says=("nested", "16")),
+    Broken(name="tables without end", text="x = " + "{a=" * 3000 + "1" + "}" * 3000, says=("nested",)),
+    Broken(name="dots without end", text=".".join("a" * 5000) + " = 1\n", says=("dotted key", "12")),
+    Broken(name="an integer without end", text="seed = " + "9" * 5000, says=("more digits")),
+    # syntax
+    one("a quantity without quotes", 'length = "0.8 m"', "length = 0.8 m", "not valid TOML", '"0.8 m"'),
+    one("a word without quotes", 'shape = "trapezoid"', "shape = trapezoid", "quotes", '"trapezoid"'),
+    one("a key twice", "nu = 0.25", "nu = 0.25\nnu = 0.3", "written twice", at="nu = 0.3"),
+    one("a table twice", "[pulse]", "[striker]", "written twice", at="[striker]\nshape"),
+    one("a text without end", '"40 mm"', '"40 mm', "does not end on its line", at='diameter = '),
+    # numbers that are none
+    one("not a number", "nu = 0.25", "nu = nan", "sphere.nu", "found nan", "finite"),
+    one("infinity in a table", "cov = 0.12", "cov = inf", "sphere.E.cov", "found inf"),
+    one("more than 64 bits", "seed = 7", "seed = 99999999999999999999", "64 bits"),
+    one("a length without its unit", '"40 mm"', "40", "bars.diameter", "no unit", '"40 m"'),
+    one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
+    one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "found 'm'"),
+    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "found true"),
+    one("an array for a number", '"40 mm"', '["40 mm"]', "bars.diameter: found an array"),
+    one("a date for a number", '"40 mm"', "1979-05-27", "bars.diameter: found a date"),
+    one("a negative length", '"40 mm"', '"-40 mm"', 'found "-40 mm"', "must be above 0"),
+    one("Poisson ratio of a half", "nu = 0.25", "nu = 0.5", "sphere.nu", "between -1 and 0.5"),
+    one("an end that is none", 'incident_end = "free"', 'incident_end = "fre"', "did you mean 'free'?"),
+    one("an end beyond its range", 'incident_end = "free"', "incident_end = 1.5", "from -1 to 1"),
+    # keys and words
+    one("an unknown key", 'length = "0.8 m"', 'lenght = "0.8 m"', "unknown key", "did you mean 'length'?"),
+    one("an unknown table", "[model]", "[modle]", "unknown key", "did you mean 'model'?"),
+    one("an unknown material", '"granite"\nE', '"granit"\nE', "unknown material", "'granite'?",
+        at='"granit"'),
+    one("a material of the other kind", '"maraging_steel"', '"basalt"', "is for sphere"),
+    one("an unknown shape", SHAPE, 'shape = "square"', '"square"', "rectangular", at='"square"'),
+    one("a measured pulse", SHAPE, 'shape = "measured"\nfile = "p.csv"', "does not read measured records",
+        at='"measured"'),
+    one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to a rectangular pulse"),
+    one("a word for a flag", "tolerance = 1e-6", 'first_loading_only = "yes"', "true or false"),
+    one("an unknown fidelity", "tolerance = 1e-6", 'fidelity = "fast"',
+        "allowed: auto, massless, linear or full"),
+    # distributions
+    one("a table without dist", '{ dist = "lognormal", mean', "{ mean", "a distribution is due", at="E = {"),
+    one("an unknown distribution", '"lognormal"', '"log-normal"', "known distributions", "'lognormal'?"),
+    one("a key of another distribution", "cov = 0.12", "cov = 0.12, modulus = 3", "does not belong", "sd",
+        at="E = {"),
+    one("sd and cov", "cov = 0.12", 'cov = 0.12, sd = "1 GPa"', "sphere.E", at="E = {"),
+    one("no scatter", "cov = 0.12", "cov = 0.0", "sphere.E.cov", "must be positive", at="E = {"),
+    one("a number in the wrong unit", 'mean = "52 GPa"', 'mean = "52 mm"', "sphere.E.mean", "unknown unit"),
+    one("truncation without mass", 'lower = "9 mm"', 'lower = "5 m"', "leaves no mass"),
+    one("bounds out of order", RADIUS, 'radius = { dist = "uniform", lower = "9 mm", upper = "8 mm" }',
+        "must be below upper"),
+    one("a law of impossible values", "nu = 0.25", 'nu = { dist = "uniform", lower = 0.1, upper = 0.6 }',
+        "sphere.nu.upper", "between -1 and 0.5"),
+    one("a law with an impossible mean", '"0.5 m/s", cov = 0.02', '"-0.5 m/s", cov = 0.02',
+        "must be above 0"),
+    # what is missing
+    one("no radius", RADIUS, "", "sphere.radius: radius is missing", at="[sphere]"),
+    one("no striker", f'[striker]\n{SPEED}\nlength = "0.8 m"', "", "[striker] is missing", at="title"),
+    one("no stiffness", 'material = "maraging_steel"', "", "E is missing", at="[bars]", count=3),
+    one("no length", 'receiving_length = "1.5 m"', "", "infinite = true", at="[bars]"),
+    # numbers that do not go together
+    one("a sphere larger than its bar", '"40 mm"', '"19 mm"', "larger than its bars", at=RADIUS),
+    one("a pulse longer than the round trip", '"0.8 m"', '"1.6 m"', "round trip", "absorbing"),
+    one("a trapezoid without width", 'rise = "25 us"', 'rise = "900 us"', "exceeds the width"),
+    one("two peaks out of order", SHAPE,
+        'shape = "two_peak"\nt1 = "90 us"\nlevel1 = 1\nt2 = "50 us"\nlevel2 = 1',
+        "must come before the second", at='t2 = "50 us"'),
+    one("a step without end", SHAPE, 'shape = "step"', "longer than any round trip", count=2),
+    # limits
+    one("an unknown quantity", 'quantity = "p_max"', 'quantity = "pmax"', "did you mean 'p_max'?"),
+    one("core tension", 'quantity = "p_max"', 'quantity = "core_tension"', "not in this version"),
+    one("a strength in newton", STRENGTH, 'strength = "4 kN"', "unknown unit 'kN' for a pressure"),
+    one("no strength", STRENGTH, "", "strength is missing", at="[limits.crushing]"),
+    one("a target of one", "target = 0.01", "target = 1.0", "between 0 and 1"),
+    one("a limit with a strange name", "[limits.crushing]", '[limits."a/b"]', "letters, digits", count=2),
+    # dependence
+    one("an unknown name", '"sphere.E", "limits', '"sphere.e", "limits', "did you mean 'sphere.E'?",
+        at='of = ["sphere.e"'),
+    one("a fixed number depends", '"sphere.E", "limits', '"sphere.nu", "limits', "is a fixed number",
+        at='of = ["sphere.nu"'),
+    one("a perfect correlation", "spearman = 0.6", "spearman = 1.0", "both excluded"),
+    one("another copula", "spearman = 0.6", 'spearman = 0.6\ncopula = "clayton"', "not in this version",
+        at="copula"),
+    one("a pair twice", "spearman = 0.6",
+        'spearman = 0.6\n[[dependence]]\nof = ["limits.crushing.strength", "sphere.E"]\nspearman = 0.2',
+        "given twice", at='of = ["limits'),
+    one("not positive definite", 'of = ["sphere.E", "limits.crushing.strength"]\nspearman = 0.6',
+        'of = ["sphere.E", "sphere.radius", "striker.speed"]\nspearman = -0.7', "not positive definite",
+        at="spearman = -0.7"),
+    # analysis and margins
+    one("a method of later", "quantiles = [0.05, 0.5]", 'methods = ["form"]', "not in this version"),
+    one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "between 0 and 1"),
+    one("a budget of nothing", "quantiles = [0.05, 0.5]", "budget = { evaluations = 0 }", "above 0"),
+    one("a tolerance of one", "tolerance = 1e-6", "tolerance = 1.0", "1e-12 to 1e-2"),
+    one("a negative seed", "seed = 7", "seed = -7", "from 0 upwards"),
+    one("solve for a word", 'solve = "striker.speed"', 'solve = "striker.sped"', "'striker.speed'?"),
+    one("between out of order", '["0.05 m/s", "20 m/s"]', '["20 m/s", "2 m/s"]',
+        "lower value must come first"),
+    # several at once, and black boxes
+    Broken(
+        name="three faults at once",
+        edits=(("seed = 7", "sead = 7"), ('"40 mm"', "40"), ("spearman = 0.6", "spearman = 2")),
+        at="sead",
+        says=("did you mean 'seed'?",),
+        count=3,
+    ),
+    one("a scene and a black box", "[model]", '[inputs]\nx = 1.0\n[model]', "belongs to a scene",
+        at="[sphere]",
+        count=5),
+    Broken(name="a unit in a black box", text=BLACK_BOX.replace("2.0", '"2 mm"'), at="x2",
+        says=("plain number",)),
+    Broken(name="no outputs", text=BLACK_BOX.replace('names = ["y"]', ""), at="[outputs]",
+        says=("outputs are missing",)),
+    Broken(name="no inputs", text='[outputs]\nnames = ["y"]\n', says=("[inputs] is missing",)),
+    Broken(
+        name="an output that is not one",
+        text=BLACK_BOX + '[limits.g]\nquantity = "z"\nstrength = 0\n',
+        at='quantity = "z"',
+        says=('unknown quantity "z"', "known: y"),
+    ),
+]  # fmt: skip
+
+
+def faults(content: bytes, folder: Path) -> StudyError:
+    path = folder / "study.toml"
+    path.write_bytes(content)
+    with pytest.raises(StudyError) as caught:
+        load_study(path)
+    return caught.value
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_broken_study(case: Broken, tmp_path: Path) -> None:
+    error = faults(case.content(), tmp_path)
+    assert error.exit_code == 2
+    first = error.problems[0]
+    assert first.line == case.line(), str(error)
+    shown = str(error).splitlines()[0]
+    assert shown.startswith(f"{tmp_path / 'study.toml'}:{first.line}:{first.column}: ")
+    for words in case.says:
+        assert words in shown
+    assert len(error.problems) == case.count, str(error)
+    for jargon in ("pydantic", "https://", "Traceback", "Input should", "validation error", "type=", "None"):
+        assert jargon not in str(error)
+
+
+def test_there_are_many() -> None:
+    assert len(CASES) >= 45
+    assert len({case.name for case in CASES}) == len(CASES)
+
+
+def test_the_base_is_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    for text in (BASE, BLACK_BOX):
+        path.write_text(text)
+        assert load_study(path).warnings == ()
+
+
+def test_byte_order_mark_is_dropped(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_bytes(b"\xef\xbb\xbf" + BASE.encode())
+    assert load_study(tmp_path / "study.toml").title == "granite"
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder", "denied", "pipe", "nul"])
+def test_what_cannot_be_read(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "denied":
+        path.symlink_to(path)
+    elif kind == "nul":
+        path = tmp_path / "a\0b"
+    with pytest.raises(AccessError) as caught:
+        load_study(path)
+    assert caught.value.exit_code == 6
+
+
+def test_many_faults_are_counted_not_listed(tmp_path: Path) -> None:
+    keys = "\n".join(f"key{number} = 1" for number in range(500))
+    error = faults(f"{keys}\n{BASE}".encode(), tmp_path)
+    assert len(error.problems) == 101
+    assert "400 more faults" in error.problems[-1].message
+
+
+FRAGMENTS = st.sampled_from(
+    ["[", "]", "{", "}", "=", '"', "'", "nan", "inf", "1e999", "-", ".", "\n", "\0", "[[limits]]",
+        "[sphere]", "true",
+     "99999999999999999999", "\\u0000", '"""', "0x", "1979-05-27", "[]", "{}", "dist", "mean", '"5 GPa"',
+         "é", "#"]
+)  # fmt: skip
+
+
+@st.composite
+def mutations(draw: st.DrawFn) -> bytes:
+    """A study with a few pieces cut out, doubled, swapped or put in."""
+    text = draw(st.sampled_from([BASE, BLACK_BOX]))
+    for _ in range(draw(st.integers(1, 3))):
+        a, b = sorted((draw(st.integers(0, len(text))), draw(st.integers(0, len(text)))))
+        b = min(b, a + 30)
+        match draw(st.integers(0, 3)):
+            case 0:
+                text = text[:a] + text[b:]
+            case 1:
+                text = text[:b] + text[a:]
+            case 2:
+                text = text[:a] + draw(FRAGMENTS) + text[b:]
+            case _:
+                text = text[:a] + draw(FRAGMENTS) + text[a:]
+    return text.encode()
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.sampled_from(["true", "1", "-1", "0", "0.5", "nan", "1e308", '"5 GPa"', '"free"', '""',
+            '"1e999 m"',
+                         "1979-05-27", "07:32:00", '"5 mm"', '"auto"', '"x"']),
+        st.integers(-(10**25), 10**25).map(str),
+        st.text("ab.1 éµ", max_size=8).map(lambda text: f'"{text}"'),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3).map(lambda items: f"[{', '.join(items)}]"),
+        st.dictionaries(st.sampled_from(["dist", "mean", "sd", "cov", "lower", "file", "x"]), inner,
+            max_size=3).map(
+            lambda items: "{" + ", ".join(f"{key} = {value}" for key, value in items.items()) + "}"
+        ),
+    ),
+    max_leaves=6,
+)  # fmt: skip
+
+
+@st.composite
+def replaced_values(draw: st.DrawFn) -> bytes:
+    """A study in which the values of some keys are anything that TOML knows."""
+    lines = draw(st.sampled_from([BASE, BLACK_BOX])).split("\n")
+    for at in draw(st.sets(st.sampled_from([i for i, line in enumerate(lines) if "=" in line]), max_size=3)):
+        lines[at] = f"{lines[at].partition('=')[0]} = {draw(VALUES)}"
+    return "\n".join(lines).encode()
+
+
+@settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    derandomize=True,
+)
+@given(content=st.one_of(mutations(), replaced_values()))
+def test_whatever_is_in_the_file_only_study_errors_come_out(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_bytes(content)
+    lines = content.count(b"\n") + 1
+    problems: list[Problem] = []
+    try:
+        assert len(load_study(path).hash) == 64
+    except StudyError as error:
+        problems = error.problems
+        assert str(error)
+    assert all(1 <= problem.line <= lines and problem.column >= 1 and problem.message for problem in problems)
+
+
+def table() -> str:
+    """Every broken study with its exit code and the first line of its message, as Markdown."""
+    rows = ["| study | exit code | first line |", "|---|---|---|"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.toml"
+        for case in CASES:
+            path.write_bytes(case.content())
+            try:
+                load_study(path)
+                rows.append(f"| {case.name} | 0 | |")
+            except UqsphereError as error:
+                first = str(error).splitlines()[0].replace(f"{folder}/", "").replace("|", "\\|")
+                rows.append(f"| {case.name} | {error.exit_code} | `{first}` |")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    print(table())

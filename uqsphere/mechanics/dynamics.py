@@ -1,0 +1,221 @@
+"""The impact of a bar on a sphere held between two bars: all quantities of interest of a batch of scenes.
+
+The equations are theory (3) in the scaled variables of theory (9):
+
+    x_1' = 2 f - q(x_1) - u      x_2' = u - q(x_2) - 2 h      mu u' = q(x_1) - q(x_2)
+
+with q(x) = max(x, 0)^(3/2) (`full`), max(x, 0) (`linear`), or mu = 0 (`massless`), f and h the waves that run
+towards the sphere, theory (4) and (5).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.scene import Scene
+
+__all__ = ["MODES", "Answers", "Motion", "integrate", "solve", "thread_count"]
+
+Array = npt.NDArray[np.float64]
+
+#: fidelities the integrator knows, and the number it knows them by
+MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
+#: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
+_BLOCK = 512
+#: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
+_CAPACITIES = (1024, 16_384, 262_144)
+_FULL, _NOT_FINITE = 5, 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """Quantities of interest of n rows.
+
+    Attributes
+    ----------
+    values : mapping of str to (n,) array
+        Every quantity of `uqsphere.quantities.OUTPUTS`, SI; NaN where `status` is not 0.
+    censored : mapping of str to (n,) array of bool
+        For contact_time and pulse_width: the record ended first, the value is a lower bound.
+    status : (n,) array of int
+        0, or a code of `uqsphere.mechanics.scene.STATUS`.
+    record : (n,) array
+        End of the record [s].
+    steps : (n,) array of int
+        Steps of the integrator.
+    """
+
+    values: Mapping[str, Array]
+    censored: Mapping[str, npt.NDArray[np.bool_]]
+    status: npt.NDArray[np.int64]
+    record: Array
+    steps: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 8) of x_1, x_2, u."""
+
+    start: Array
+    length: Array
+    states: Array
+
+
+def thread_count(threads: int | None = None) -> int:
+    """Threads to use: what is asked for, or the processors this process may run on."""
+    if threads is not None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, found {threads}")
+        return threads
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return max(1, os.cpu_count() or 1)
+
+
+def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
+    """What the kernel needs of `rows`, in scaled variables."""
+    time = scene.scales.time[rows]
+    pulse = scene.pulse
+    echoing = scene.reflections[rows] != 0.0
+    breaks = pulse.breaks[rows] / time[:, None]
+    powers = time[:, None] ** np.arange(4)
+    duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
+    return {
+        "mass": scene.scales.mass_number[rows],
+        "ends": scene.reflections[rows],
+        "round_trips": np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
+        "breaks": breaks,
+        "coefficients": np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
+        "frequencies": pulse.frequency[rows] * time,
+        "horizon": scene.record_end[rows] / time,
+        "pulse_end": breaks[:, -1].copy(),
+        "level": 0.1 * np.minimum(1.0, duration),
+    }
+
+
+def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, tolerance: float, stop_at_loss: bool,
+           answers: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], keep: int = 0,
+           ) -> Motion | None:  # fmt: skip
+    """Run the kernel on rows `order`, with more room for those that run out of it."""
+    from uqsphere.mechanics.kernel import march
+
+    motion = None
+    for capacity in _CAPACITIES:
+        room = capacity if keep else 0
+        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, 8)))
+        march(mode, arguments["mass"], arguments["ends"], arguments["round_trips"], arguments["breaks"],
+              arguments["coefficients"], arguments["frequencies"], arguments["horizon"], arguments["pulse_end"],
+              arguments["level"], tolerance, stop_at_loss, capacity, answers, status, order, steps, *kept)  # fmt: skip
+        if keep:
+            taken = int(steps[order[-1]])
+            motion = Motion(start=kept[0][:taken], length=kept[1][:taken], states=kept[2][:taken])
+        order = order[status[order] == _FULL]
+        if len(order) == 0:
+            break
+    return motion
+
+
+def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None,
+              ) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:  # fmt: skip
+    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of a batch."""
+    from uqsphere.mechanics.events import empty_answers
+
+    status = scene.status.copy()
+    rows = np.flatnonzero(status == 0)
+    answers = empty_answers(len(scene))
+    steps = np.zeros(len(scene), dtype=np.int64)
+    if len(rows) == 0:
+        return answers, status, steps
+    arguments = _arguments(scene, rows)
+    inner_answers = empty_answers(len(rows))
+    inner_status = np.zeros(len(rows), dtype=np.int64)
+    inner_steps = np.zeros(len(rows), dtype=np.int64)
+    blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
+
+    def run(block: npt.NDArray[np.int64]) -> None:
+        _march(arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps)
+
+    workers = min(thread_count(threads), len(blocks))
+    if workers == 1:
+        for block in blocks:
+            run(block)
+    else:
+        run(blocks[0][:0])  # compile, or load, once before the threads ask for it
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, blocks))
+    answers[rows], status[rows], steps[rows] = inner_answers, inner_status, inner_steps
+    return answers, status, steps
+
+
+def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None) -> Answers:
+    """Quantities of interest of n scenes by integrating the equations of motion.
+
+    Parameters
+    ----------
+    scene : Scene
+    fidelity : str
+        `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact) or
+        `massless` (mu = 0).
+    tolerance : float
+        Relative error asked for in every quantity, 1e-12 to 1e-2.
+    threads : int, optional
+        Threads; all processors of this process if None.  The answers do not depend on it.
+
+    Returns
+    -------
+    Answers
+        With NaN and a status for rows outside the domain; never a number that was not computed.
+    """
+    if fidelity not in MODES:
+        raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
+    if not 1e-12 <= tolerance <= 1e-2:
+        raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
+    scaled, status, steps = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
+    return to_si(scene, scaled, status, steps, linear=fidelity == "linear")
+
+
+def to_si(scene: Scene, scaled: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], *,
+          linear: bool) -> Answers:  # fmt: skip
+    """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz."""
+    scales = scene.scales
+    (x_max, x_first, difference, energy, contact_time, contact_censored,
+     width, width_censored, rise, ended) = scaled.T  # fmt: skip
+    power = 1.0 if linear else 1.5
+    with np.errstate(all="ignore"):
+        force = scales.force * x_max**power
+        first_force = scales.force * x_first**power
+        pressure = contact.pressure_at_force(force, scales.modulus, scales.effective_radius)
+        hertz_approach = contact.approach_at_force(force, scales.hertz_constant)
+        values = {
+            "p_max": pressure,
+            "P_max": force,
+            "alpha_max": scales.approach * x_max,
+            "a_max": contact.contact_radius(hertz_approach, scales.effective_radius),
+            "contact_time": scales.time * contact_time,
+            "pulse_width": scales.time * width,
+            "rise_time": scales.time * rise,
+            "loading_rate": 0.8 * force / (scales.time * rise),
+            "first_peak": contact.pressure_at_force(first_force, scales.modulus, scales.effective_radius),
+            "force_imbalance": difference / x_max**power,
+            "energy": scales.force * scales.approach * energy,
+            "specific_energy": scales.force * scales.approach * energy / scales.mass,
+            "edge_tension": contact.edge_tension(pressure, scene.columns["sphere.nu"]),
+            "centre_tension": contact.centre_tension(force, scene.columns["sphere.radius"], scene.columns["sphere.nu"]),
+        }
+        finite = np.logical_and.reduce([np.isfinite(value) for value in values.values()])
+    status = np.where((status == 0) & ~finite, _NOT_FINITE, status)
+    bad = status != 0
+    values = {name: np.where(bad, np.nan, value) for name, value in values.items()}
+    censored = {
+        "contact_time": (contact_censored > 0.0) & ~bad,
+        "pulse_width": (width_censored > 0.0) & ~bad,
+    }
+    return Answers(values=values, censored=censored, status=status, record=scales.time * ended, steps=steps)

@@ -1,0 +1,213 @@
+"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, Pulse, build_pulse
+from uqsphere.quantities import INPUTS
+
+__all__ = ["STATUS", "Scales", "Scene"]
+
+Array = npt.NDArray[np.float64]
+Codes = npt.NDArray[np.int64]
+
+#: what the status of a row means; 0 is the only one whose numbers may be used
+STATUS: dict[int, str] = {
+    0: "ok",
+    1: "outside the domain of the model (a size, modulus or ratio without meaning, or a sphere wider than its bar)",
+    2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
+    3: "the integrator could not reach the tolerance",
+    4: "too many reflections before the end of the record",
+    5: "too many steps before the end of the record",
+    6: "the answer is not finite",
+}
+
+#: columns without which there is no scene; lengths are needed by finite bars only
+_NEEDED = (
+    "sphere.E", "sphere.nu", "sphere.radius", "sphere.density",
+    "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scales:
+    """Scale factors and similarity numbers of n rows, theory (8) and (10); SI."""
+
+    modulus: Array
+    effective_radius: Array
+    hertz_constant: Array
+    mass: Array
+    impedance: Array
+    force: Array
+    approach: Array
+    time: Array
+    mass_number: Array
+    duration: Array
+
+    @property
+    def pulse_number(self) -> Array:
+        """theta = t_i/t_c."""
+        return self.duration / self.time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """n scenes that share their structure and differ in their numbers.
+
+    Attributes
+    ----------
+    columns : mapping of str to (n,) array
+        Numbers by their dotted path in `uqsphere.quantities.INPUTS`, SI.
+    shape : str
+        Shape of the incident pulse, one of `uqsphere.mechanics.pulses.SHAPES`.
+    infinite : bool
+        No wave comes back from the far ends.
+    rigid_contact : bool
+        The bars do not yield in the contact: 1/E* = (1 - nu²)/E.
+    first_loading_only : bool
+        End the record when the first reflected wave returns.
+    horizon : float or None
+        End of the record [s]; None: the rule of docs/theory.md.
+
+    Raises
+    ------
+    ValueError
+        For a missing or misshapen column, an unknown shape, or a record without an end.
+    """
+
+    columns: Mapping[str, Array]
+    shape: str = "rectangular"
+    infinite: bool = False
+    rigid_contact: bool = False
+    first_loading_only: bool = False
+    horizon: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
+        needed = list(_NEEDED)
+        if not self.infinite:
+            needed += ["bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end"]
+        needed += [f"pulse.{name}" for name in PARAMETERS[self.shape]]
+        if self.shape != "step" and "pulse.duration" not in self.columns:
+            needed.append("striker.length")
+        missing = [name for name in needed if name not in self.columns]
+        if missing:
+            raise ValueError(f"the scene lacks {', '.join(missing)}")
+        unknown = [name for name in self.columns if name not in INPUTS]
+        if unknown:
+            raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
+        if self.shape == "step" and self.horizon is None and self.infinite:
+            raise ValueError("a step pulse never ends: the record needs a horizon")
+        if self.horizon is not None and not self.horizon > 0.0:
+            raise ValueError(f"the horizon must be positive, found {self.horizon!r} s")
+        rows = {np.shape(column) for column in self.columns.values()}
+        if len(rows) != 1 or len(next(iter(rows))) != 1:
+            raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def column(self, name: str, default: float = np.nan) -> Array:
+        """A column, or `default` in every row."""
+        found = self.columns.get(name)
+        return np.full(len(self), default) if found is None else np.asarray(found, dtype=float)
+
+    @cached_property
+    def pulse(self) -> Pulse:
+        """The incident pulse of every row, times in seconds."""
+        numbers = {
+            name.removeprefix("pulse."): column
+            for name, column in self.columns.items()
+            if name.startswith("pulse.") and name != "pulse.duration"
+        }
+        return build_pulse(self.shape, self.scales.duration, numbers)
+
+    @cached_property
+    def round_trips(self) -> Array:
+        """Round trips of incident and receiving bar, (n, 2) [s]; infinite where a bar has no length."""
+        E, density = self.columns["bars.E"], self.columns["bars.density"]
+        lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
+        with np.errstate(all="ignore"):
+            return np.stack([bars.round_trip(length, E, density) for length in lengths], axis=1)
+
+    @cached_property
+    def reflections(self) -> Array:
+        """Velocity reflection coefficients of the far ends, (n, 2); 0 on infinite bars."""
+        if self.infinite:
+            return np.zeros((len(self), 2))
+        return np.stack([self.column("bars.incident_end"), self.column("bars.receiving_end")], axis=1)
+
+    @cached_property
+    def first_echo(self) -> Array:
+        """Time at which the first reflected wave returns to the sphere, (n,) [s]; infinite if none does."""
+        return np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1)
+
+    @cached_property
+    def record_end(self) -> Array:
+        """End of the record, (n,) [s]; infinite where the rule of infinite bars ends it."""
+        if self.horizon is not None:
+            ends = np.full(len(self), self.horizon)
+        elif self.infinite:
+            ends = np.full(len(self), np.inf)
+        else:
+            ends = 8.0 * self.round_trips.max(axis=1)
+        return np.minimum(ends, self.first_echo) if self.first_loading_only else ends
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Scale factors of every row; not finite where a row has no meaning."""
+        c = self.columns
+        with np.errstate(all="ignore"):
+            modulus = contact.reduced_modulus(
+                c["sphere.E"], c["sphere.nu"], c["bars.E"], c["bars.nu"], rigid_bars=self.rigid_contact
+            )
+            radius = contact.effective_radius(c["sphere.radius"], self.column("bars.end_radius", np.inf))
+            beta = contact.hertz_constant(modulus, radius)
+            mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
+            impedance = bars.impedance(c["bars.E"], c["bars.density"], c["bars.diameter"])
+            speed = c["striker.speed"]
+            force = 0.5 * impedance * speed
+            approach = contact.approach_at_force(force, beta)
+            time = 2.0 * approach / speed
+            if self.shape == "step":
+                duration = np.full(len(self), np.inf)
+            else:
+                wave_speed = bars.wave_speed(c["bars.E"], c["bars.density"])
+                duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
+            return Scales(
+                modulus=modulus, effective_radius=radius, hertz_constant=beta, mass=mass, impedance=impedance,
+                force=force, approach=approach, time=time, mass_number=mass / (impedance * time), duration=duration,
+            )  # fmt: skip
+
+    @cached_property
+    def status(self) -> Codes:
+        """Status of every row before anything is integrated, (n,): see `STATUS`."""
+        codes = np.zeros(len(self), dtype=np.int64)
+        for name, column in self.columns.items():
+            if name == "bars.yield_strength":  # serves a validity check only
+                continue
+            bound = INPUTS[name]
+            inside = (column >= bound.lower) & (column <= bound.upper)
+            if not bound.closed:
+                inside &= (column != bound.lower) & (column != bound.upper)
+            if name == "bars.end_radius":
+                inside |= column == np.inf
+            codes[~inside] = 1
+        with np.errstate(all="ignore"):
+            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
+            scales = self.scales
+            for number in (scales.mass_number, scales.force, scales.approach, scales.time):
+                codes[~(np.isfinite(number) & (number > 0.0))] = 1
+            codes[~self.pulse.valid] = 1
+            if not self.infinite:
+                too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
+                codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2
+        return codes

@@ -1,0 +1,43 @@
+"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file located and told at "
+"once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from uqsphere.study.nouns import (
+    Accuracy,
+    Analysis,
+    Budget,
+    Dependence,
+    Limit,
+    Margins,
+    ModelChoice,
+    Source,
+    Study,
+    law_with_mean,
+)
+from uqsphere.study.resolve import load_study
+
+__all__ = [
+    "Accuracy",
+    "Analysis",
+    "Budget",
+    "Dependence",
+    "Limit",
+    "Margins",
+    "ModelChoice",
+    "Source",
+    "Study",
+    "json_schema",
+    "law_with_mean",
+    "load_study",
+]
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and "
+    "meanings."""
+    from uqsphere.study.editor import build_schema
+
+    return build_schema()

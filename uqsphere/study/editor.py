@@ -1,0 +1,238 @@
+"""The JSON schema of a study file: what editors complete and underline while a study is written.
+
+It is made from the same tables as the parser reads, and says less: how numbers go together, only
+`load_study` knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, get_args
+
+from uqsphere.materials import material_names
+from uqsphere.quantities import INPUTS, OUTPUTS, Quantity, units_of
+from uqsphere.study.nouns import Accuracy, Budget
+from uqsphere.study.numbers import BAR_ENDS
+from uqsphere.study.requests import METHODS
+from uqsphere.study.scene import PULSE_KEYS
+from uqsphere.study.schema import Aim, Fidelity, OnFailure
+from uqsphere.uq.laws import LAWS
+
+__all__ = ["build_schema"]
+
+Node = dict[str, Any]
+
+_NUMBER: Final = r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*"
+_NAME: Final = "^[A-Za-z_][A-Za-z0-9_-]{0,63}$"
+_SHARE: Final[Node] = {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1}
+_FLAG: Final[Node] = {"type": "boolean"}
+
+
+def build_schema() -> Node:
+    """Schema of both forms of a study, JSON-ready (draft 2020-12)."""
+    dimensions = {quantity.dimension for quantity in (*INPUTS.values(), *OUTPUTS.values())} | {"time"}
+    properties = {
+        "title": _text("what the study is about"),
+        "seed": {"type": "integer", "minimum": 0, "description": "seed of every random number of the run"},
+        "sphere": _section("sphere", required=("radius",), material=_material("sphere")),
+        "bars": _section(
+            "bars",
+            required=("diameter",),
+            material=_material("bars"),
+            infinite=_FLAG | {"description": "no reflections from the far ends"},
+            rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
+        ),
+        "striker": _section("striker", required=("speed",)),
+        "pulse": _section("pulse", shape=_words(PULSE_KEYS, "shape of the incident pulse")),
+        "model": _model(),
+        "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
+        "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),
+        "limits": _named(_limit(), "strengths that quantities are held against"),
+        "dependence": {"type": "array", "items": _dependence()},
+        "analysis": _analysis(),
+        "margins": _margins(),
+    }
+    scene = {"required": ["sphere", "bars", "striker"], "not": {"anyOf": _present("inputs", "outputs")}}
+    parts = _present("sphere", "bars", "striker", "pulse", "model")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "uqsphere study",
+        **_table(properties, ()),
+        "anyOf": [scene, {"required": ["inputs", "outputs"], "not": {"anyOf": parts}}],
+        "$defs": {
+            **{name: _dimension(name) for name in sorted(dimensions)},
+            **{f"{name}_law": {"anyOf": [_law(kind, name) for kind in LAWS]} for name in sorted(dimensions)},
+        },
+    }
+
+
+def _present(*names: str) -> list[Node]:
+    return [{"required": [name]} for name in names]
+
+
+def _table(properties: Mapping[str, Node], required: Sequence[str]) -> Node:
+    node: Node = {"type": "object", "properties": dict(properties), "additionalProperties": False}
+    return node | {"required": list(required)} if required else node
+
+
+def _named(item: Node, description: str) -> Node:
+    node = {"type": "object", "patternProperties": {_NAME: item}, "additionalProperties": False}
+    return node | {"description": description}
+
+
+def _text(description: str) -> Node:
+    return {"type": "string", "description": description}
+
+
+def _words(words: Any, description: str) -> Node:
+    return {"enum": list(words), "description": description}
+
+
+def _list(item: Node, least: int = 1) -> Node:
+    return {"type": "array", "items": item, "minItems": least}
+
+
+def _material(kind: str) -> Node:
+    return _words(material_names(kind), "material of the library, whose values stand in where none is given")
+
+
+def _dimension(name: str) -> Node:
+    """A fixed number: a text with a unit, or a plain number where there is no unit."""
+    if name == "number":
+        return {"type": "number"}
+    units = "|".join(_escaped(unit) for unit in units_of(name))
+    example = f"1.5 {units_of(name)[0]}"
+    return {"type": "string", "pattern": f"{_NUMBER}({units})\\s*$", "examples": [example]}
+
+
+def _escaped(unit: str) -> str:
+    return "".join(f"\\{letter}" if letter in "^/." else letter for letter in unit)
+
+
+def _law(kind: str, dimension: str) -> Node:
+    """The table of one distribution for a quantity of a dimension."""
+    specification = LAWS[kind]
+    value = {"$ref": f"#/$defs/{dimension}"}
+    properties: dict[str, Node] = {"dist": {"const": kind}}
+    for key in (*specification.keys, "lower", "upper"):
+        properties[key] = value if key in specification.dimensional else {"type": "number"}
+    required = ["dist", *(("lower", "upper") if specification.bounded else ())]
+    if kind == "empirical":
+        properties |= {"file": _text("CSV beside the study"), "column": _text("column of the CSV")}
+        properties["fit"] = {"enum": ["kde", "steps", *(name for name in LAWS if name != "empirical")]}
+        required += ["file", "column"]
+        if dimension != "number":
+            properties["unit"] = _words(units_of(dimension), "unit of the column")
+            required.append("unit")
+    node = _table(properties, required)
+    alternatives = [{"required": list(keys)} for keys in specification.alternatives if keys]
+    return node | {"anyOf": alternatives} if alternatives else node
+
+
+def _number_or_law(dimension: str) -> Node:
+    return {"anyOf": [{"$ref": f"#/$defs/{dimension}"}, {"$ref": f"#/$defs/{dimension}_law"}]}
+
+
+def _section(name: str, required: Sequence[str] = (), **others: Node) -> Node:
+    properties = dict(others)
+    for path, quantity in INPUTS.items():
+        section, key = path.split(".")
+        if section == name:
+            properties[key] = _scalar(quantity)
+    return _table(properties, required)
+
+
+def _scalar(quantity: Quantity) -> Node:
+    unit = f" [{quantity.unit}]" if quantity.unit else ""
+    node = _number_or_law(quantity.dimension)
+    if quantity.symbol in ("R_1", "R_3"):
+        node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
+    return node | {"description": f"{quantity.meaning}, {quantity.symbol}{unit}"}
+
+
+def _model() -> Node:
+    return _table(
+        {
+            "fidelity": _words(get_args(Fidelity), "which mechanics"),
+            "tolerance": {
+                "type": "number",
+                "minimum": 1e-12,
+                "maximum": 1e-2,
+                "description": "relative error",
+            },
+            "first_loading_only": _FLAG
+            | {"description": "the record ends at the first return of a reflected wave"},
+            "horizon": {"$ref": "#/$defs/time", "description": "end of the record"},
+            "compare_with_paper": _FLAG
+            | {"description": "show the formulas as printed beside the corrected ones"},
+        },
+        (),
+    )
+
+
+def _limit() -> Node:
+    known = ", ".join(OUTPUTS)
+    strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
+    strength = {"anyOf": [choice for name in strengths for choice in _number_or_law(name)["anyOf"]]}
+    return _table(
+        {
+            "quantity": _text(
+                f"what must stay below, or exceed, the strength: {known}, or an output of a black box"
+            ),
+            "strength": strength | {"description": "the strength, in the unit of the quantity"},
+            "aim": _words(get_args(Aim), "survive: stay below the strength; break: exceed it"),
+            "model_factor": _number_or_law("number")
+            | {"description": "discrepancy of the model on this quantity"},
+            "target": _SHARE | {"description": "largest accepted probability of missing the aim"},
+        },
+        ("quantity", "strength"),
+    )
+
+
+def _dependence() -> Node:
+    correlation = {"type": "number", "exclusiveMinimum": -1, "exclusiveMaximum": 1}
+    return _table(
+        {
+            "of": _list(_text("random input"), least=2),
+            "copula": _words(["gaussian"], "how they depend"),
+            "spearman": correlation | {"description": "rank correlation of every pair"},
+        },
+        ("of", "spearman"),
+    )
+
+
+def _analysis() -> Node:
+    positive = {"type": "number", "exclusiveMinimum": 0}
+    budget: dict[str, Node] = {
+        "evaluations": {"type": "integer", "minimum": 1, "default": Budget().evaluations},
+        "time": {"$ref": "#/$defs/time"},
+    }
+    accuracy = {
+        key: positive | {"default": getattr(Accuracy(), key)} for key in Accuracy.__dataclass_fields__
+    }
+    methods = {"anyOf": [{"const": "auto"}, {"const": ["auto"]}, _list({"enum": list(METHODS)})]}
+    return _table(
+        {
+            "quantities": _list(
+                _text(f"quantity of interest: {', '.join(OUTPUTS)}, or an output of a black box")
+            ),
+            "accuracy": _table(accuracy, ()) | {"description": "half-widths of the 95 % intervals"},
+            "budget": _table(budget, ()) | {"description": "where the run stops at the latest"},
+            "quantiles": _list(_SHARE),
+            "methods": methods,
+            "on_failure": _words(get_args(OnFailure), "what a failed evaluation does"),
+        },
+        (),
+    )
+
+
+def _margins() -> Node:
+    end = {"type": ["number", "string"]}
+    return _table(
+        {
+            "solve": _text("the number that is free, such as striker.speed"),
+            "between": {"type": "array", "items": end, "minItems": 2, "maxItems": 2},
+            "for_probability": _list(_SHARE),
+        },
+        ("solve", "between"),
+    )

@@ -1,0 +1,248 @@
+"""What a study is: the frozen nouns that everything above the parser works with, all values in SI."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
+
+if TYPE_CHECKING:
+    from uqsphere.uq.inputs import Inputs
+
+__all__ = [
+    "Accuracy",
+    "Analysis",
+    "Budget",
+    "Dependence",
+    "Limit",
+    "Margins",
+    "ModelChoice",
+    "Source",
+    "Study",
+    "law_with_mean",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A strength that a quantity is held against; strength in SI, model_factor a plain number."""
+
+    name: str
+    quantity: str
+    strength: Law | float
+    aim: str = "survive"
+    model_factor: Law | float = 1.0
+    target: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability "
+    "relative."""
+
+    mean: float = 0.002
+    quantile: float = 0.01
+    sobol: float = 0.01
+    probability: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Where a run stops at the latest; `time` in seconds."""
+
+    evaluations: int = 2_000_000
+    time: float = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """What is asked, how precisely, and at what cost."""
+
+    quantities: tuple[str, ...]
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    budget: Budget = field(default_factory=Budget)
+    quantiles: tuple[float, ...] = (0.01, 0.05, 0.5, 0.95, 0.99)
+    methods: tuple[str, ...] = ("auto",)
+    on_failure: str = "abort"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelChoice:
+    """Which mechanics, and how precisely; `horizon` in seconds."""
+
+    fidelity: str = "auto"
+    tolerance: float = 1e-6
+    first_loading_only: bool = False
+    horizon: float | None = None
+    compare_with_paper: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Margins:
+    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit."""
+
+    solve: str
+    between: tuple[float, float]
+    for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dependence:
+    """One rank correlation, for every pair of the names."""
+
+    of: tuple[str, ...]
+    spearman: float
+    copula: str = "gaussian"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Where a default came from, and whether that source was seen."""
+
+    text: str
+    seen: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A validated study.
+
+    Attributes
+    ----------
+    fixed : mapping of str to float
+        Every fixed number by dotted path (black box: bare name), SI, defaults included; a bar end is its
+        velocity reflection coefficient.  What a scene does not have (lengths of infinite bars, a striker's
+        length beside a pulse of its own duration, the radius of flat bar ends) is absent.
+    random : mapping of str to Law
+        Every scattered number, in the order of the file.
+    given : mapping of str to mapping
+        The parameters of each law as the file gives them, in SI (``mean`` and ``cov``, say); `law_with_mean`
+        reads it.  The keys are those of `random` and ``limits.NAME.strength``, ``limits.NAME.model_factor``.
+    warnings : tuple of str
+        What a user should know and what does not stop the study.
+    """
+
+    title: str
+    seed: int
+    path: Path
+    text: str
+    black_box: bool
+    fixed: Mapping[str, float]
+    random: Mapping[str, Law]
+    given: Mapping[str, Mapping[str, float]]
+    options: Mapping[str, str | bool]
+    materials: Mapping[str, str]
+    sources: Mapping[str, Source]
+    model: ModelChoice
+    limits: tuple[Limit, ...]
+    dependence: tuple[Dependence, ...]
+    analysis: Analysis
+    margins: Margins | None
+    outputs: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the meaning: the same for two files that differ in title, comments or layout alone."""
+        meaning = {key: value for key, value in self.resolved().items() if key != "title"}
+        text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def laws(self) -> dict[str, Law]:
+        """Every random variable and its law: inputs in file order, then strengths and model factors."""
+        laws = dict(self.random)
+        for limit in self.limits:
+            for part, value in (("strength", limit.strength), ("model_factor", limit.model_factor)):
+                if isinstance(value, Law):
+                    laws[f"limits.{limit.name}.{part}"] = value
+        return laws
+
+    def inputs(self) -> Inputs:
+        """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
+        from uqsphere.uq.inputs import Inputs, correlation_from_spearman
+
+        laws = self.laws()
+        groups = [(group.of, group.spearman) for group in self.dependence]
+        correlation = correlation_from_spearman(tuple(laws), groups) if groups else None
+        return Inputs(names=tuple(laws), laws=tuple(laws.values()), correlation=correlation)
+
+    def at_means(self) -> dict[str, float]:
+        """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
+        return {**self.fixed, **{name: nominal_mean(law) for name, law in self.random.items()}}
+
+    def resolved(self) -> dict[str, Any]:
+        """The study as plain JSON values: SI, every default explicit, no infinities."""
+        laws = self.laws()
+        return {
+            "title": self.title,
+            "seed": self.seed,
+            "kind": "black box" if self.black_box else "scene",
+            "fixed": dict(self.fixed),
+            "random": {name: _law_json(law, self.given.get(name, {})) for name, law in laws.items()},
+            # The order of the random variables decides which point of a sequence goes to which of them.
+            "order": list(laws),
+            "options": dict(self.options),
+            "materials": dict(self.materials),
+            "sources": {name: asdict(source) for name, source in self.sources.items()},
+            "model": None if self.black_box else asdict(self.model),
+            "limits": {limit.name: _limit_json(limit) for limit in self.limits},
+            "dependence": [
+                {"of": list(group.of), "copula": group.copula, "spearman": group.spearman}
+                for group in self.dependence
+            ],
+            "analysis": _lists(asdict(self.analysis)),
+            "margins": None if self.margins is None else _lists(asdict(self.margins)),
+            "outputs": list(self.outputs),
+        }
+
+
+def law_with_mean(study: Study, name: str, mean: float) -> Law:
+    """The law of a random input with another mean (SI), keeping sd or cov, whichever the file gives.
+
+    Raises
+    ------
+    LawError
+        Where the law is not given by its mean, or has no member with the new one.
+    """
+    law, given = study.random[name], study.given[name]
+    if "mean" not in given:
+        raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
+    return make_law(law.kind, {**given, "mean": mean}, lower=_bound(law.lower), upper=_bound(law.upper))
+
+
+def _bound(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
+    return {
+        "dist": law.kind,
+        "parameters": dict(law.parameters),
+        "given": dict(given),
+        "lower": _bound(law.lower),
+        "upper": _bound(law.upper),
+        "data": list(law.data),
+    }
+
+
+def _limit_json(limit: Limit) -> dict[str, Any]:
+    def fixed(value: Law | float) -> float | str:
+        return "random" if isinstance(value, Law) else value
+
+    return {
+        "quantity": limit.quantity,
+        "strength": fixed(limit.strength),
+        "aim": limit.aim,
+        "model_factor": fixed(limit.model_factor),
+        "target": limit.target,
+    }
+
+
+def _lists(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in table.items()}

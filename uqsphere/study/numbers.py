@@ -1,0 +1,227 @@
+"""One number of a study: a fixed value with its unit, or a distribution, checked against its nomenclature."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from uqsphere.quantities import Quantity, UnitError, format_value, parse_value
+from uqsphere.study.columns import read_column
+from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
+
+__all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
+
+#: Words for the far end of a bar, and the velocity reflection coefficient that each stands for.
+BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+
+_FILE_KEYS: Final = ("file", "column", "unit", "fit")
+#: More than this share of a law outside what has a meaning is worth a warning.
+_SHARE_WORTH_A_WORD: Final = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """A number as understood: SI value or law, and the law's parameters as given (SI)."""
+
+    value: float | Law
+    given: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def nominal(self) -> float:
+        """The value, or the law's mean before truncation."""
+        return nominal_mean(self.value) if isinstance(self.value, Law) else self.value
+
+
+def plain_quantity(name: str) -> Quantity:
+    """The entry of a number without unit and bounds: a black-box input."""
+    return Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
+
+
+def read_number(
+    raw: object, place: Place, quantity: Quantity, findings: Findings, folder: Path
+) -> Reading | None:
+    """Value or law of `raw`; None, with the faults noted, where it is neither.
+
+    `folder` is the study's own, outside of which no file is read.
+    """
+    if isinstance(raw, Mapping):
+        return _read_law(raw, place, quantity, findings, folder)
+    value = read_fixed(raw, place, quantity, findings)
+    return None if value is None else Reading(value=value)
+
+
+def read_fixed(raw: object, place: Place, quantity: Quantity, findings: Findings) -> float | None:
+    """SI value of a fixed number inside the bounds of its meaning."""
+    if isinstance(raw, str) and quantity.symbol in ("R_1", "R_3"):
+        if raw in BAR_ENDS:
+            return BAR_ENDS[raw]
+        words = one_of(BAR_ENDS)
+        findings.add(
+            place, f"found {shown(raw)}, allowed: {words}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}"
+        )
+        return None
+    value = _parse(raw, place, quantity.dimension, findings)
+    if value is not None and not quantity.allows(value):
+        findings.add(place, f"found {shown(raw)}: {_bounds_in_words(quantity)}")
+        return None
+    return value
+
+
+def _parse(raw: object, place: Place, dimension: str, findings: Findings) -> float | None:
+    if isinstance(raw, str) and len(raw) > 200:
+        findings.add(place, f"found {shown(raw)}, which is too long for a number")
+        return None
+    try:
+        if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
+            unit = "" if dimension == "number" else " with its unit in quotes"
+            raise UnitError(f"found {shown(raw)}, where a number{unit} is due")
+        return parse_value(raw, dimension)
+    except UnitError as error:
+        findings.add(place, str(error))
+        return None
+
+
+def _bounds_in_words(quantity: Quantity) -> str:
+    if quantity.closed:
+        low = f"from {format_value(quantity.lower, quantity.name)}"
+        high = (
+            f" to {format_value(quantity.upper, quantity.name)}"
+            if math.isfinite(quantity.upper)
+            else " upwards"
+        )
+        return f"{quantity.meaning} must lie {low}{high}"
+    if math.isfinite(quantity.upper):
+        return f"{quantity.meaning} must lie between {quantity.lower:g} and {quantity.upper:g}, both excluded"
+    return f"{quantity.meaning} must be above {quantity.lower:g}"
+
+
+def _read_law(
+    raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: Findings, folder: Path
+) -> Reading | None:
+    kind = raw.get("dist")
+    before = len(findings.faults)
+    if not isinstance(kind, str) or kind not in LAWS:
+        if "dist" not in raw:
+            if not findings.touched((*place, "dist")):
+                findings.add(
+                    place, f'a distribution is due here, such as {{ dist = "normal", … }}: {_no_dist(raw)}'
+                )
+        else:
+            near = suggestion(kind, LAWS) if isinstance(kind, str) else ""
+            findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(LAWS)}{near}")
+        return None
+    empirical = kind == "empirical"
+    _refuse_unknown(raw, kind, place, findings)
+    given: dict[str, float] = {}
+    bounds: dict[str, float] = {}
+    for key in (*LAWS[kind].keys, "lower", "upper"):
+        if key not in raw:
+            continue
+        dimension = quantity.dimension if key in LAWS[kind].dimensional else "number"
+        value = _parse(raw[key], (*place, key), dimension, findings)
+        if value is not None:
+            (bounds if key in ("lower", "upper") else given)[key] = value
+    data: tuple[float, ...] = ()
+    if empirical:
+        data = read_column(raw, place, quantity, findings, folder)
+    if len(findings.faults) > before or not findings.clean(place):
+        return None
+    try:
+        law = make_law(kind, given, bounds.get("lower"), bounds.get("upper"), data, raw.get("fit"))
+    except LawError as error:
+        findings.add(
+            (*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind)
+        )
+        return None
+    return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+
+
+def _no_dist(raw: Mapping[str, Any]) -> str:
+    return (
+        f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}"
+        if raw
+        else "found an empty table"
+    )
+
+
+def _refuse_unknown(raw: Mapping[str, Any], kind: str, place: Place, findings: Findings) -> None:
+    files = _FILE_KEYS if kind == "empirical" else ()
+    allowed = ("dist", *LAWS[kind].keys, "lower", "upper", *files)
+    others = {key for other in LAWS.values() for key in other.keys} | set(_FILE_KEYS)
+    for key in raw:
+        if key in allowed:
+            continue
+        near = suggestion(key, allowed)
+        if key in others:
+            said = (
+                f"{shown(key)} does not belong to the distribution {kind}, which takes {one_of(allowed[1:])}"
+            )
+        else:
+            said = f"unknown key {shown(key)}{near or f'; {kind} takes {one_of(allowed[1:])}'}"
+        findings.add((*place, key), said)
+
+
+def _with_unit(message: str, quantity: Quantity, key: str, kind: str) -> str:
+    """The law's own message, which speaks in SI."""
+    dimensional = key == "" or key in LAWS[kind].dimensional
+    spoken = dimensional and any(character.isdigit() for character in message)
+    return f"{message} (numbers in {quantity.unit})" if spoken and quantity.unit else message
+
+
+def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> bool:
+    """Whether the law lies where the quantity has a meaning; a far tail outside is warned of."""
+    centre = nominal_mean(law)
+    if not quantity.allows(centre):
+        found = format_value(centre, quantity.name)
+        findings.add(place, f"the distribution has its mean at {found}: {_bounds_in_words(quantity)}")
+        return False
+    if LAWS[law.kind].bounded:
+        for key, bound in (("lower", law.lower), ("upper", law.upper)):
+            if not quantity.lower <= bound <= quantity.upper:
+                findings.add(
+                    (*place, key), f"{format_value(bound, quantity.name)}: {_bounds_in_words(quantity)}"
+                )
+                return False
+        return True
+    share = _share_outside(law, quantity)
+    if share > _SHARE_WORTH_A_WORD:
+        findings.warn(
+            place,
+            f"a share of {share:.2g} of the distribution lies where it has no meaning "
+            f"({_bounds_in_words(quantity)}); "
+            "these samples count as failed evaluations: truncate with lower or upper, or take another "
+            "distribution",
+        )
+    return True
+
+
+def _share_outside(law: Law, quantity: Quantity) -> float:
+    """Mass of the law in force below and above the bounds of meaning."""
+    import numpy as np
+
+    from uqsphere.uq.laws import cdf, sf
+
+    share = 0.0
+    if max(law.lower, _least(law)) < quantity.lower:
+        share += float(cdf(law, np.array([quantity.lower]))[0])
+    if law.upper > quantity.upper:
+        share += float(sf(law, np.array([quantity.upper]))[0])
+    return share
+
+
+def _least(law: Law) -> float:
+    """A bound below which the law has nothing to speak of, where it is known without special functions.
+
+    Those take longer to import than the rest of a study takes to read.
+    """
+    parameters = law.parameters
+    if law.kind == "normal" and law.lower < parameters["mean"] < law.upper:
+        return parameters["mean"] - 8.0 * parameters["sd"]
+    if law.kind in ("lognormal", "gamma", "exponential"):
+        return 0.0
+    own = {"weibull": "threshold", "frechet": "location"}.get(law.kind)
+    return parameters[own] if own else -math.inf

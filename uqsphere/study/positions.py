@@ -1,0 +1,122 @@
+"""Where each value of a TOML text stands: tree-sitter's concrete syntax gives line and column per dotted "
+"path."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING
+
+from uqsphere.study.findings import Place
+
+if TYPE_CHECKING:
+    from tree_sitter import Node
+
+__all__ = ["locate"]
+
+_KEYS = ("bare_key", "quoted_key", "dotted_key")
+_PUNCTUATION = frozenset({"[", "]", "{", "}", ",", "=", "comment"})
+
+
+def locate(text: str) -> dict[Place, tuple[int, int]]:
+    """Line and column (from 1, in characters) of every table, key and array element of `text`.
+
+    A table stands where its header is, a key where the key is written, an array element where it begins.
+    A text that is not quite TOML gives the places of those parts that are.
+
+    >>> places = locate('[sphere]\\nE = { dist = "normal", sd = 1 }\\n[[dependence]]\\nof = ["a", "b"]')
+    >>> places[("sphere", "E", "sd")], places[("dependence", 0, "of", 1)]
+    ((2, 24), (4, 12))
+    """
+    import tree_sitter_toml
+    from tree_sitter import Language, Parser
+
+    data = text.encode("utf-8")
+    root = Parser(Language(tree_sitter_toml.language())).parse(data).root_node
+    lines = data.split(b"\n")
+    found: dict[Place, tuple[int, int]] = {}
+    counts: dict[Place, int] = {}
+    for child in root.children:
+        if child.type == "pair":
+            _visit_pair(child, (), found, lines)
+        elif child.type in ("table", "table_array_element"):
+            _visit_table(child, found, counts, lines)
+    return found
+
+
+def _visit_table(
+    node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: list[bytes]
+) -> None:
+    key = next((child for child in node.children if child.type in _KEYS), None)
+    if key is None:
+        return
+    parts = _key_parts(key)
+    base = _entered(tuple(name for name, _ in parts[:-1]), counts)
+    header = (*base, parts[-1][0])
+    at = _point(node, lines)
+    # A table above this one that has no header of its own is best shown by the first header below it.
+    for length in range(1, len(header) + 1):
+        found.setdefault(header[:length], at)
+    if node.type == "table_array_element":
+        counts[header] = counts.get(header, 0) + 1
+        header = (*header, counts[header] - 1)
+    found[header] = at
+    for child in node.children:
+        if child.type == "pair":
+            _visit_pair(child, header, found, lines)
+
+
+def _entered(base: Place, counts: dict[Place, int]) -> Place:
+    """`base` with the index of the newest element after each array of tables on the way."""
+    place: Place = ()
+    for name in base:
+        place = (*place, name)
+        if place in counts:
+            place = (*place, counts[place] - 1)
+    return place
+
+
+def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: list[bytes]) -> None:
+    key, value = node.children[0], node.children[-1]
+    if key.type not in _KEYS:
+        return
+    place = base
+    for name, part in _key_parts(key):
+        place = (*place, name)
+        found.setdefault(place, _point(part, lines))
+    if value is not key:
+        _visit_value(value, place, found, lines)
+
+
+def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: list[bytes]) -> None:
+    if node.type == "inline_table":
+        for child in node.children:
+            if child.type == "pair":
+                _visit_pair(child, place, found, lines)
+    elif node.type == "array":
+        elements = [child for child in node.children if child.type not in _PUNCTUATION and not child.is_error]
+        for index, child in enumerate(elements):
+            found.setdefault((*place, index), _point(child, lines))
+            _visit_value(child, (*place, index), found, lines)
+
+
+def _key_parts(node: Node) -> list[tuple[str, Node]]:
+    if node.type == "dotted_key":
+        return [part for child in node.children if child.type in _KEYS for part in _key_parts(child)]
+    text = (node.text or b"").decode("utf-8", "replace")
+    return [(_unquoted(text) if node.type == "quoted_key" else text, node)]
+
+
+def _unquoted(text: str) -> str:
+    if text.startswith("'"):
+        return text[1:-1]
+    try:
+        # The escapes of TOML's basic strings are Python's, but for \e, which TOML 1.0 does not have.
+        return str(ast.literal_eval(text))
+    except (SyntaxError, ValueError):
+        return text.strip('"')
+
+
+def _point(node: Node, lines: list[bytes]) -> tuple[int, int]:
+    row, column = node.start_point
+    before = lines[row][:column] if row < len(lines) else b""
+    return row + 1, len(before.decode("utf-8", "replace")) + 1

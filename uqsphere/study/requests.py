@@ -1,0 +1,245 @@
+"""What a study asks: model, limits and analysis."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from uqsphere.quantities import OUTPUTS, Quantity, lookup
+from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
+from uqsphere.study.numbers import Reading, read_fixed, read_number
+from uqsphere.study.schema import AnalysisTable, LimitTable, ModelTable
+
+__all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares", "valid_name"]
+
+METHODS: Final = ("qmc", "pce", "sobol")
+LATER_METHODS: Final = ("form", "sorm", "importance", "subset", "monte_carlo", "active")
+#: quantities of the theory that this version does not answer
+LATER_QUANTITIES: Final = ("core_tension",)
+MOST_LIMITS: Final = 50
+
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+_TIME: Final = Quantity(name="time", symbol="t", dimension="time", meaning="the time")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitReading:
+    """A limit with its parts as understood; None where a part is faulty."""
+
+    name: str
+    quantity: str | None
+    strength: Reading | None
+    model_factor: Reading | None
+    table: LimitTable
+
+    @property
+    def parts(self) -> dict[str, Reading | None]:
+        """The numbers that can be random, by the names they go by."""
+        return {
+            f"limits.{self.name}.strength": self.strength,
+            f"limits.{self.name}.model_factor": self.model_factor,
+        }
+
+    def limit(self) -> Limit | None:
+        """The noun, if every part is there."""
+        if self.quantity is None or self.strength is None or self.model_factor is None:
+            return None
+        return Limit(
+            name=self.name,
+            quantity=self.quantity,
+            strength=self.strength.value,
+            aim=self.table.aim,
+            model_factor=self.model_factor.value,
+            target=self.table.target,
+        )
+
+
+def valid_name(name: str) -> bool:
+    """Whether a name of the user's can stand in tables, figures and file names."""
+    return _NAME.fullmatch(name) is not None
+
+
+def read_model(table: ModelTable, findings: Findings) -> ModelChoice:
+    """The choice of mechanics."""
+    if not 1e-12 <= table.tolerance <= 1e-2:
+        findings.add(("model", "tolerance"), f"found {table.tolerance!r}, from 1e-12 to 1e-2 is allowed")
+    horizon = None
+    if table.horizon is not None:
+        horizon = read_fixed(table.horizon, ("model", "horizon"), _TIME, findings)
+    return ModelChoice(
+        fidelity=table.fidelity,
+        tolerance=table.tolerance,
+        first_loading_only=table.first_loading_only,
+        horizon=horizon,
+        compare_with_paper=table.compare_with_paper,
+    )
+
+
+def read_limits(
+    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, folder: Path
+) -> list[LimitReading]:
+    """The limits; `outputs` are the names of a black box (None: those of the impact model)."""
+    found: list[LimitReading] = []
+    if len(tables) > MOST_LIMITS:
+        findings.add(("limits",), f"found {len(tables)} limits, at most {MOST_LIMITS} are allowed")
+        return found
+    for name, table in tables.items():
+        place: Place = ("limits", name)
+        if not valid_name(name):
+            findings.add(place, _NAME_RULE)
+            continue
+        quantity = _limit_quantity(table, place, outputs, findings)
+        strength = model_factor = None
+        if table.strength is None:
+            if findings.clean((*place, "strength")):
+                findings.add(
+                    (*place, "strength"),
+                    'strength is missing: add a number such as "4 GPa", or a distribution',
+                )
+        elif quantity is not None:
+            strength = read_number(
+                table.strength, (*place, "strength"), _strength_of(quantity), findings, folder
+            )
+        else:
+            # Without its quantity the strength has no unit to be read in: neither right nor wrong.
+            findings.spoiled.add((*place, "strength"))
+        if table.model_factor is not None:
+            model_factor = read_number(
+                table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder
+            )
+        elif findings.clean((*place, "model_factor")):
+            model_factor = Reading(value=1.0)
+        if table.target is not None and not 0.0 < table.target < 1.0:
+            findings.add((*place, "target"), f"found {table.target!r}, a probability between 0 and 1 is due")
+        found.append(
+            LimitReading(
+                name=name, quantity=quantity, strength=strength, model_factor=model_factor, table=table
+            )
+        )
+    return found
+
+
+_NAME_RULE: Final = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"
+_FACTOR: Final = Quantity(
+    name="model_factor", symbol="f", dimension="number", meaning="the model factor", plausible=(0.5, 2.0)
+)
+
+
+def _strength_of(quantity: str) -> Quantity:
+    entry = lookup(quantity)
+    return Quantity(
+        name=entry.name,
+        symbol=entry.symbol,
+        dimension=entry.dimension,
+        display=entry.display,
+        lower=entry.lower,
+        upper=entry.upper,
+        meaning=f"the strength against {quantity}",
+    )
+
+
+def _limit_quantity(
+    table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings
+) -> str | None:
+    if table.quantity is None:
+        if findings.clean((*place, "quantity")):
+            findings.add(
+                (*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"'
+            )
+        return None
+    return (
+        table.quantity if _known_quantity(table.quantity, (*place, "quantity"), outputs, findings) else None
+    )
+
+
+def _known_quantity(name: str, place: Place, outputs: Sequence[str] | None, findings: Findings) -> bool:
+    known = list(OUTPUTS) if outputs is None else list(outputs)
+    if name in known:
+        return True
+    if outputs is None and name in LATER_QUANTITIES:
+        findings.add(place, f"{shown(name)} is not in this version; known quantities: {one_of(known)}")
+    elif known:
+        findings.add(
+            place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}"
+        )
+    return False
+
+
+def read_analysis(
+    table: AnalysisTable, outputs: Sequence[str] | None, limits: Sequence[LimitReading], findings: Findings
+) -> Analysis:
+    """What is asked of every quantity; those that a limit needs are among them."""
+    asked = _quantities(table.quantities, outputs, limits, findings)
+    for key, value in table.accuracy:
+        if not value > 0.0:
+            findings.add(("analysis", "accuracy", key), f"found {value!r}, a number above 0 is due")
+    if table.budget.evaluations <= 0:
+        found = table.budget.evaluations
+        findings.add(("analysis", "budget", "evaluations"), f"found {found}, a whole number above 0 is due")
+    time = read_fixed(table.budget.time, ("analysis", "budget", "time"), _TIME, findings)
+    return Analysis(
+        quantities=asked,
+        accuracy=Accuracy(**table.accuracy.model_dump()),
+        budget=Budget(evaluations=table.budget.evaluations, time=time or Budget().time),
+        quantiles=shares(table.quantiles, ("analysis", "quantiles"), findings),
+        methods=_methods(table.methods, findings),
+        on_failure=table.on_failure,
+    )
+
+
+def _quantities(
+    given: Sequence[str] | None,
+    outputs: Sequence[str] | None,
+    limits: Sequence[LimitReading],
+    findings: Findings,
+) -> tuple[str, ...]:
+    needed = [limit.quantity for limit in limits if limit.quantity is not None]
+    if given is None:
+        default = list(outputs) if outputs is not None else (needed or ["p_max", "contact_time"])
+        return tuple(dict.fromkeys([*default, *needed]))
+    place: Place = ("analysis", "quantities")
+    if not given:
+        findings.add(place, "the list is empty: name a quantity, or leave the key out")
+    for index, name in enumerate(given):
+        if name in given[:index]:
+            findings.add((*place, index), f"{shown(name)} is named twice")
+        else:
+            _known_quantity(name, (*place, index), outputs, findings)
+    return tuple(dict.fromkeys([*given, *needed]))
+
+
+def shares(values: Sequence[float], place: Place, findings: Findings) -> tuple[float, ...]:
+    """Probabilities inside (0, 1), in order, each once."""
+    if not 1 <= len(values) <= 200:
+        findings.add(place, f"found {len(values)} numbers, from 1 to 200 are due")
+        return ()
+    for index, value in enumerate(values):
+        if not 0.0 < value < 1.0:
+            findings.add((*place, index), f"found {value!r}, a number between 0 and 1, both excluded, is due")
+    return tuple(sorted(set(values)))
+
+
+def _methods(given: Any, findings: Findings) -> tuple[str, ...]:
+    place: Place = ("analysis", "methods")
+    if given == "auto" or given == ["auto"]:
+        return ("auto",)
+    if not isinstance(given, list) or not given:
+        hint = f'; write methods = ["{given}"]' if given in METHODS else ""
+        findings.add(place, f'found {shown(given)}: "auto" or a list of {one_of(METHODS)} is due{hint}')
+        return ("auto",)
+    for index, name in enumerate(given):
+        if isinstance(name, str) and name in LATER_METHODS:
+            findings.add(
+                (*place, index),
+                f"the method {shown(name)} is not in this version; allowed: {one_of(METHODS)}",
+            )
+        elif not isinstance(name, str) or name not in METHODS:
+            near = suggestion(name, METHODS) if isinstance(name, str) else ""
+            findings.add((*place, index), f"unknown method {shown(name)}, allowed: {one_of(METHODS)}{near}")
+        elif name in given[:index]:
+            findings.add((*place, index), f"{shown(name)} is named twice")
+    return tuple(name for name in given if isinstance(name, str))

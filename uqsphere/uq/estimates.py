@@ -1,0 +1,366 @@
+"""Estimates with intervals, and the description of a sample drawn in independent randomisations.
+
+Samples come as (R, n): R independent randomisations of n points each.  The spread over the R rows is the
+only thing that an interval rests on, so that it is right for quasi-random points as for random ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.families import Array
+
+__all__ = [
+    "Description",
+    "Estimate",
+    "Flags",
+    "absent",
+    "describe",
+    "from_replicates",
+    "quantile_estimates",
+    "reached",
+    "share",
+    "student",
+]
+
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+_LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A number with its 95 % interval; an absent answer has value None and a reason.
+
+    `evaluations` counts the model evaluations that it rests on.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    std_error: float | None
+    method: str
+    evaluations: int
+    reason: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("value", "low", "high", "std_error"):
+            number = getattr(self, name)
+            if number is not None and not math.isfinite(number):
+                raise ValueError(f"{name} of an estimate must be finite or absent, found {number}")
+        if self.value is None and not self.reason:
+            raise ValueError("an absent estimate needs a reason")
+
+    @property
+    def half_width(self) -> float:
+        """Half the length of the interval; inf where an end is absent."""
+        if self.low is None or self.high is None:
+            return math.inf
+        return 0.5 * (self.high - self.low)
+
+    def as_dict(self) -> dict[str, float | int | str | None]:
+        """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
+        table: dict[str, float | int | str | None] = {
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "std_error": self.std_error,
+            "method": self.method,
+            "evaluations": self.evaluations,
+        }
+        return table if self.reason is None else {**table, "reason": self.reason}
+
+
+def absent(reason: str, method: str, evaluations: int) -> Estimate:
+    """An answer that cannot be given, and why."""
+    return Estimate(
+        value=None,
+        low=None,
+        high=None,
+        std_error=None,
+        method=method,
+        evaluations=evaluations,
+        reason=reason,
+    )
+
+
+def student(replicates: int) -> float:
+    """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are replicates."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(replicates - 1, 0.975))
+
+
+def from_replicates(
+    values: Array,
+    method: str,
+    evaluations: int,
+    pooled: float | None = None,
+    floor: float = 0.0,
+) -> Estimate:
+    """Estimate from the answers (R,) of independent replicates.
+
+    The value is `pooled` if given (the answer of all samples together), else the mean of the replicates;
+    the interval is Student's with R - 1 degrees of freedom.  `floor` is the least standard error: what
+    the resolution of the method leaves even where all replicates agree.
+
+    >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
+    >>> estimate.value, round(estimate.std_error, 12)
+    (2.0, 0.57735026919)
+    """
+    values = np.asarray(values, dtype=float)
+    if values.ndim != 1 or values.size < 2:
+        return absent("an interval needs at least two independent replicates", method, evaluations)
+    if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
+        return absent("a replicate gave no finite answer", method, evaluations)
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = float(np.mean(values)) if pooled is None else float(pooled)
+        error = max(float(np.std(values, ddof=1)) / math.sqrt(values.size), floor)
+    half = student(values.size) * error
+    if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
+        return absent("the answer is beyond floating point", method, evaluations)
+    return Estimate(
+        value=value,
+        low=value - half,
+        high=value + half,
+        std_error=error,
+        method=method,
+        evaluations=evaluations,
+    )
+
+
+def share(flags: Flags, method: str = "share of the samples") -> Estimate:
+    """Share of True in (R, n), within [0, 1]; none or all True gets the one-sided 95 % bound on the count."""
+    replicates, n = flags.shape
+    per_replicate = flags.mean(axis=1)
+    count = int(flags.sum())
+    bound = -math.expm1(math.log(0.05) / flags.size)
+    if count in (0, flags.size):
+        value = float(count > 0)
+        ends = (0.0, bound) if count == 0 else (1.0 - bound, 1.0)
+        return Estimate(
+            value=value,
+            low=ends[0],
+            high=ends[1],
+            std_error=1.0 / flags.size,
+            method=f"{method}, one-sided 95 % bound",
+            evaluations=flags.size,
+        )
+    plain = from_replicates(per_replicate, method, flags.size, floor=0.3 / n / math.sqrt(replicates))
+    if plain.value is None or plain.low is None or plain.high is None:
+        return plain
+    return Estimate(
+        value=plain.value,
+        low=max(0.0, plain.low),
+        high=min(1.0, plain.high),
+        std_error=plain.std_error,
+        method=method,
+        evaluations=flags.size,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What a sample of one quantity says.
+
+    `scale` is the standard deviation that accuracies are relative to (half the 16–84 % range where the
+    standard deviation is absent); `exempt` are the quantiles that censoring makes unanswerable.
+    """
+
+    mean: Estimate
+    sd: Estimate
+    quantiles: Mapping[float, Estimate]
+    censored_share: Estimate
+    scale: float
+    exempt: tuple[float, ...] = ()
+
+
+def describe(
+    samples: Array,
+    *,
+    censored: Flags | None = None,
+    failed: Flags | None = None,
+    on_failure: str = "drop",
+    quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99),
+    method: str = "randomised quasi-Monte Carlo",
+) -> Description:
+    """Mean, standard deviation, quantiles and censored share of samples (R, n).
+
+    Censored samples are known only to exceed their own value: quantiles that they could move beyond the
+    record are absent, mean and standard deviation are restricted to the record.  Failed rows (`failed`, and
+    every sample that is not finite) leave mean and standard deviation; a quantile either leaves them out
+    (`on_failure` "drop") or has its interval widened to either side of them ("bound").
+    """
+    samples = np.asarray(samples, dtype=float)
+    broken = ~np.isfinite(samples) if failed is None else failed | ~np.isfinite(samples)
+    late = np.zeros_like(broken) if censored is None else censored & ~broken
+    kept = ~broken
+    counts = kept.sum(axis=1)
+    total = samples.size
+    if samples.shape[0] < 2 or counts.min(initial=total) < 2:
+        nothing = absent("too few successful samples in a replicate", method, total)
+        return Description(
+            mean=nothing,
+            sd=nothing,
+            quantiles=dict.fromkeys(quantiles, nothing),
+            censored_share=nothing,
+            scale=math.nan,
+        )
+    shown = method + (", restricted to the record" if late.any() else "")
+    shown += ", without failed rows" if broken.any() else ""
+    mean, sd, spread = _moments(samples, kept, counts, shown)
+    estimates, exempt = quantile_estimates(
+        samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
+    )
+    if late.any() and broken.any():
+        censored_share = from_replicates((late & kept).sum(axis=1) / counts, "share of the samples", total)
+    else:
+        censored_share = share(late, "share of the samples")
+    return Description(
+        mean=mean,
+        sd=sd,
+        quantiles=estimates,
+        censored_share=censored_share,
+        scale=spread,
+        exempt=exempt,
+    )
+
+
+def _moments(samples: Array, kept: Flags, counts: Array, method: str) -> tuple[Estimate, Estimate, float]:
+    """Mean and standard deviation of the kept samples, and the scale for relative accuracies."""
+    total = samples.size
+    whole = bool(kept.all())
+    values = samples if whole else np.where(kept, samples, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = values.sum(axis=1) / counts
+        centre = float(values.sum() / counts.sum())
+        squares = (values - centre) ** 2 if whole else np.where(kept, (values - centre) ** 2, 0.0)
+        sums = squares.sum(axis=1)
+        # Each replicate about its own mean: a common offset of the replicates is not scatter of the quantity.
+        variances = np.maximum(sums / counts - (means - centre) ** 2, 0.0)
+        pooled = math.sqrt(float(sums.sum() / counts.sum()))
+    mean = from_replicates(means, method, total, centre)
+    sd = from_replicates(np.sqrt(variances), method, total, pooled)
+    if sd.low is not None and sd.low < 0.0:
+        sd = Estimate(
+            value=sd.value,
+            low=0.0,
+            high=sd.high,
+            std_error=sd.std_error,
+            method=sd.method,
+            evaluations=total,
+        )
+    largest = float(squares.max() / sums.sum()) if sums.sum() > 0.0 else 0.0
+    if largest > 0.4 and counts.sum() >= 1000:
+        reason = f"does not converge: one sample of {int(counts.sum())} makes {largest:.0%} of the variance"
+        sd = absent(reason, method, total)
+        inner = np.quantile(samples[kept], [0.16, 0.84])
+        return mean, sd, 0.5 * float(inner[1] - inner[0])
+    return mean, sd, pooled
+
+
+# --- quantiles ------------------------------------------------------------------------------------
+
+
+def _at(ordered: Array, p: float) -> float:
+    """Quantile of an ordered sample at p by Hazen's rule: the i-th value stands at (i - 1/2)/N."""
+    position = p * ordered.size - 0.5
+    lower = min(max(math.floor(position), 0), ordered.size - 1)
+    upper = min(lower + 1, ordered.size - 1)
+    fraction = min(max(position - lower, 0.0), 1.0)
+    left, right = float(ordered[lower]), float(ordered[upper])
+    if fraction == 0.0 or left == right:
+        return left
+    return left + fraction * (right - left)
+
+
+def quantile_estimates(
+    samples: Array,
+    *,
+    censored: Flags,
+    failed: Flags,
+    on_failure: str,
+    quantiles: Sequence[float],
+    method: str,
+) -> tuple[dict[float, Estimate], tuple[float, ...]]:
+    """Quantiles of (R, n) samples, and those that censoring leaves unanswered.
+
+    The interval follows Woodruff (1952): the replicates' distribution functions at the pooled quantile
+    give an interval of the probability, whose ends are read off the pooled sample.
+    """
+    replicates, n = samples.shape
+    total = samples.size
+    bound = on_failure == "bound" and bool(failed.any())
+    kept = np.ones_like(failed) if bound else ~failed
+    doubtful = bool(censored.any()) or bound
+    # Doubtful samples at the least and at the largest value they may have had.
+    least = np.where(failed, -math.inf, samples) if bound else samples
+    ordered = np.sort(least[kept])
+    upper = ordered
+    if doubtful:
+        largest = np.where(failed | censored, math.inf, samples)
+        upper = np.sort(largest[kept])
+    counts = kept.sum(axis=1)
+    factor = student(replicates)
+    answers: dict[float, Estimate] = {}
+    exempt: list[float] = []
+    for p in quantiles:
+        value, highest = _at(ordered, p), _at(upper, p)
+        if min(p, 1.0 - p) * ordered.size < _LEAST_BEYOND:
+            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
+            continue
+        at = value if math.isfinite(value) else highest
+        below = ((least <= at) & kept).sum(axis=1) / counts
+        # Points that are evenly spread agree on the count and still do not know where in its cell x lies.
+        error = math.hypot(float(np.std(below, ddof=1)), 0.5 / n) / math.sqrt(replicates)
+        low, high = _at(ordered, max(p - factor * error, 0.0)), _at(upper, min(p + factor * error, 1.0))
+        if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
+            answers[p] = absent(_why(censored, failed & kept, total), method, total)
+            exempt += [p] if censored.any() else []
+            continue
+        middle = value if highest == value else 0.5 * (value + highest)
+        answers[p] = Estimate(
+            value=middle,
+            low=low,
+            high=high,
+            std_error=0.5 * (high - low) / factor,
+            method=method,
+            evaluations=total,
+        )
+    return answers, tuple(exempt)
+
+
+def _why(censored: Flags, failed: Flags, total: int) -> str:
+    parts = []
+    if censored.any():
+        parts.append(f"the censored share ({censored.sum() / total:.2%})")
+    if failed.any():
+        parts.append(f"the failed share ({failed.sum() / total:.2%})")
+    return "beyond " + " and ".join(parts)
+
+
+def reached(description: Description, *, mean: float, quantile: float) -> tuple[bool, list[str]]:
+    """Whether the 95 % half-widths of mean and quantiles, over the scale, are within what was asked.
+
+    Returns (all reached, texts of those missed).  Quantiles that censoring leaves unanswered are exempt.
+    """
+    missed = []
+    asked = [("mean", description.mean, mean)]
+    asked += [
+        (f"quantile {p:g}", estimate, quantile)
+        for p, estimate in description.quantiles.items()
+        if p not in description.exempt
+    ]
+    for name, estimate, wanted in asked:
+        if estimate.value is None:
+            missed.append(f"{name}: {estimate.reason}")
+        elif estimate.half_width > wanted * description.scale:
+            found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
+            missed.append(f"{name}: half-width {found:.2g} of the standard deviation, asked {wanted:g}")
+    return not missed, missed
