@@ -13,16 +13,16 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.scene import STATUS, Scene
 
-__all__ = ["MODES", "Answers", "Motion", "integrate", "solve", "thread_count"]
+__all__ = ["MODES", "Answers", "Motion", "integrate", "motion", "solve", "thread_count"]
 
 Array = npt.NDArray[np.float64]
 
@@ -62,11 +62,16 @@ class Answers:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 8) of x_1, x_2, u."""
+    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 8) of x_1, x_2, u.
+
+    They ascend in powers of the share of the step that has passed; `end` is the end of the record, which may
+    lie inside the last step.
+    """
 
     start: Array
     length: Array
     states: Array
+    end: float = np.inf
 
 
 def thread_count(threads: int | None = None) -> int:
@@ -155,6 +160,35 @@ def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, 
     return answers, status, steps
 
 
+def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
+    """The motion of one scene on to the horizon, contacts lost and found again included.
+
+    Raises
+    ------
+    ValueError
+        If the row lies outside the domain or cannot be integrated; the message is that of its status.
+    """
+    _check_request(fidelity, tolerance)
+    status = scene.status[[row]].copy()
+    if status[0] == 0:
+        from uqsphere.mechanics.events import ANSWER_END, empty_answers
+
+        answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
+        only = np.zeros(1, dtype=np.int64)
+        found = _march(_arguments(scene, np.array([row])), only, MODES[fidelity], tolerance, False,
+                       answers, status, steps, keep=1)  # fmt: skip
+        if status[0] == 0 and found is not None:
+            return replace(found, end=float(answers[0, ANSWER_END]))
+    raise ValueError(f"row {row} has no motion: {STATUS[int(status[0])]}")
+
+
+def _check_request(fidelity: str, tolerance: float) -> None:
+    if fidelity not in MODES:
+        raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
+    if not 1e-12 <= tolerance <= 1e-2:
+        raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
+
+
 def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None) -> Answers:
     """Quantities of interest of n scenes by integrating the equations of motion.
 
@@ -174,10 +208,7 @@ def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, thre
     Answers
         With NaN and a status for rows outside the domain; never a number that was not computed.
     """
-    if fidelity not in MODES:
-        raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
-    if not 1e-12 <= tolerance <= 1e-2:
-        raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
+    _check_request(fidelity, tolerance)
     scaled, status, steps = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
     return to_si(scene, scaled, status, steps, linear=fidelity == "linear")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.quantities import Quantity, UnitError, format_value, parse_value
+from uqsphere.quantities import INPUTS, Quantity, UnitError, format_value, parse_value
 from uqsphere.study.columns import read_column
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
@@ -189,12 +189,12 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
         return True
     share = _share_outside(law, quantity)
     if share > _SHARE_WORTH_A_WORD:
+        # A strength below nothing is exceeded by anything; a scene of such numbers cannot be computed at all.
+        effect = "these samples count as failed evaluations: " if quantity.name in INPUTS else ""
         findings.warn(
             place,
             f"a share of {share:.2g} of the distribution lies where it has no meaning "
-            f"({_bounds_in_words(quantity)}); "
-            "these samples count as failed evaluations: truncate with lower or upper, or take another "
-            "distribution",
+            f"({_bounds_in_words(quantity)}); {effect}truncate it with lower or upper, or take another one",
         )
     return True
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from uqsphere.study.findings import Place
@@ -15,6 +16,26 @@ __all__ = ["locate"]
 
 _KEYS = ("bare_key", "quoted_key", "dotted_key")
 _PUNCTUATION = frozenset({"[", "]", "{", "}", ",", "=", "comment"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The rows of a text as bytes, and how far columns have been counted in each, in characters."""
+
+    rows: list[bytes]
+    counted: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def point(self, node: Node) -> tuple[int, int]:
+        """Line and column of a node, from 1, in characters."""
+        row, column = node.start_point
+        # Nodes come in order: counting goes on from the last one, or a long line would cost its square.
+        done, characters = self.counted.get(row, (0, 0))
+        if done > column:
+            done, characters = 0, 0
+        if row < len(self.rows):
+            characters += len(self.rows[row][done:column].decode("utf-8", "replace"))
+        self.counted[row] = (column, characters)
+        return row + 1, characters + 1
 
 
 def locate(text: str) -> dict[Place, tuple[int, int]]:
@@ -32,7 +53,7 @@ def locate(text: str) -> dict[Place, tuple[int, int]]:
 
     data = text.encode("utf-8")
     root = Parser(Language(tree_sitter_toml.language())).parse(data).root_node
-    lines = data.split(b"\n")
+    lines = Lines(rows=data.split(b"\n"))
     found: dict[Place, tuple[int, int]] = {}
     counts: dict[Place, int] = {}
     for child in root.children:
@@ -44,7 +65,7 @@ def locate(text: str) -> dict[Place, tuple[int, int]]:
 
 
 def _visit_table(
-    node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: list[bytes]
+    node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines
 ) -> None:
     key = next((child for child in node.children if child.type in _KEYS), None)
     if key is None:
@@ -52,7 +73,7 @@ def _visit_table(
     parts = _key_parts(key)
     base = _entered(tuple(name for name, _ in parts[:-1]), counts)
     header = (*base, parts[-1][0])
-    at = _point(node, lines)
+    at = lines.point(node)
     # A table above this one that has no header of its own is best shown by the first header below it.
     for length in range(1, len(header) + 1):
         found.setdefault(header[:length], at)
@@ -75,19 +96,21 @@ def _entered(base: Place, counts: dict[Place, int]) -> Place:
     return place
 
 
-def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: list[bytes]) -> None:
-    key, value = node.children[0], node.children[-1]
+def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+    # A comment behind an inline table belongs to the pair, after the value.
+    parts = [child for child in node.children if child.type not in _PUNCTUATION]
+    key, value = parts[0], parts[-1]
     if key.type not in _KEYS:
         return
     place = base
     for name, part in _key_parts(key):
         place = (*place, name)
-        found.setdefault(place, _point(part, lines))
+        found.setdefault(place, lines.point(part))
     if value is not key:
         _visit_value(value, place, found, lines)
 
 
-def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: list[bytes]) -> None:
+def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
     if node.type == "inline_table":
         for child in node.children:
             if child.type == "pair":
@@ -95,7 +118,7 @@ def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], 
     elif node.type == "array":
         elements = [child for child in node.children if child.type not in _PUNCTUATION and not child.is_error]
         for index, child in enumerate(elements):
-            found.setdefault((*place, index), _point(child, lines))
+            found.setdefault((*place, index), lines.point(child))
             _visit_value(child, (*place, index), found, lines)
 
 
@@ -114,9 +137,3 @@ def _unquoted(text: str) -> str:
         return str(ast.literal_eval(text))
     except (SyntaxError, ValueError):
         return text.strip('"')
-
-
-def _point(node: Node, lines: list[bytes]) -> tuple[int, int]:
-    row, column = node.start_point
-    before = lines[row][:column] if row < len(lines) else b""
-    return row + 1, len(before.decode("utf-8", "replace")) + 1

@@ -44,7 +44,7 @@ OnFailure = Literal["abort", "bound", "drop"]
 class Table(BaseModel):
     """A table of the file: no key beyond those listed, no conversion of one kind of value into another."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, protected_namespaces=())
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, protected_namespaces=(), defer_build=True)
 
 
 class SphereTable(Table):
@@ -215,10 +215,11 @@ def read_document(data: dict[str, Any], findings: Findings) -> Document:
 
 def known_keys(place: Place) -> list[str]:
     """The keys that the table at `place` can hold."""
-    names = [part for part in place if isinstance(part, str)]
-    if not names:
+    if not place:
         return list(Document.model_fields)
-    table = _TABLES.get(names[-1]) or _TABLES.get(names[0])
+    # A limit goes by a name of the user's, a dependence by its number: the table above says what they are.
+    named = place[0] if place[0] in ("limits", "dependence") else place[-1]
+    table = _TABLES.get(str(named))
     return list(table.model_fields) if table else []
 
 

@@ -164,7 +164,7 @@ def _design(values: Sequence[Array], multi_indices: Indices) -> Array:
 
 
 def _regress(matrix: Array, outputs: Array) -> tuple[Array, float, float] | None:
-    """Least squares with its leave-one-out mean square error, plain and corrected; None where ill-conditioned.
+    """Least squares with its leave-one-out error, plain and corrected; None where ill-conditioned.
 
     The error of leaving sample i out is e_i/(1 - h_i).  Its mean square, times n/(n-P) (1 + tr((ΨᵀΨ)⁻¹))
     (Blatman and Sudret 2011), is what bases are chosen by: it holds large ones back.

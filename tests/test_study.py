@@ -1,0 +1,431 @@
+"""Studies as they are meant: what each part becomes in SI, defaults, identity, overrides and test results."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from test_broken_studies import BASE, BLACK_BOX, CASES
+
+from uqsphere.errors import StudyError, UsageError
+from uqsphere.quantities import INPUTS
+from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
+from uqsphere.study.schema import BarsTable, PulseTable, SphereTable, StrikerTable
+from uqsphere.uq.laws import Law, cdf, mean, nominal_mean, sd
+
+STUDIES = Path(__file__).parent.parent / "studies"
+TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
+
+Load = Callable[..., Study]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    def from_text(text: str, *edits: tuple[str, str], overrides: tuple[str, ...] = ()) -> Study:
+        for old, new in edits:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        (tmp_path / "study.toml").write_text(text)
+        return load_study(tmp_path / "study.toml", overrides)
+
+    return from_text
+
+
+def test_granite_is_the_study_of_the_contract() -> None:
+    study = load_study(STUDIES / "granite.toml")
+    assert study.seed == 20261120
+    assert list(study.random) == ["sphere.E", "sphere.nu", "sphere.radius", "striker.speed"]
+    exact = {name: (nominal_mean(law), law.kind) for name, law in study.random.items()}
+    assert exact["sphere.E"] == (pytest.approx(52e9, rel=1e-12), "lognormal")
+    assert exact["sphere.nu"] == (pytest.approx(0.25, rel=1e-12), "beta")
+    assert exact["striker.speed"] == (0.5, "normal")
+    assert study.random["striker.speed"].parameters["sd"] == pytest.approx(0.01, rel=1e-12)
+    assert study.random["sphere.radius"].lower == pytest.approx(9e-3, rel=1e-12)
+    assert sd(study.random["sphere.E"]) == pytest.approx(0.12 * 52e9, rel=1e-12)
+    expected = {"sphere.density": 2650.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
+                "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
+                "striker.length": 0.8, "pulse.rise": 25e-6, "pulse.fall": 25e-6}  # fmt: skip
+    assert {name: study.fixed[name] for name in expected} == pytest.approx(expected, rel=1e-12)
+    assert study.options == {"bars.infinite": False, "bars.rigid_contact": False, "pulse.shape": "trapezoid"}
+    (limit,) = study.limits
+    assert isinstance(limit.strength, Law)
+    assert mean(limit.strength) == pytest.approx(4e9, rel=1e-12)
+    assert (limit.quantity, limit.aim, limit.model_factor, limit.target) == ("p_max", "survive", 1.0, 0.01)
+    assert study.analysis.budget.time == 600.0
+    assert study.margins is not None
+    assert study.margins.between == (0.05, 20.0)
+    assert study.materials == {"sphere": "granite", "bars": "maraging_steel"}
+    # Only what the file leaves to the library has a source there.
+    assert set(study.sources) == {"bars.E", "bars.nu", "bars.density", "bars.yield_strength"}
+
+
+@pytest.mark.parametrize("path", sorted(STUDIES.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_study(path: Path) -> None:
+    study = load_study(path)
+    assert study.warnings == ()
+    resolved = json.loads(json.dumps(study.resolved(), allow_nan=False))
+    assert resolved["order"] == list(study.inputs().names)
+    assert set(study.at_means()) == set(study.fixed) | set(study.random)
+    assert pickle.loads(pickle.dumps(study)).hash == study.hash
+    jsonschema.validate(tomllib.loads(path.read_text()), json_schema())
+
+
+def test_ishigami_black_box() -> None:
+    sys.path.insert(0, str(STUDIES))
+    try:
+        from ishigami import ishigami
+    finally:
+        sys.path.remove(str(STUDIES))
+    study = load_study(STUDIES / "ishigami.toml")
+    assert study.black_box
+    assert list(study.random) == ["x1", "x2", "x3"]
+    assert study.outputs == study.analysis.quantities == ("y",)
+    # Mean 3.5 and variance 13.844588 in closed form; a full grid of midpoints integrates both to rounding.
+    nodes = (np.arange(64) + 0.5) / 64 * 2 * np.pi - np.pi
+    x1, x2, x3 = (axis.ravel() for axis in np.meshgrid(nodes, nodes, nodes))
+    y = ishigami({"x1": x1, "x2": x2, "x3": x3})["y"]
+    assert y.mean() == pytest.approx(3.5, rel=1e-12)
+    exact = 0.5 + 49 / 8 + 0.1 * np.pi**4 / 5 + 0.01 * np.pi**8 / 18
+    assert y.var() == pytest.approx(exact, rel=5e-3)
+
+
+def test_a_study_is_frozen(load: Load) -> None:
+    study = load(BASE)
+    with pytest.raises(FrozenInstanceError):
+        study.seed = 3  # type: ignore[misc]
+
+
+def test_hash_does_not_see_comments_layout_title_or_unit(load: Load) -> None:
+    same = load(BASE).hash
+    assert load("# a comment\n" + BASE).hash == same
+    assert load(BASE, ('title = "granite"', 'title = "another"')).hash == same
+    assert load(BASE, ('diameter = "40 mm"', "diameter   =  '0.04 m'  # wide")).hash == same
+    assert load(BASE, ('incident_end = "free"', "incident_end = 1.0")).hash == same
+    assert load(BASE, ("[model]\ntolerance = 1e-6\n", "")).hash == same
+    assert load(BASE, ('[pulse]\nshape = "trapezoid"\n', "[pulse]\nshape='trapezoid'\n")).hash == same
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("seed = 7", "seed = 8"),
+        ("cov = 0.12", "cov = 0.13"),
+        ('lower = "9 mm"', 'lower = "9.1 mm"'),
+        ('"40 mm"', '"41 mm"'),
+        ('incident_end = "free"', 'incident_end = "fixed"'),
+        ('incident_end = "free"', "infinite = true"),
+        ('incident_end = "free"', "rigid_contact = true"),
+        ('rise = "25 us"', 'rise = "26 us"'),
+        ("tolerance = 1e-6", "tolerance = 1e-7"),
+        ("modulus = 12", "modulus = 13"),
+        ("target = 0.01", "target = 0.02"),
+        ("target = 0.01", 'aim = "break"'),
+        ("spearman = 0.6", "spearman = 0.5"),
+        ("quantiles = [0.05, 0.5]", "quantiles = [0.05]"),
+        ('"20 m/s"', '"21 m/s"'),
+        ('mean = "0.5 m/s", cov = 0.02', 'mean = "0.5 m/s", sd = "0.01 m/s"'),
+        ("nu = 0.25\n", ""),
+    ],
+)
+def test_hash_sees_every_change_of_meaning(load: Load, old: str, new: str) -> None:
+    before, after = load(BASE), load(BASE, (old, new))
+    if old == "nu = 0.25\n":
+        # The same number from the library is the same scene; its source is part of what is reported.
+        assert after.fixed == before.fixed
+    assert after.hash != before.hash
+
+
+def test_random_inputs_keep_the_order_of_the_file(load: Load) -> None:
+    sphere, rest = BASE.split("[bars]")
+    bars, rest = rest.split("[striker]")
+    head, sphere = sphere.split("[sphere]")
+    study = load(f"{head}[striker]{rest}[bars]{bars}[sphere]{sphere}")
+    assert list(study.random) == ["striker.speed", "sphere.E", "sphere.radius"]
+    assert study.hash != load(BASE).hash
+
+
+def test_inputs_carry_strengths_and_the_gaussian_copula(load: Load) -> None:
+    study = load(BASE, ("target = 0.01", 'model_factor = { dist = "lognormal", mean = 1.0, cov = 0.05 }'))
+    inputs = study.inputs()
+    assert inputs.names == (
+        "sphere.E", "sphere.radius", "striker.speed", "limits.crushing.strength",
+        "limits.crushing.model_factor",
+    )  # fmt: skip
+    assert inputs.correlation is not None
+    assert inputs.correlation[0, 3] == pytest.approx(2.0 * math.sin(math.pi * 0.6 / 6.0), rel=1e-12)
+    assert np.count_nonzero(inputs.correlation - np.eye(5)) == 2
+    assert load(BASE.split("[[dependence]]")[0]).inputs().correlation is None
+
+
+def test_defaults_are_explicit(load: Load) -> None:
+    text = BASE.split("[pulse]")[0].replace('incident_end = "free"\n', "")
+    study = load(text)
+    assert (study.fixed["bars.incident_end"], study.fixed["bars.receiving_end"]) == (1.0, 0.0)
+    assert study.options["pulse.shape"] == "rectangular"
+    assert study.analysis.quantities == ("p_max", "contact_time")
+    assert study.analysis.methods == ("auto",)
+    assert study.limits == ()
+    assert study.margins is None
+    assert study.resolved()["analysis"]["budget"] == {"evaluations": 2_000_000, "time": 600.0}
+    assert load(text.replace('title = "granite"\n', "")).title == "study"
+
+
+def test_quantities_of_limits_are_asked_for(load: Load) -> None:
+    more = '[limits.b]\nquantity = "energy"\nstrength = "2 mJ"\n[analysis]'
+    study = load(BASE, ("[analysis]", more))
+    assert study.analysis.quantities == ("p_max", "energy")
+    assert study.limits[1] == Limit(name="b", quantity="energy", strength=2e-3)
+    assert load(BASE, ("[analysis]", more), ('quantities = ["p_max"]\n', "")).analysis.quantities == (
+        "p_max",
+        "energy",
+    )
+
+
+def test_infinite_bars_need_no_lengths(load: Load) -> None:
+    lengths = 'incident_length = "1.5 m"\nreceiving_length = "1.5 m"\nincident_end = "free"'
+    study = load(BASE, (lengths, "infinite = true"))
+    assert "bars.incident_length" not in study.fixed
+    step = load(
+        BASE, (lengths, "infinite = true"), (TRAPEZOID, 'shape = "step"'),
+        ("tolerance = 1e-6", 'horizon = "3 ms"'), ('length = "0.8 m"', ""),
+    )  # fmt: skip
+    assert step.model.horizon == pytest.approx(3e-3, rel=1e-12)
+    assert "striker.length" not in step.fixed
+
+
+TWO_PEAKS = 'shape = "two_peak"\nt1 = "50 us"\nlevel1 = 1.2\nt2 = "120 us"\nlevel2 = 0.8\nduration = "200 us"'
+
+
+def test_two_peaks_and_their_valley(load: Load) -> None:
+    study = load(BASE, (TRAPEZOID, TWO_PEAKS), ('length = "0.8 m"', ""))
+    assert study.fixed["pulse.valley"] == pytest.approx(0.6, rel=1e-12)
+    assert "striker.length" not in study.fixed
+    given = load(BASE, (TRAPEZOID, TWO_PEAKS + "\nvalley = 0.0"), ('length = "0.8 m"', ""))
+    assert given.fixed["pulse.valley"] == 0.0
+    random = TWO_PEAKS.replace("1.2", '{ dist = "normal", mean = 1.2, sd = 0.1 }')
+    assert "pulse.valley" not in load(BASE, (TRAPEZOID, random), ('length = "0.8 m"', "")).at_means()
+
+
+def test_the_round_trip_counts_for_a_reflecting_end_alone(load: Load) -> None:
+    long = ('length = "0.8 m"', 'length = "1.49 m"')
+    with pytest.raises(StudyError, match="round trip"):
+        # The striker is shorter than the bar; the rise and fall of the pulse make it longer than the trip.
+        load(BASE, long)
+    assert load(BASE, long, ('incident_end = "free"', 'incident_end = "absorbing"'))
+    assert load(BASE, long, ('incident_end = "free"', "infinite = true"))
+    rectangular = ('[pulse]\nshape = "trapezoid"\nrise = "25 us"\nfall = "25 us"\n', "")
+    assert load(BASE, rectangular, ('length = "0.8 m"', 'length = "1.5 m"'))
+    with pytest.raises(StudyError, match="round trip"):
+        load(BASE, rectangular, ('length = "0.8 m"', 'length = "1.501 m"'))
+
+
+def test_a_tail_without_meaning_is_warned_of(load: Load) -> None:
+    study = load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05 }'))
+    (warning,) = study.warnings
+    assert warning.startswith("sphere.nu: a share of 0.023 ")
+    exact = 0.5 * math.erfc(2.0 / math.sqrt(2.0))
+    assert float(cdf(study.random["sphere.nu"], np.array([0.3]))[0]) == pytest.approx(exact, rel=1e-9)
+    assert (
+        load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings
+        == ()
+    )
+    assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.25, sd = 0.03 }')).warnings == ()
+
+
+def test_an_unusual_number_is_warned_of(load: Load) -> None:
+    (warning,) = load(BASE, ("nu = 0.25", 'nu = 0.25\ndensity = "26 g/cm3"')).warnings
+    assert warning.startswith("sphere.density: 2.6e+04 kg/m3 is unusual (usual: 500 kg/m3 to 2e+04 kg/m3)")
+
+
+def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
+    by_cov = load(BASE)
+    by_sd = load(BASE, ('"0.5 m/s", cov = 0.02', '"0.5 m/s", sd = "0.01 m/s"'))
+    assert sd(law_with_mean(by_cov, "striker.speed", 2.0)) == pytest.approx(0.04, rel=1e-12)
+    assert sd(law_with_mean(by_sd, "striker.speed", 2.0)) == pytest.approx(0.01, rel=1e-12)
+    assert law_with_mean(by_cov, "striker.speed", 0.5) == by_cov.random["striker.speed"]
+    bounded = ('mean = "0.5 m/s", cov = 0.02', 'mean = "0.5 m/s", cov = 0.02, upper = "1 m/s"')
+    with pytest.raises(StudyError, match=r"between\[1\]: with this mean striker.speed has no law"):
+        load(BASE, bounded)
+    with pytest.raises(StudyError, match="not given by its mean"):
+        load(BASE, ('{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }',
+                    '{ dist = "uniform", lower = "0.4 m/s", upper = "0.6 m/s" }'))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("override", "name", "value"),
+    [
+        ("striker.length=0.7 m", "striker.length", 0.7),
+        ('striker.length="0.7 m"', "striker.length", 0.7),
+        ("sphere.nu=0.2", "sphere.nu", 0.2),
+        ("bars.receiving_end=fixed", "bars.receiving_end", -1.0),
+        ("sphere.E=60 GPa", "sphere.E", 60e9),
+    ],
+)
+def test_override_of_a_number(load: Load, override: str, name: str, value: float) -> None:
+    study = load(BASE.replace('"sphere.E", "limits', '"sphere.radius", "limits'), overrides=(override,))
+    assert study.fixed[name] == pytest.approx(value, rel=1e-12)
+    assert study.text == (study.path).read_text()
+
+
+def test_override_inside_tables(load: Load) -> None:
+    sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1",
+            "analysis.quantiles=[0.5]", 'limits."crushing".target = 0.2', "seed=9")  # fmt: skip
+    study = load(BASE, overrides=sets)
+    assert nominal_mean(study.random["striker.speed"]) == 0.6
+    assert study.options["bars.infinite"] is True
+    assert (study.dependence[0].spearman, study.analysis.quantiles, study.seed) == (0.1, (0.5,), 9)
+    assert study.limits[0].target == 0.2
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["", "x", "=1", "a..b=1", "a.=1", ".a=1", "striker.length.mean=1 m", "dependence[7].spearman=0",
+     "sphere[0]=1", "a.b.c.d.e.f.g.h.i=1"],
+)  # fmt: skip
+def test_override_that_is_none(load: Load, override: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        load(BASE, overrides=(override,))
+    assert caught.value.exit_code == 2
+
+
+def test_faulty_override_says_where_it_came_from(load: Load) -> None:
+    with pytest.raises(StudyError) as caught:
+        load(BASE, overrides=("striker.speed.mean=0.6 s",))
+    (problem,) = caught.value.problems
+    assert problem.line == BASE[: BASE.index("speed = ")].count("\n") + 1
+    assert problem.message.endswith("(set from outside the file)")
+    with pytest.raises(StudyError, match="finite"):
+        load(BASE, overrides=("sphere.nu=nan",))
+
+
+EMPIRICAL = 'E = { dist = "empirical", file = "tests.csv", column = "E", unit = "GPa", fit = "steps" }'
+LOGNORMAL = 'E = { dist = "lognormal", mean = "52 GPa", cov = 0.12 }'
+
+
+def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "tests.csv").write_bytes("\ufeffE , name\r\n50, a\r\n\r\n54,b\r\n58.5,c\r\n".encode())
+    law = load(BASE, (LOGNORMAL, EMPIRICAL)).random["sphere.E"]
+    assert law.data == pytest.approx((50e9, 54e9, 58.5e9), rel=1e-12)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "tests.csv").rename(tmp_path / "sub" / "t.csv")
+    (tmp_path / "tests.csv").symlink_to(tmp_path / "sub" / "t.csv")
+    fitted = EMPIRICAL.replace('fit = "steps"', 'fit = "lognormal"')
+    assert load(BASE, (LOGNORMAL, fitted)).random["sphere.E"].kind == "lognormal"
+
+
+@pytest.mark.parametrize(
+    ("change", "csv", "says"),
+    [
+        (('"tests.csv"', '"/etc/passwd"'), "E\n1\n2\n", "own folder only"),
+        (('"tests.csv"', '"../tests.csv"'), "E\n1\n2\n", "own folder only"),
+        (('"tests.csv"', '"C:\\\\tests.csv"'), "E\n1\n2\n", "own folder only"),
+        (('"tests.csv"', '"https://example.org/t.csv"'), "E\n1\n2\n", "own folder only"),
+        (('"tests.csv"', '"link.csv"'), "E\n1\n2\n", "leaves the study's folder"),
+        (('"tests.csv"', '"test.csv"'), "E\n1\n2\n", "did you mean 'tests.csv'"),
+        (('"tests.csv"', '"."'), "E\n1\n2\n", "cannot be read as a file"),
+        (('"tests.csv"', "3"), "E\n1\n2\n", "found 3, where a text is due"),
+        (("", ""), "F,e\n1,2\n2,3\n", "column \"E\" is not in"),
+        (("", ""), "E,E\n1,2\n2,3\n", "twice or more"),
+        (("", ""), "E\n1\nx\n", "line 3 .*: found \"x\""),
+        (("", ""), "E\n1\ninf\n", "finite number is due"),
+        (("", ""), "E,F\n1,2\n,3\n", "finite number is due"),
+        (("", ""), "E\n1\n", "found 1 values"),
+        (("", ""), "E\n1\n1\n", "no scatter|scatter"),
+        (("", ""), "", "is empty"),
+        (("", ""), "E\n" + "1\n2\n" * 300_000, "larger than 1 MiB"),
+        (("", ""), b"E\n\xff\n", "not UTF-8"),
+        ((', unit = "GPa"', ""), "E\n1\n2\n", "unit of the column is missing"),
+        (('"GPa"', '"mm"'), "E\n1\n2\n", "sphere.E.unit: found \"mm\""),
+        (('"steps"', '"stepps"'), "E\n1\n2\n", "sphere.E.fit"),
+        (('"steps"', "3"), "E\n1\n2\n", "sphere.E.fit"),
+        ((', column = "E"', ""), "E\n1\n2\n", "needs column"),
+        ((', column = "E"', ', column = "E", mean = "5 GPa"'), "E\n1\n2\n", "sphere.E.mean"),
+    ],
+)  # fmt: skip
+def test_empirical_law_refused(
+    load: Load, tmp_path: Path, change: tuple[str, str], csv: str | bytes, says: str
+) -> None:
+    (tmp_path / "tests.csv").write_bytes(csv if isinstance(csv, bytes) else csv.encode())
+    outside = tmp_path.parent / f"{tmp_path.name}-outside.csv"
+    outside.write_text("E\n1\n2\n")
+    (tmp_path / "link.csv").symlink_to(outside)
+    with pytest.raises(StudyError, match=says) as caught:
+        load(BASE, (LOGNORMAL, EMPIRICAL.replace(*change) if change[0] else EMPIRICAL))
+    assert len(caught.value.problems) == 1
+
+
+def test_black_box_limits_take_any_number(load: Load) -> None:
+    text = (
+        BLACK_BOX
+        + '[limits.g]\nquantity = "y"\nstrength = 0\naim = "break"\n'
+        + '[margins]\nsolve = "x2"\nbetween = [-1, 3]\n'
+    )
+    text += '[[dependence]]\nof = ["x1", "limits.h.strength"]\nspearman = 0.1\n'
+    study = load(text + '[limits.h]\nquantity = "y"\nstrength = { dist = "gumbel", mean = -2, sd = 1 }\n')
+    assert study.limits[0].strength == 0.0
+    assert study.fixed == {"x2": 2.0}
+    assert study.inputs().names == ("x1", "limits.h.strength")
+    assert study.margins is not None
+    assert study.margins.between == (-1.0, 3.0)
+    assert study.resolved()["model"] is None
+
+
+def test_schema_refuses_what_an_editor_should_underline() -> None:
+    schema = json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    names = {"a length without its unit", "a unit of something else", "an unknown key", "an unknown material",
+             "an unknown shape", "a word for a flag", "an unknown distribution", "a key of another "
+             "distribution",
+             "no radius", "a target of one", "another copula", "a method of later", "a negative seed", "a "
+             "unit in a black box",
+             "a scene and a black box", "a negative length"}  # fmt: skip
+    cases = {case.name: case for case in CASES}
+    for name in names - {"a negative length"}:
+        assert not validator.is_valid(tomllib.loads(cases[name].content().decode())), name
+    validator.validate(tomllib.loads(BASE))
+    validator.validate(tomllib.loads(BLACK_BOX))
+
+
+def test_schema_knows_the_keys_that_the_parser_knows() -> None:
+    properties = json_schema()["properties"]
+    later = {"file", "correct_dispersion", "gauge_distance"}
+    for name, table in {
+        "sphere": SphereTable,
+        "bars": BarsTable,
+        "striker": StrikerTable,
+        "pulse": PulseTable,
+    }.items():
+        assert set(properties[name]["properties"]) == set(table.model_fields) - later
+        own = {path.split(".")[1] for path in INPUTS if path.startswith(f"{name}.")}
+        assert own <= set(properties[name]["properties"])
+        assert all(properties[name]["properties"][key]["description"] for key in own)
+
+
+def test_loading_a_study_is_light() -> None:
+    heavy = ["scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba", "tree_sitter", "jsonschema"]
+    code = (
+        "import sys; from uqsphere.study import load_study; load_study(sys.argv[1]); "
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(STUDIES / "granite.toml")], capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "[]", run.stderr
+
+
+def test_keys_of_a_limit_named_like_a_table(load: Load) -> None:
+    text = '[limits.model]\nquantity = "p_max"\nstrenght = "4 GPa"\n[analysis]'
+    with pytest.raises(StudyError, match="did you mean 'strength'") as caught:
+        load(BASE, ("[analysis]", text))
+    assert len(caught.value.problems) == 1

@@ -1,0 +1,233 @@
+"""Where physics meets probability: a study becomes a function from rows of inputs to rows of answers."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import AccessError, UqsphereError, UsageError
+from uqsphere.quantities import INPUTS, OUTPUTS
+from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.mechanics.scene import Scene
+
+__all__ = ["FIDELITIES", "STATUS_NOT_FINITE", "Answered", "BlackBox", "answer", "evaluate", "load_black_box",
+           "scene_of", "status_text"]  # fmt: skip
+
+Array = npt.NDArray[np.float64]
+BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
+
+#: fidelities in the order of their cost
+FIDELITIES = ("massless", "linear", "full")
+#: status of a row whose black box gave a number that is not finite
+STATUS_NOT_FINITE = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answered:
+    """Answers of n rows: values and censored flags (n, q) in the order of the quantities asked, status (n,)."""
+
+    values: Array
+    censored: npt.NDArray[np.bool_]
+    status: npt.NDArray[np.int64]
+
+
+def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
+    """The scenes of a study with `values` (dotted path -> (n,) SI) in place, the rest at its mean."""
+    from uqsphere.mechanics.scene import Scene
+
+    unknown = [name for name in values if name not in INPUTS]
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} is not a number of a scene (allowed: {', '.join(INPUTS)})")
+    n = rows if rows is not None else (len(np.atleast_1d(next(iter(values.values())))) if values else 1)
+    columns = {name: np.full(n, number) for name, number in study.at_means().items()}
+    for name, column in values.items():
+        columns[name] = np.broadcast_to(np.asarray(column, dtype=float), (n,))
+    return Scene(
+        columns=columns,
+        shape=str(study.options["pulse.shape"]),
+        infinite=bool(study.options["bars.infinite"]),
+        rigid_contact=bool(study.options["bars.rigid_contact"]),
+        first_loading_only=study.model.first_loading_only,
+        horizon=study.model.horizon,
+    )
+
+
+def _answer_scene(study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], fidelity: str,
+                  tolerance: float, threads: int | None) -> Answered:  # fmt: skip
+    from uqsphere.mechanics import closed_form, dynamics
+
+    scene = scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
+    if closed_form.closed_form_applies(scene, fidelity):
+        answers = closed_form.solve_closed(scene, fidelity)
+    else:
+        answers = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
+    none = np.zeros(len(rows), dtype=bool)
+    return Answered(
+        values=np.stack([answers.values[name] for name in quantities], axis=1),
+        censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
+        status=answers.status,
+    )
+
+
+def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str], box: BlackBox) -> Answered:
+    given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
+    # stdout carries results only: whatever the model prints goes the way of diagnostics
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            found = box(given)
+    except Exception as error:
+        raise UqsphereError(f"the model raised {type(error).__name__}: {error}") from error
+    if not isinstance(found, Mapping):
+        raise UqsphereError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
+    columns = []
+    for name in outputs:
+        if name not in found:
+            raise UqsphereError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
+        try:
+            column = np.asarray(found[name], dtype=float)
+        except (TypeError, ValueError) as error:
+            raise UqsphereError(f"the model's {name!r} is not an array of numbers: {error}") from error
+        if column.shape != (len(rows),):
+            raise UqsphereError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
+        columns.append(column)
+    values = np.stack(columns, axis=1)
+    finite = np.isfinite(values).all(axis=1)
+    return Answered(
+        values=np.where(finite[:, None], values, np.nan),
+        censored=np.zeros(values.shape, dtype=bool),
+        status=np.where(finite, 0, STATUS_NOT_FINITE),
+    )
+
+
+def answer(study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], *, fidelity: str = "full",
+           tolerance: float = 1e-6, threads: int | None = None, black_box: BlackBox | None = None,
+           ) -> Answered:  # fmt: skip
+    """Answers of n rows.
+
+    Parameters
+    ----------
+    names : d dotted paths (black box: bare names) that the columns of `rows` belong to.
+    rows : (n, d) array, SI.
+    quantities : q names of `uqsphere.quantities.OUTPUTS`, or the black box's outputs.
+    fidelity, tolerance, threads : see `uqsphere.mechanics.dynamics.solve`.
+    black_box : the user's model, for a black-box study.
+
+    Raises
+    ------
+    UqsphereError
+        When a black box raises or returns something of the wrong form.
+    """
+    if len(rows) == 0:
+        empty = np.zeros((0, len(quantities)))
+        return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+    if study.black_box:
+        if black_box is None:
+            raise UsageError("a black-box study is run with --model FILE.py:FUNCTION")
+        columns = {**{name: np.full(len(rows), value) for name, value in study.fixed.items()},
+                   **{name: rows[:, k] for k, name in enumerate(names)}}  # fmt: skip
+        return _answer_black_box(list(columns), np.stack(list(columns.values()), axis=1), quantities, black_box)
+    return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads)
+
+
+def evaluate(study: Study, values: Mapping[str, Any], quantities: Sequence[str] = ("p_max",), fidelity: str = "full",
+             tolerance: float = 1e-8, threads: int | None = None) -> pd.DataFrame:  # fmt: skip
+    """Quantities of interest of n scenes.
+
+    Parameters
+    ----------
+    study : Study
+    values : mapping of dotted path to (n,) array
+        In SI; the rest of the scene stands at its mean.
+    quantities : names of `uqsphere.quantities.OUTPUTS`
+    fidelity : full, massless or linear
+    tolerance : relative error of every quantity
+    threads : all processors if None; the answers do not depend on it
+
+    Returns
+    -------
+    pandas.DataFrame
+        n rows; a column per quantity in SI (NaN where the row failed), `status` (0 ok, else a code of
+        `uqsphere.mechanics.scene.STATUS`) and `censored` (whether any quantity asked for is a lower bound).
+
+    Raises
+    ------
+    UsageError
+        For an unknown quantity, fidelity or number of the scene, or a black-box study.
+    """
+    import pandas as pd
+
+    if study.black_box:
+        raise UsageError("evaluate() serves the impact model; a black box is called directly")
+    unknown = [name for name in quantities if name not in OUTPUTS]
+    if unknown:
+        raise UsageError(f"unknown quantity {unknown[0]!r} (allowed: {', '.join(OUTPUTS)})")
+    if fidelity not in FIDELITIES:
+        raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)})")
+    columns = {name: np.atleast_1d(np.asarray(column, dtype=float)) for name, column in values.items()}
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths - {1}) > 1:
+        raise UsageError(f"the columns of values differ in length: {sorted(lengths)}")
+    n = max(lengths, default=1)
+    names = list(columns)
+    rows = np.stack([np.broadcast_to(columns[name], (n,)) for name in names], axis=1) if names else np.zeros((n, 0))
+    try:
+        found = answer(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=threads)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    frame = pd.DataFrame({name: found.values[:, k] for k, name in enumerate(quantities)})
+    frame["status"] = found.status
+    frame["censored"] = found.censored.any(axis=1)
+    return frame
+
+
+def load_black_box(reference: str) -> BlackBox:
+    """The function that ``FILE.py:FUNCTION`` names.  This runs the file: it is the only way to run foreign code.
+
+    Raises
+    ------
+    UsageError
+        When the reference is malformed or the function is not there.
+    AccessError
+        When the file cannot be read.
+    """
+    import importlib.util
+
+    file, separator, name = reference.rpartition(":")
+    if not separator or not file.endswith(".py") or not name.isidentifier():
+        raise UsageError(f"--model takes FILE.py:FUNCTION, found {reference!r}")
+    path = Path(file)
+    if not path.is_file():
+        raise AccessError(f"the model file {file} does not exist")
+    spec = importlib.util.spec_from_file_location(f"uqsphere_black_box_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{file} cannot be loaded as a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            spec.loader.exec_module(module)
+    except Exception as error:
+        raise UqsphereError(f"{file} raised {type(error).__name__} on loading: {error}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise UsageError(f"{file} has no function {name!r}")
+    return function  # type: ignore[no-any-return]
+
+
+def status_text(code: int, black_box: bool) -> str:
+    """What a row's status means, in words."""
+    if black_box:
+        return "the model gave a number that is not finite"
+    from uqsphere.mechanics.scene import STATUS
+
+    return STATUS.get(code, f"status {code}")

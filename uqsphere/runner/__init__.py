@@ -1,0 +1,176 @@
+"""From a study to a result folder: draw, evaluate, analyse, until the accuracy or the budget is reached."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.model import BlackBox, load_black_box
+from uqsphere.store import Store, open_store, read_json
+from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.runner.work import Executor
+
+__all__ = ["Run", "open_run", "run"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A finished run: its folder, the content of results.json and of manifest.json."""
+
+    folder: Path
+    results: dict[str, Any]
+    manifest: dict[str, Any]
+
+    @property
+    def met(self) -> bool:
+        """Whether every limit with a target meets it."""
+        return all(limit["met"] is True for limit in self.results["limits"].values() if limit["target"] is not None)
+
+    def _table(self, name: str) -> pd.DataFrame:
+        import pandas as pd
+
+        return pd.read_csv(self.folder / "tables" / f"{name}.csv")
+
+    def samples(self) -> pd.DataFrame:
+        """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
+        from uqsphere.runner.samples import load_samples
+
+        return load_samples(self.folder)
+
+    def indices(self) -> pd.DataFrame:
+        """First and total Sobol' indices with their intervals."""
+        return self._table("sensitivity")
+
+    def limits(self) -> pd.DataFrame:
+        """Probabilities and margins of every limit with their intervals."""
+        return self._table("limits")
+
+    def margins(self) -> pd.DataFrame:
+        """Values of the free scalar at the probabilities asked for."""
+        return self._table("margins")
+
+
+def open_run(folder: str | Path) -> Run:
+    """A finished run from its folder.
+
+    Raises
+    ------
+    FolderError
+        When the folder is no result folder, or its run has not finished.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise FolderError(f"{path} is not a result folder")
+    if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
+        raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
+    results = read_json(path / "results.json")
+    if not isinstance(results, dict) or "quantities" not in results:
+        raise FolderError(f"{path / 'results.json'} is not what a run writes")
+    return Run(folder=path, results=results, manifest=read_json(path / "manifest.json"))
+
+
+def run(study: Study, *, out: str | Path | None = None, executor: Executor | None = None,
+        model: str | BlackBox | None = None, threads: int | None = None, fresh: bool = False,
+        seconds: float | None = None, progress: Callable[[str, int, int], None] | None = None) -> Run:  # fmt: skip
+    """Run a study and write its result folder.
+
+    Parameters
+    ----------
+    study : Study
+    out : folder
+        Default: the study file's stem + "-results" in the current folder.  A folder of the same study is
+        resumed: what is stored there is not evaluated again.
+    executor : anything with submit(), optional
+        Takes the evaluation of chunks; the model must then be a reference, not a function.
+    model : "FILE.py:FUNCTION" or function
+        The black box of a black-box study.
+    threads : int, optional
+        Threads of the mechanics; all processors if None.  Results do not depend on it.
+    fresh : bool
+        Drop what an earlier run of the same study stored.
+    seconds : float, optional
+        Time budget in place of the study's.
+    progress : callable(stage, done, total), optional
+
+    Raises
+    ------
+    UqsphereError
+        One of its family: see `uqsphere.errors`.
+    """
+    from uqsphere.runner.work import Ledger, Work
+
+    if study.black_box and model is None:
+        raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
+    if not study.black_box and model is not None:
+        raise UsageError("--model serves black-box studies; this one describes an impact scene")
+    if executor is not None and callable(model):
+        raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
+    reference = model if isinstance(model, str) else None
+    box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
+    folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
+    store = open_store(folder, study.resolved(), study.text, study.hash, fresh=fresh)
+    try:
+        work = Work(
+            study=study, store=store, ledger=Ledger(), fidelity="full", threads=threads, model=reference, black_box=box,
+            executor=executor, progress=progress, seconds=study.analysis.budget.time if seconds is None else seconds,
+        )  # fmt: skip
+        return _run(work, store)
+    finally:
+        store.close()
+
+
+def _run(work: Work, store: Store) -> Run:
+    from uqsphere.runner.margins import find_margins
+    from uqsphere.runner.pilot import first_look
+    from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
+    from uqsphere.runner.samples import save_points
+    from uqsphere.runner.sampling import sample_distributions
+    from uqsphere.runner.sensitivity import find_sensitivity
+
+    ledger = work.ledger
+    pilot = first_look(work)
+    work = replace(work, fidelity=pilot.chosen)
+    ledger.evaluations.update(pilot.evaluations)
+    ledger.seconds["pilot"] = ledger.elapsed
+    sampled = sample_distributions(work, more_to_come=bool(work.scene_names))
+    ledger.seconds["sampling"] = ledger.elapsed
+    margins = find_margins(work)
+    ledger.seconds["margins"] = ledger.elapsed
+    sensitivity, history, seconds, stopped = find_sensitivity(work, sampled)
+    ledger.seconds["sensitivity"] = ledger.elapsed
+    found = Findings(
+        pilot=pilot, sampled=sampled, sensitivity=sensitivity, margins=margins, history=sampled.history + history,
+        seconds=sampled.seconds + seconds, stops={"sampling": sampled.stopped, "sensitivity": stopped},
+        paper=compare_with_paper(work.study),
+    )  # fmt: skip
+    save_points(work, store, sampled)
+    results = build_results(work, found)
+    manifest = build_manifest(work, ledger, found.seconds)
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def compare_with_paper(study: Study) -> list[dict[str, Any]]:
+    """Rows of as printed, corrected and full answers at the means, where the study asks for them."""
+    if study.black_box or not study.model.compare_with_paper:
+        return []
+    from uqsphere.mechanics.as_printed import compare
+    from uqsphere.model import scene_of
+    from uqsphere.quantities import lookup
+
+    return [
+        {"quantity": row.quantity, "unit": lookup(row.quantity).unit, "as_printed": row.as_printed,
+         "corrected": row.corrected, "full": row.full, "note": row.note}
+        for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
+    ]  # fmt: skip
+
+
+if TYPE_CHECKING:
+    from uqsphere.runner.work import Work

@@ -1,0 +1,270 @@
+"""The answers of a run as the JSON document and the tables that the contract fixes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import uqsphere
+from uqsphere.quantities import lookup
+from uqsphere.runner.limits import LimitAnswer
+from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.pilot import Pilot
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.work import Ledger, Work
+from uqsphere.store import Store, write_atomically, write_json
+from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.laws import mean, sd
+
+__all__ = ["Findings", "build_results", "write_results"]
+
+SCHEMA_VERSION = 1
+_DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """All that a run found, before it is written down."""
+
+    pilot: Pilot
+    sampled: Sampled
+    sensitivity: dict[str, Sensitivity]
+    margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    history: list[dict[str, Any]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    stops: dict[str, str] = field(default_factory=dict)
+    paper: list[dict[str, Any]] = field(default_factory=list)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if value == value and abs(value) != float("inf") else None
+
+
+def _inputs(work: Work) -> dict[str, Any]:
+    table = {}
+    for name, law in work.study.laws().items():
+        entry = lookup(name)
+        if name.startswith("limits."):
+            limit = next(limit for limit in work.study.limits if name.split(".")[1] == limit.name)
+            entry = lookup(limit.quantity if name.endswith(".strength") else name)
+        table[name] = {"dist": law.kind, "mean": _number(mean(law)), "sd": _number(sd(law)), "unit": entry.unit}
+    return table
+
+
+def _quantities(sampled: Sampled) -> dict[str, Any]:
+    return {
+        name: {
+            "unit": lookup(name).unit,
+            "mean": found.mean.as_dict(),
+            "sd": found.sd.as_dict(),
+            "quantiles": {f"{p:g}": estimate.as_dict() for p, estimate in found.quantiles.items()},
+            "censored_share": found.censored_share.as_dict(),
+        }
+        for name, found in sampled.descriptions.items()
+    }
+
+
+def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {name: estimate.as_dict() for name, estimate in table.items()}
+
+
+def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[str, Any]:
+    answer = {}
+    for quantity, indices in found.items():
+        answer[quantity] = {
+            "first": _estimates(indices.first),
+            "total": _estimates(indices.total),
+            "surrogate": indices.surrogate,
+            "check": {
+                "agree": indices.agree,
+                "text": indices.text,
+                "sampled": {order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.sampled.items()},
+                "chaos": {order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()},
+            },
+        }
+    return answer
+
+
+def _limit(limit: LimitAnswer) -> dict[str, Any]:
+    return {
+        "quantity": limit.quantity,
+        "aim": limit.aim,
+        "target": limit.target,
+        "exceedance": limit.exceedance.as_dict(),
+        "miss": limit.miss.as_dict(),
+        "reliability_index": limit.reliability_index,
+        "reliability_index_interval": list(limit.reliability_interval),
+        "margin": _estimates(limit.margin),
+        "design_point": None,
+        "design_point_reason": "needs a reliability method, which this version does not have",
+        "governing_inputs": limit.governing,
+        "governing_inputs_method": "squared direction of the centre of failures in standard normal space",
+        "met": limit.met,
+    }
+
+
+def _margins(margins: dict[str, MarginAnswer]) -> dict[str, Any]:
+    return {
+        name: {
+            "solve": found.solve,
+            "unit": lookup(found.solve).unit,
+            "values": {f"{p:g}": estimate.as_dict() for p, estimate in found.values.items()},
+            "curve": [list(point) for point in found.curve],
+        }
+        for name, found in margins.items()
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions that an answer depends on."""
+    found = {"uqsphere": uqsphere.__version__, "python": platform.python_version()}
+    for name in _DEPENDENCIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "missing"
+    return found
+
+
+def build_results(work: Work, found: Findings) -> dict[str, Any]:
+    """The content of results.json."""
+    study, ledger = work.study, work.ledger
+    missed = list(found.sampled.missed)
+    for quantity, indices in found.sensitivity.items():
+        missed += [f"{quantity}: {text}" for text in indices.missed]
+    for name, margin in found.margins.items():
+        missed += [f"margins {name}: {text}" for text in margin.missed]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
+        "versions": versions(),
+        "inputs": _inputs(work),
+        "quantities": _quantities(found.sampled),
+        "sensitivity": _sensitivity(work.scene_names, found.sensitivity),
+        "limits": {name: _limit(limit) for name, limit in found.sampled.limits.items()},
+        "margins": _margins(found.margins),
+        "model": {
+            "chosen": found.pilot.chosen,
+            "why": found.pilot.why,
+            "measured_error": found.pilot.measured_error,
+            "evaluations": dict(ledger.evaluations),
+            "failures": sum(ledger.failures.values()),
+            "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
+            "numbers": found.pilot.numbers,
+        },
+        "validity": found.pilot.validity,
+        "speed_error": found.history,
+        "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
+        "warnings": list(study.warnings),
+        "paper": found.paper,
+    }
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow([_cell(value) for value in row])
+    return buffer.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return repr(value) if isinstance(value, float) else value
+
+
+_ESTIMATE = ("value", "low", "high", "std_error", "method", "evaluations", "reason")
+
+
+def _row(estimate: Mapping[str, Any]) -> list[Any]:
+    return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
+
+
+def tables(results: Mapping[str, Any]) -> dict[str, str]:
+    """CSV tables by file name, from the content of results.json alone."""
+    quantity_rows = []
+    for name, entry in results["quantities"].items():
+        for what in ("mean", "sd", "censored_share"):
+            unit = "" if what == "censored_share" else entry["unit"]
+            quantity_rows.append([name, unit, what, *_row(entry[what])])
+        quantity_rows += [[name, entry["unit"], f"q{p}", *_row(e)] for p, e in entry["quantiles"].items()]
+    index_rows = [
+        [quantity, order, name, *_row(estimate)]
+        for quantity, entry in results["sensitivity"].items()
+        for order in ("first", "total")
+        for name, estimate in entry[order].items()
+    ]
+    limit_rows = []
+    for name, entry in results["limits"].items():
+        limit_rows += [[name, what, *_row(entry[what])] for what in ("exceedance", "miss")]
+        limit_rows += [[name, f"margin {which}", *_row(e)] for which, e in entry["margin"].items()]
+    margin_rows = [
+        [name, entry["solve"], entry["unit"], p, *_row(e)]
+        for name, entry in results["margins"].items()
+        for p, e in entry["values"].items()
+    ]
+    curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
+    inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
+    checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
+    speed = [[r["method"], r["quantity"], r["evaluations"], r["error"], r["error_kind"]] for r in results["speed_error"]]
+    found = {
+        "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
+        "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
+        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
+        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
+        "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),
+        "validity": (("check", "share", "worst", "text"), checks),
+        "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
+    }
+    if results.get("paper"):
+        found["paper"] = (("quantity", "unit", "as_printed", "corrected", "full", "note"),
+                          [[p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
+                           for p in results["paper"]])  # fmt: skip
+    return {f"{name}.csv": _table(header, rows) for name, (header, rows) in found.items()}
+
+
+def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
+    """Tables, results.json and manifest.json, each written whole; results.json last but one, as the sign of a finished run."""
+    for name, text in tables(results).items():
+        write_atomically(store.folder / "tables" / name, text)
+    write_json(store.folder / "manifest.json", manifest)
+    write_json(store.folder / "results.json", results)
+
+
+def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str, Any]:
+    """Versions, platform, counts and times: what may differ between two runs of the same study."""
+    return {
+        "versions": versions(),
+        "platform": {"system": platform.system(), "machine": platform.machine(), "release": platform.release()},
+        "seed": work.study.seed,
+        "hash": work.study.hash,
+        "evaluations": ledger.total,
+        "evaluations_reused": ledger.reused,
+        "seconds": {"total": ledger.elapsed, **ledger.seconds},
+        "speed_error_seconds": seconds,
+        "stopped_by_time": ledger.stopped_by_time,
+    }
+
+
+def source_rows(work: Work) -> list[dict[str, Any]]:
+    """Where the defaults of the scene came from."""
+    return [{"name": name, **asdict(source)} for name, source in work.study.sources.items()]
+
+
+def folder_of(study_path: Path) -> Path:
+    """The default result folder: the file's stem + "-results", where the caller stands."""
+    return Path(f"{study_path.stem}-results")

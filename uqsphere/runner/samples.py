@@ -1,0 +1,73 @@
+"""The sampled points of a finished run, for figures and for the user's own analysis."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import FolderError
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.work import Work
+from uqsphere.store import Store, read_json, write_atomically, write_json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["load_samples", "read_points", "save_points"]
+
+#: rows kept for figures: the first ones of every replicate
+KEPT = 16_384
+
+
+def save_points(work: Work, store: Store, sampled: Sampled) -> None:
+    """Store the first rows of the sample: inputs, answers, status, censored flags."""
+    replicates, n, _ = sampled.points.physical.shape
+    each = min(n, max(1, KEPT // replicates))
+    d, q = len(work.drawn.names), len(work.quantities)
+    parts = [
+        sampled.points.physical[:, :each].reshape(-1, d),
+        sampled.sample.values[:, :each].reshape(-1, q),
+        sampled.sample.censored[:, :each].reshape(-1, q).astype(float),
+        sampled.sample.status[:, :each].reshape(-1, 1).astype(float),
+    ]
+    buffer = io.BytesIO()
+    np.save(buffer, np.concatenate(parts, axis=1), allow_pickle=False)
+    write_atomically(store.folder / "samples.npy", buffer.getvalue())
+    names: dict[str, Any] = {"inputs": list(work.drawn.names), "quantities": list(work.quantities)}
+    write_json(store.folder / "samples.json", names)
+
+
+def read_points(folder: Path) -> tuple[list[str], list[str], npt.NDArray[np.float64]]:
+    """Names of inputs and of quantities, and the rows: inputs, quantities, censored flags, status.
+
+    Raises
+    ------
+    FolderError
+        When they are missing or damaged.
+    """
+    names = read_json(folder / "samples.json")
+    try:
+        rows = np.load(folder / "samples.npy", allow_pickle=False)
+        inputs, quantities = list(map(str, names["inputs"])), list(map(str, names["quantities"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FolderError(f"the samples in {folder} are damaged: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != len(inputs) + 2 * len(quantities) + 1:
+        raise FolderError(f"the samples in {folder} are damaged: found an array of shape {rows.shape}")
+    return inputs, quantities, rows
+
+
+def load_samples(folder: Path) -> pd.DataFrame:
+    """The stored rows as a table: a column per input and quantity (SI), `status`, `censored_NAME`."""
+    import pandas as pd
+
+    inputs, quantities, rows = read_points(folder)
+    d, q = len(inputs), len(quantities)
+    frame = pd.DataFrame(rows[:, : d + q], columns=[*inputs, *quantities])
+    frame["status"] = rows[:, -1].astype(int)
+    for k, name in enumerate(quantities):
+        frame[f"censored_{name}"] = rows[:, d + q + k] > 0.0
+    return frame

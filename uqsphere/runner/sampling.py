@@ -1,0 +1,135 @@
+"""Distributions and limits by randomised quasi-Monte Carlo, enlarged until the accuracy or the budget is reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
+from uqsphere.uq.estimates import Description, describe, reached
+
+__all__ = ["METHOD", "Sampled", "sample_distributions"]
+
+METHOD = "randomised quasi-Monte Carlo"
+#: points of the first stage in each replicate
+FIRST = 128
+#: share of the budget that sampling may take where sensitivities and margins are still to come
+SHARE = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampled:
+    """What sampling found: the points and answers, their description, the limits, and the way there."""
+
+    points: Draw
+    sample: Sample
+    descriptions: dict[str, Description]
+    limits: dict[str, LimitAnswer]
+    missed: list[str]
+    stopped: str
+    history: list[dict[str, Any]]
+    seconds: list[float]
+
+
+def _describe(work: Work, sample: Sample) -> dict[str, Description]:
+    analysis = work.study.analysis
+    return {
+        name: describe(sample.values[:, :, k], censored=sample.censored[:, :, k], failed=sample.failed,
+                       on_failure=analysis.on_failure, quantiles=analysis.quantiles, method=METHOD)
+        for k, name in enumerate(work.quantities)
+    }  # fmt: skip
+
+
+def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[str]:
+    """What is not yet as accurate as the study asks, in words."""
+    asked = work.study.analysis.accuracy
+    missed = []
+    for name, description in descriptions.items():
+        _, texts = reached(description, mean=asked.mean, quantile=asked.quantile)
+        missed += [f"{name}: {text}" for text in texts]
+    for name, limit in limits.items():
+        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
+            text = limit.accuracy_missed(which, asked.probability)
+            if text:
+                missed.append(f"limit {name}: {text}")
+    return missed
+
+
+def _record(descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int) -> list[dict[str, Any]]:
+    """Rows of the speed-error table that this stage gives."""
+    rows = []
+
+    def add(quantity: str, error: float, kind: str) -> None:
+        if np.isfinite(error):
+            rows.append({"method": METHOD, "quantity": quantity, "evaluations": evaluations,
+                         "error": float(error), "error_kind": kind})  # fmt: skip
+
+    for name, description in descriptions.items():
+        if not description.scale > 0.0:
+            continue
+        add(name, description.mean.half_width / description.scale, "half-width of the mean over the standard deviation")
+        widths = [e.half_width for p, e in description.quantiles.items() if p not in description.exempt]
+        if widths:
+            add(name, max(widths) / description.scale, "half-width of the worst quantile over the standard deviation")
+    for name, limit in limits.items():
+        miss = limit.miss
+        if miss.value:
+            add(f"limits.{name}", miss.half_width / miss.value, "half-width of the miss probability over itself")
+    return rows
+
+
+def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
+    """Sample until the accuracy is reached; a study without scatter is evaluated once.
+
+    Stages double the points of every replicate; a stage that would pass the budget is not begun.
+    """
+    study = work.study
+    budget = study.analysis.budget.evaluations * (SHARE if more_to_come else 1.0)
+    points: Draw | None = None
+    sample: Sample | None = None
+    history: list[dict[str, Any]] = []
+    seconds: list[float] = []
+    stopped = "accuracy"
+    start = 0
+    descriptions: dict[str, Description] = {}
+    limits: dict[str, LimitAnswer] = {}
+    missed: list[str] = []
+    while True:
+        count = FIRST if start == 0 else start
+        if start and work.ledger.total + REPLICATES * count > budget:
+            stopped = "evaluations"
+            break
+        try:
+            drawn = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=count)
+            fresh = evaluate_draw(work, f"sampling.{start}", drawn)
+        except OutOfBudget:
+            if sample is None:
+                raise
+            stopped = "time"
+            break
+        if points is None or sample is None:
+            points, sample = drawn, fresh
+        else:
+            points = Draw(
+                normals=np.concatenate([points.normals, drawn.normals], axis=1),
+                physical=np.concatenate([points.physical, drawn.physical], axis=1),
+            )
+            sample = sample.join(fresh)
+        start += count
+        descriptions = _describe(work, sample)
+        limits = judge_limits(work, points, sample)
+        missed = _missed(work, descriptions, limits)
+        rows = _record(descriptions, limits, sample.status.size)
+        history += rows
+        seconds += [work.ledger.elapsed] * len(rows)
+        if not missed:
+            break
+        if work.ledger.elapsed > work.seconds:
+            work.ledger.stopped_by_time = True
+            stopped = "time"
+            break
+    return Sampled(points=points, sample=sample, descriptions=descriptions, limits=limits, missed=missed,
+                   stopped=stopped, history=history, seconds=seconds)  # fmt: skip

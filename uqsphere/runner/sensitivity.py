@@ -1,0 +1,237 @@
+"""Which input drives what: Sobol' indices by pick and freeze and by polynomial chaos, checked against each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
+from uqsphere.uq.estimates import Estimate, absent
+
+__all__ = ["Sensitivity", "find_sensitivity"]
+
+Array = npt.NDArray[np.float64]
+
+FIRST = 64
+#: points of each replicate that the expansion is fitted to, and replicates that are fitted
+FIT_POINTS = 256
+FITS = 8
+METHOD = "pick and freeze"
+CHAOS = "polynomial chaos"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """Indices of one quantity: which are given, both ways that found them, and how they agree."""
+
+    first: dict[str, Estimate]
+    total: dict[str, Estimate]
+    surrogate: dict[str, Any]
+    sampled: dict[str, list[Estimate]]
+    expanded: dict[str, list[Estimate]]
+    agree: bool | None
+    text: str
+    missed: list[str] = field(default_factory=list)
+
+
+def _dependent(work: Work) -> list[str]:
+    """Model inputs that depend on another model input."""
+    inputs = sub_inputs(work.all_inputs, work.scene_names)
+    if inputs.correlation is None:
+        return []
+    off = np.abs(inputs.correlation - np.eye(len(inputs.names))).max(axis=1) > 0.0
+    return [name for name, tied in zip(inputs.names, off, strict=True) if tied]
+
+
+def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any]]:
+    """Indices of quantity k off polynomial chaos, with what its validation says; empty where it is refused."""
+    from uqsphere.uq.chaos import chaos_indices, fit_chaos, germ_points, judge, validation_error
+
+    d = len(work.scene_names)
+    germs = tuple(
+        "uniform" if law.kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
+        for law in work.study.random.values()
+    )
+    n = sampled.sample.values.shape[1]
+    used = min(FIT_POINTS, n)
+    outputs = sampled.sample.values[:, :, k]
+    whole = ~sampled.sample.failed
+    fits = []
+    errors = []
+    for replicate in range(FITS):
+        keep = whole[replicate, :used]
+        points = germ_points(sampled.points.normals[replicate, :used, :d][keep], germs)
+        if len(points) < 4 * (d + 1):
+            return {}, {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"}
+        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs))
+        # held out: another randomisation altogether
+        other = FITS + replicate
+        points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
+        errors.append(validation_error(fits[-1], points, outputs[other][whole[other]]))
+    error = float(np.mean(errors))
+    verdict = judge(fits[0], error)
+    evaluations = FITS * used
+    about = {"kind": CHAOS, "error": verdict.error, "evaluations": evaluations, "usable": verdict.usable,
+             "reason": verdict.reason, "degree": fits[0].degree, "terms": int(fits[0].coefficients.size)}  # fmt: skip
+    if not verdict.usable:
+        return {}, about
+    return chaos_indices(fits, error=error, evaluations=evaluations), about
+
+
+def _refused(work: Work, reason: str) -> Sensitivity:
+    nothing = {name: absent(reason, METHOD, 0) for name in work.scene_names}
+    return Sensitivity(first=nothing, total=dict(nothing), surrogate={"kind": None, "error": None, "evaluations": 0},
+                       sampled={}, expanded={}, agree=None, text=reason)  # fmt: skip
+
+
+def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, Array]:
+    """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
+    from scipy.special import ndtri
+
+    from uqsphere.uq.inputs import physical_from_normal
+    from uqsphere.uq.sensitivity import saltelli_points
+
+    d = len(work.scene_names)
+    inputs = sub_inputs(work.all_inputs, work.scene_names)
+    uniforms = np.stack([
+        saltelli_points(inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate,
+                        start=start)
+        for replicate in range(REPLICATES)
+    ])  # fmt: skip
+    rows = physical_from_normal(inputs, np.asarray(ndtri(uniforms)).reshape(-1, d))
+    answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, rows)
+    q = len(work.quantities)
+    values = answered.values.reshape(REPLICATES, count, d + 2, q)
+    return values, (answered.status != 0).reshape(REPLICATES, count, d + 2).any(axis=2)
+
+
+def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
+    """The same number of base points without a failure from every replicate, (R, N', d + 2, q)."""
+    if not failed.any():
+        return values
+    least = int((~failed).sum(axis=1).min())
+    return np.stack([row[~bad][:least] for row, bad in zip(values, failed, strict=True)])
+
+
+def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str]:
+    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped."""
+    from uqsphere.uq.sensitivity import sobol_indices
+
+    names = work.scene_names
+    if not names:
+        return {q: _refused(work, "no input of the model is random") for q in work.quantities}, [], [], "accuracy"
+    tied = _dependent(work)
+    if tied:
+        reason = (f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
+                  "dependent inputs: remove the dependence to see what each would do alone")  # fmt: skip
+        return {q: _refused(work, reason) for q in work.quantities}, [], [], "accuracy"
+    methods = work.study.analysis.methods
+    asked = work.study.analysis.accuracy.sobol
+    history: list[dict[str, Any]] = []
+    seconds: list[float] = []
+    expanded, about = {}, {}
+    for k, quantity in enumerate(work.quantities):
+        if "pce" in methods or "auto" in methods:
+            expanded[quantity], about[quantity] = _expansions(work, sampled, k)
+            _note(history, seconds, work, CHAOS, quantity, about[quantity]["evaluations"], about[quantity]["error"],
+                  "share of the variance left unexplained (held out)")  # fmt: skip
+        else:
+            expanded[quantity], about[quantity] = {}, {"kind": None, "error": None, "evaluations": 0}
+    found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
+    stopped = "accuracy"
+    start = 0
+    values: Array | None = None
+    failed: npt.NDArray[np.bool_] | None = None
+    while "sobol" in methods or "auto" in methods:
+        count = FIRST if start == 0 else start
+        if start and work.ledger.total + REPLICATES * count * (len(names) + 2) > work.study.analysis.budget.evaluations:
+            stopped = "evaluations"
+            break
+        try:
+            more, bad = _pick_and_freeze(work, start, count)
+        except OutOfBudget:
+            stopped = "time"
+            break
+        values = more if values is None else np.concatenate([values, more], axis=1)
+        failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
+        start += count
+        clean = _clean(values, failed)
+        for k, quantity in enumerate(work.quantities):
+            found[quantity] = sobol_indices(clean[:, :, :, k])
+            widths = [e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None]
+            if widths:
+                _note(history, seconds, work, METHOD, quantity, values[:, :, :, 0].size, max(widths),
+                      "largest half-width of an index")  # fmt: skip
+        if all(_accurate(found[q], expanded[q], asked) for q in work.quantities):
+            break
+        if work.ledger.elapsed > work.seconds:
+            work.ledger.stopped_by_time = True
+            stopped = "time"
+            break
+    return (
+        {q: _conclude(names, found[q], expanded[q], about[q], asked) for q in work.quantities},
+        history,
+        seconds,
+        stopped,
+    )
+
+
+def _note(history: list[dict[str, Any]], seconds: list[float], work: Work, method: str, quantity: str,
+          evaluations: int, error: float | None, kind: str) -> None:  # fmt: skip
+    if error is not None and np.isfinite(error):
+        history.append({"method": method, "quantity": quantity, "evaluations": int(evaluations),
+                        "error": float(error), "error_kind": kind})  # fmt: skip
+        seconds.append(work.ledger.elapsed)
+
+
+def _widest(indices: dict[str, list[Estimate]]) -> float:
+    return max((e.half_width for e in (*indices["first"], *indices["total"]) if e.value is not None), default=0.0)
+
+
+def _preferred(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]]) -> bool:
+    """Whether the expansion is the better answer: it contradicts nothing and its intervals are narrower."""
+    from uqsphere.uq.sensitivity import cross_check
+
+    if not expanded:
+        return False
+    if not sampled:
+        return True
+    agree, _ = cross_check(["x"] * len(sampled["first"]), sampled, expanded)
+    return agree and _widest(expanded) < _widest(sampled)
+
+
+def _accurate(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]], asked: float) -> bool:
+    if _widest(sampled) <= asked:
+        return True
+    return _preferred(sampled, expanded) and _widest(expanded) <= asked
+
+
+def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]],
+              about: dict[str, Any], asked: float) -> Sensitivity:  # fmt: skip
+    from uqsphere.uq.sensitivity import cross_check
+
+    given = expanded if _preferred(sampled, expanded) else sampled
+    if not given:
+        reason = about.get("reason") or "no method that was asked for gives indices"
+        nothing = {name: absent(reason, METHOD, 0) for name in names}
+        return Sensitivity(first=nothing, total=dict(nothing), surrogate=about, sampled=sampled, expanded=expanded,
+                           agree=None, text=reason, missed=[f"indices: {reason}"])  # fmt: skip
+    agree: bool | None = None
+    if sampled and expanded:
+        agree, text = cross_check(list(names), sampled, expanded)
+    elif about.get("kind"):
+        text = f"The polynomial chaos is not used: {about['reason']}. Indices are sampled."
+    else:
+        text = "Only one method was asked for, so nothing checks it."
+    width = _widest(given)
+    missed = [f"indices: half-width {width:.2g}, asked {asked:g}"] if width > asked else []
+    if agree is False:
+        missed.append("indices: sampling and polynomial chaos disagree")
+    return Sensitivity(
+        first=dict(zip(names, given["first"], strict=True)), total=dict(zip(names, given["total"], strict=True)),
+        surrogate=about, sampled=sampled, expanded=expanded, agree=agree, text=text, missed=missed,
+    )  # fmt: skip

@@ -1,0 +1,175 @@
+"""The run folder: evaluations stored once, everything else recomputable from them.
+
+Every file is written beside its place, flushed to disk and moved there in one step, so that a reader sees
+the old file or the new one and nothing between.  A stored chunk carries the checksum of its content in its
+name; one that does not match is not used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import io
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import AccessError, FolderError
+
+__all__ = ["Store", "open_store", "read_json", "write_atomically", "write_json"]
+
+_CHUNK = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
+_MARK = "study.resolved.json"
+
+
+@contextlib.contextmanager
+def _system_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = "no space left on the device" if error.errno == errno.ENOSPC else error.strerror or str(error)
+        raise AccessError(f"{path}: {reason}") from error
+
+
+def write_atomically(path: Path, content: bytes | str) -> None:
+    """Write a file so that it is there whole or not at all.
+
+    Raises
+    ------
+    AccessError
+        When the system refuses; nothing is left behind.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    with _system_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON with sorted layout kept as given, one trailing newline, and no NaN or infinity."""
+    write_atomically(path, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of a result folder.
+
+    Raises
+    ------
+    FolderError
+        When it is missing, damaged or not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FolderError(f"{path.parent} is not a result folder: it has no {path.name}") from error
+    except (ValueError, RecursionError) as error:
+        raise FolderError(f"{path} is damaged: {error}") from error
+    except OSError as error:
+        raise AccessError(f"{path}: {error.strerror}") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Store:
+    """An open result folder; `lock` is held as long as the process lives or until `close`."""
+
+    folder: Path
+    lock: Any
+
+    def close(self) -> None:
+        """Give the folder free."""
+        self.lock.release()
+
+    def load(self, key: str) -> npt.NDArray[np.float64] | None:
+        """The stored chunk of a key, or None if there is none that is whole."""
+        for path in sorted((self.folder / "evaluations").glob(f"{key}_*.npy")):
+            match = _CHUNK.fullmatch(path.name)
+            if match is None or match["key"] != key or path.is_symlink():
+                continue
+            with _system_errors(path):
+                data = path.read_bytes()
+            if hashlib.sha256(data).hexdigest()[:16] == match["digest"]:
+                return np.asarray(np.load(io.BytesIO(data), allow_pickle=False), dtype=np.float64)
+        return None
+
+    def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
+        """Store a chunk once, for good."""
+        buffer = io.BytesIO()
+        np.save(buffer, values, allow_pickle=False)
+        data = buffer.getvalue()
+        digest = hashlib.sha256(data).hexdigest()[:16]
+        write_atomically(self.folder / "evaluations" / f"{key}_{digest}.npy", data)
+
+    def forget(self) -> None:
+        """Remove every stored evaluation, for a fresh start."""
+        for path in (self.folder / "evaluations").glob("*.npy"):
+            with _system_errors(path):
+                path.unlink()
+
+
+def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False) -> Store:
+    """Create a result folder, or take up the one that is there.
+
+    Parameters
+    ----------
+    resolved, text, study_hash : what the study means, its file as given, and the hash of its meaning.
+    fresh : drop the evaluations of an earlier run of the same study.
+
+    Raises
+    ------
+    FolderError
+        When the folder belongs to another study, to nobody's run, or to a process that is at work on it.
+    AccessError
+        When the system refuses to create or write it.
+    """
+    from filelock import FileLock, Timeout
+
+    if folder.exists() and not folder.is_dir():
+        raise FolderError(f"{folder} is not a folder")
+    with _system_errors(folder):
+        foreign = folder.is_dir() and any(folder.iterdir()) and not (folder / _MARK).is_file()
+    if foreign:
+        raise FolderError(f"{folder} exists and is not a result folder: choose another with --out")
+    if (folder / _MARK).is_file():
+        found = read_json(folder / _MARK)
+        if not isinstance(found, dict) or found.get("hash") != study_hash:
+            raise FolderError(
+                f"{folder} holds the run of another study: choose another folder with --out, or remove it"
+            )
+    with _system_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock", timeout=0)
+    try:
+        with _system_errors(folder):
+            lock.acquire()
+    except Timeout as error:
+        raise FolderError(f"{folder} is locked: another run is at work on it") from error
+    store = Store(folder=folder, lock=lock)
+    try:
+        if fresh:
+            store.forget()
+        write_json(folder / _MARK, {"hash": study_hash, **resolved})
+        write_atomically(folder / "study.toml", text)
+    except BaseException:
+        store.close()
+        raise
+    return store

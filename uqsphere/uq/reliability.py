@@ -1,0 +1,328 @@
+"""Probability that a demand exceeds a strength, with the strength integrated exactly, and the margin.
+
+The strength is independent of the demand given the inputs' normal scores, so that the exceedance is the
+mean of F_S(demand | inputs): a smooth function of the inputs, whatever the scatter of the strength.  Both
+F_S and 1 - F_S are carried, so that a small probability keeps its relative accuracy on either side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uqsphere.uq.distribution import Law, cdf, is_steps, ppf, sf
+from uqsphere.uq.estimates import Estimate, Flags, absent, quantile_estimates, student
+from uqsphere.uq.families import Array
+
+__all__ = ["LimitState", "exceedance", "margin_quantiles", "miss", "reliability_index", "target_met"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LimitState:
+    """Demands (R, n) of R independent randomisations against a strength.
+
+    `strength` is a number or a law.  `shift` (R, n) and `remaining_sd` describe a strength that depends on
+    the inputs: its normal score is shift + remaining_sd · ε (`inputs.conditional_normal`).  `censored`
+    demands are known only to exceed their value; `failed` rows (and demands that are nan) are left out
+    (`on_failure` "drop") or counted once as exceeding and once as not ("bound"), never as survival.
+    """
+
+    demands: Array
+    strength: Law | float
+    shift: Array | None = None
+    remaining_sd: float = 1.0
+    censored: Flags | None = None
+    failed: Flags | None = None
+    on_failure: str = "drop"
+    method: str = "randomised quasi-Monte Carlo, strength integrated"
+
+    def __post_init__(self) -> None:
+        if self.demands.ndim != 2 or self.demands.shape[0] < 2:
+            raise ValueError(f"demands must be (R, n) with R >= 2, found shape {self.demands.shape}")
+        if self.on_failure not in ("drop", "bound"):
+            raise ValueError(f"on_failure must be drop or bound here, found {self.on_failure!r}")
+        if not 0.0 <= self.remaining_sd <= 1.0:
+            raise ValueError(f"remaining_sd must lie in [0, 1], found {self.remaining_sd}")
+
+    @property
+    def broken(self) -> Flags:
+        """Rows without a demand (R, n)."""
+        missing = np.isnan(self.demands)
+        return missing if self.failed is None else missing | self.failed
+
+    @property
+    def late(self) -> Flags:
+        """Rows whose demand is only a lower bound (R, n)."""
+        if self.censored is None:
+            return np.zeros(self.demands.shape, dtype=bool)
+        return self.censored & ~self.broken
+
+
+def _tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
+    """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
+    broken = state.broken
+    demands = np.where(broken, 0.0, state.demands) * factor
+    strength = state.strength
+    if not isinstance(strength, Law):
+        below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
+    else:
+        if is_steps(strength):
+            # P(S < d): an observation that equals the demand has not been exceeded.
+            demands = np.nextafter(demands, -math.inf)
+        below, above = cdf(strength, demands), sf(strength, demands)
+        if state.shift is not None:
+            below, above = _shifted(below, above, state.shift, state.remaining_sd)
+    if broken.any():
+        below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
+    return below, above
+
+
+def _shifted(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
+    """The two tails given the inputs: Φ((z - shift)/sd) with z the normal score of the demand."""
+    from scipy.special import ndtr, ndtri
+
+    with np.errstate(divide="ignore"):
+        score = np.where(below <= 0.5, ndtri(below), -ndtri(above)) - shift
+        if remaining == 0.0:
+            return (score > 0.0).astype(float), (score <= 0.0).astype(float)
+        score = score / remaining
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+
+
+def _interval(
+    event: Array, other: Array, counts: Array, resolution: float
+) -> tuple[float, float, float, float]:
+    """Value, ends and standard error of the mean of `event` (R, n), interval in logits.
+
+    None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
+    """
+    size = float(counts.sum())
+    p, q = float(event.sum()) / size, float(other.sum()) / size
+    bound = -math.expm1(math.log(0.05) / size)
+    if p <= 0.0:
+        return 0.0, 0.0, bound, 1.0 / size
+    if q <= 0.0:
+        return 1.0, 1.0 - bound, 1.0, 1.0 / size
+    # The smaller side has the digits.
+    rows = (event if p <= q else other).sum(axis=1) / counts
+    error = max(float(np.std(rows, ddof=1)), resolution) / math.sqrt(rows.size)
+    half = min(student(rows.size) * error / (p * q), 600.0)
+    low = p * math.exp(-half) / (q + p * math.exp(-half))
+    high = p / (q * math.exp(-half) + p)
+    return p / (p + q), low, high, error
+
+
+def _estimate(state: LimitState, breaking: bool) -> Estimate:
+    """Probability of exceedance (breaking False) or of its complement."""
+    below, above = _tails(state)
+    broken, late = state.broken, state.late
+    total = int(state.demands.size)
+    kept_counts = (~broken).sum(axis=1).astype(float)
+    if kept_counts.min() < 2:
+        return absent("too few successful samples in a replicate", state.method, total)
+    n = state.demands.shape[1]
+    resolution = 0.0 if isinstance(state.strength, Law) else 0.3 / n
+    event, other = (above, below) if breaking else (below, above)
+    value, low, high, error = _interval(event, other, kept_counts, resolution)
+    bound = state.on_failure == "bound" and bool(broken.any())
+    method = state.method
+    if bound or late.any():
+        counts = np.full(below.shape[0], float(n)) if bound else kept_counts
+        certain = np.where(late | (broken if bound else False), 1.0, 0.0)
+        unsure = certain > 0.0
+        # Censored demands may exceed any strength; failed rows may have gone either way.
+        most_below = np.where(unsure, 1.0, below)
+        least_above = np.where(unsure, 0.0, above)
+        least_below, most_above = below, np.where(broken, 1.0, above) if bound else above
+        if breaking:
+            low = _interval(least_above, most_below, counts, resolution)[1]
+            high = _interval(most_above, least_below, counts, resolution)[2]
+        else:
+            low = _interval(least_below, most_above, counts, resolution)[1]
+            high = _interval(most_below, least_above, counts, resolution)[2]
+        error = max(error, 0.5 * (high - low) / student(below.shape[0]))
+        named = ["censored"] * bool(late.any()) + ["failed"] * bound
+        method += f", interval widened for {' and '.join(named)} rows"
+    largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
+    if largest > 0.2:
+        method += f", one sample carries {largest:.0%}"
+    return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
+                    method=method, evaluations=total)  # fmt: skip
+
+
+def exceedance(state: LimitState) -> Estimate:
+    """Probability that the demand exceeds the strength.
+
+    >>> from uqsphere.uq.laws import make_law
+    >>> law = make_law("uniform", {}, 0.0, 1.0)
+    >>> demands = np.full((4, 8), 0.25)
+    >>> exceedance(LimitState(demands=demands, strength=law)).value
+    0.25
+    """
+    return _estimate(state, breaking=False)
+
+
+def miss(state: LimitState, aim: str) -> Estimate:
+    """Probability that the aim is missed: of exceedance for "survive", of its complement for "break"."""
+    if aim not in ("survive", "break"):
+        raise ValueError(f"aim must be survive or break, found {aim!r}")
+    return _estimate(state, breaking=aim == "break")
+
+
+def reliability_index(probability: float | None) -> float | None:
+    """-Φ⁻¹(probability) of missing the aim; None for 0, 1 and an absent probability."""
+    if probability is None or not 0.0 < probability < 1.0:
+        return None
+    from scipy.special import ndtri
+
+    return -float(ndtri(probability))
+
+
+def target_met(missed: Estimate, target: float) -> bool | None:
+    """True if the interval lies below the target, False if above, None (undecided) if it straddles.
+
+    An upper end below a hundredth of the target is enough even for an answer without a value.
+    """
+    if missed.high is not None and (missed.high < target or missed.high < 0.01 * target):
+        return True
+    if missed.low is not None and missed.low > target:
+        return False
+    return None
+
+
+# --- margin ---------------------------------------------------------------------------------------
+
+
+def margin_quantiles(
+    state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)
+) -> dict[str, Estimate]:
+    """Quantiles of strength over demand, by key ("median" for 0.5): m with mean F_S(m · demand) = p.
+
+    Absent where the strength may be zero or negative.
+    """
+    keys = {p: "median" if p == 0.5 else f"{p:g}" for p in probabilities}
+    total = int(state.demands.size)
+    strength = state.strength
+    doubtful = float(cdf(strength, np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
+    reason = ""
+    if doubtful > 1e-6:
+        reason = "the strength may be zero or negative: strength over demand has no meaning"
+    elif (~state.broken).sum(axis=1).min() < 2:
+        reason = "too few successful samples in a replicate"
+    if reason:
+        return {key: absent(reason, state.method, total) for key in keys.values()}
+    if not isinstance(strength, Law):
+        return _margin_of_fixed(state, float(strength), keys)
+    return {key: _margin(state, strength, p) for p, key in keys.items()}
+
+
+def _margin_of_fixed(state: LimitState, strength: float, keys: dict[float, str]) -> dict[str, Estimate]:
+    """Margins of a fixed strength are the strength over the demand's quantiles at 1 - p."""
+    demands, _ = quantile_estimates(
+        np.where(state.broken, 0.0, state.demands),
+        censored=state.late,
+        failed=state.broken,
+        on_failure=state.on_failure,
+        quantiles=[1.0 - p for p in keys],
+        method="randomised quasi-Monte Carlo",
+    )
+    answer = {}
+    for p, key in keys.items():
+        demand = demands[1.0 - p]
+        if demand.value is None or demand.low is None or demand.high is None:
+            answer[key] = demand
+        elif demand.low <= 0.0:
+            answer[key] = absent("the demand may be zero: the margin is unbounded", demand.method,
+                                 demand.evaluations)  # fmt: skip
+        else:
+            low, high = strength / demand.high, strength / demand.low
+            answer[key] = Estimate(
+                value=strength / demand.value,
+                low=low,
+                high=high,
+                std_error=0.5 * (high - low) / student(state.demands.shape[0]),
+                method=demand.method,
+                evaluations=demand.evaluations,
+            )
+    return answer
+
+
+def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
+    """One quantile of the margin, its interval read off where the replicates' probabilities could lie."""
+    broken, late = state.broken, state.late
+    counts = (~broken).sum(axis=1).astype(float)
+    total = int(state.demands.size)
+    positive = state.demands[~broken & (state.demands > 0.0)]
+    if positive.size <= p * counts.sum():
+        return absent("the demand may be zero: the margin is unbounded", state.method, total)
+    typical = float(ppf(strength, np.array([p]))[0]) / float(np.median(positive))
+
+    def replicate_probabilities(margin: float) -> Array:
+        return np.asarray(_tails(state, margin)[0].sum(axis=1) / counts)
+
+    def pooled(margin: float) -> float:
+        return float(replicate_probabilities(margin) @ counts / counts.sum())
+
+    value = _root(pooled, p, typical)
+    if value is None:
+        return absent("no margin has this probability", state.method, total)
+    error = float(np.std(replicate_probabilities(value), ddof=1)) / math.sqrt(counts.size)
+    half = student(counts.size) * error / (p * (1.0 - p))
+    unsure = float(late.sum()) / counts.sum()
+    lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
+    lowest = p * math.exp(-half) / (1.0 - p + p * math.exp(-half)) - unsure - lost
+    highest = p / ((1.0 - p) * math.exp(-half) + p) + lost
+    if lowest <= 0.0 or highest >= 1.0:
+        reason = "beyond the censored share" if unsure else "beyond what the samples can tell"
+        return absent(reason, state.method, total)
+    low, high = _ends(pooled, value, p, (lowest, highest))
+    if low is None or high is None:
+        return absent("beyond what the samples can tell", state.method, total)
+    low, high = min(low, value), max(high, value)
+    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(counts.size),
+                    method=state.method, evaluations=total)  # fmt: skip
+
+
+def _ends(
+    probability_at: Callable[[float], float], value: float, p: float, ends: tuple[float, float]
+) -> tuple[float | None, float | None]:
+    """Margins at two probabilities around p: along the slope where they are close, else solved for."""
+    from scipy.special import ndtri
+
+    scores = [float(ndtri(end)) - float(ndtri(p)) for end in ends]
+    if max(abs(score) for score in scores) < 0.05:
+        slope = (float(ndtri(probability_at(value * 1.01))) - float(ndtri(p))) / math.log(1.01)
+        if math.isfinite(slope) and slope > 0.0:
+            return value * math.exp(scores[0] / slope), value * math.exp(scores[1] / slope)
+    return _root(probability_at, ends[0], value), _root(probability_at, ends[1], value)
+
+
+def _root(probability_at: Callable[[float], float], probability: float, near: float) -> float | None:
+    """Margin at which an increasing probability takes a value: bracketed in ln m, then by Brent's method."""
+    from scipy.optimize import brentq
+    from scipy.special import ndtri
+
+    target = float(ndtri(probability))
+    known: dict[float, float] = {}
+
+    def gap(u: float) -> float:
+        # In normal scores the distribution of a margin is almost straight, and a few steps suffice.
+        if u not in known:
+            share = probability_at(math.exp(u))
+            known[u] = float(ndtri(min(max(share, 1e-300), 1.0 - 1e-16))) - target
+        return known[u]
+
+    low = high = math.log(near)
+    step = 0.05
+    while gap(low) > 0.0:
+        high, low, step = low, low - step, 2.0 * step
+        if step > 1e3:
+            return None
+    while gap(high) < 0.0:
+        low, high, step = high, high + step, 2.0 * step
+        if step > 1e3:
+            return None
+    return math.exp(low if low == high else float(brentq(gap, low, high, xtol=1e-9, rtol=1e-12)))
