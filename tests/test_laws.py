@@ -151,6 +151,23 @@ def test_normal_truncated_far_out_loses_no_digits(side: float) -> None:
     )
 
 
+@pytest.mark.parametrize("kind", [*PAIRS, "empirical"])
+def test_extreme_arguments_give_an_answer_and_no_warning(kind: str) -> None:
+    law = PAIRS[kind][0] if kind in PAIRS else make_law("empirical", {}, data=[1.0, 2.0, 4.0])
+    x = np.array([-math.inf, -1e300, -1.0, 0.0, 1.0, 1e300, math.inf, math.nan])
+    p, q, density = laws.cdf(law, x), laws.sf(law, x), laws.pdf(law, x)
+    np.testing.assert_allclose(p[:-1] + q[:-1], 1.0, rtol=1e-14)
+    assert (p[0], q[0], p[6], q[6]) == (0.0, 1.0, 1.0, 0.0)
+    assert math.isnan(p[7])
+    assert math.isnan(q[7])
+    assert np.all(density[:-1] >= 0.0)
+    assert density[0] == density[1] == density[5] == density[6] == 0.0
+    ends = laws.ppf(law, np.array([0.0, 1.0]))
+    assert ends[0] < laws.median(law) < ends[1]
+    assert laws.from_normal(law, np.array([[-3.0, 3.0]])).shape == (1, 2)
+    assert laws.cdf(law, np.float64(2.0)).shape == ()
+
+
 def test_moments_in_force_of_a_truncated_law() -> None:
     law = make_law("normal", {"mean": 10.0, "sd": 0.15}, lower=9.9)
     oracle = stats.truncnorm((9.9 - 10.0) / 0.15, np.inf, 10.0, 0.15)

@@ -9,7 +9,14 @@ import pytest
 from scipy.special import ndtri
 
 from uqsphere.uq.estimates import from_replicates
-from uqsphere.uq.sensitivity import agree, cross_check, saltelli_points, sobol_indices
+from uqsphere.uq.sensitivity import (
+    agree,
+    cross_check,
+    mix,
+    saltelli_halves,
+    saltelli_points,
+    sobol_indices,
+)
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.0])
 
@@ -60,6 +67,8 @@ def test_blocks_are_a_mixed_and_b() -> None:
         expected = a.copy()
         expected[:, j] = b[:, j]
         assert np.array_equal(blocks[:, 1 + j], expected)
+    halves = saltelli_halves(inputs_count=3, count=8, seed=1, task="t", replicate=0)
+    assert np.array_equal(mix(np.exp(halves[0]), np.exp(halves[1])), np.exp(blocks))
     more = saltelli_points(inputs_count=3, count=4, start=4, seed=1, task="t", replicate=0)
     assert np.array_equal(more, blocks[4:])
 

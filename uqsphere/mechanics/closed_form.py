@@ -146,7 +146,7 @@ def massless_approach(s: Any, theta: Any) -> Array:
     """Scaled approach x(s) of the massless sphere under a rectangular pulse of length theta (inf: a step).
 
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
-    [0.362684, 0.620267, 0.066776]
+    [0.363053, 0.620178, 0.066776]
     """
     s, theta = np.broadcast_arrays(np.asarray(s, dtype=float), np.asarray(theta, dtype=float))
     loading = loading_approach(np.minimum(s, theta))
@@ -217,8 +217,8 @@ def solve_closed(scene: Scene, fidelity: str = "massless") -> Answers:
     """
     if not closed_form_applies(scene, fidelity):
         raise ValueError(
-            f"no closed form for fidelity {fidelity!r} with a {scene.shape} pulse in "
-            f"{'infinite' if scene.infinite else 'finite'} bars (it takes massless; rectangular or step; infinite)"
+            f"no closed form for {fidelity!r} with a {scene.shape} pulse and infinite = {scene.infinite} "
+            "(there is one for massless, a rectangular or step pulse, infinite bars)"
         )
     status = scene.status.copy()
     good = status == 0

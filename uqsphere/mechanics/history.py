@@ -134,7 +134,7 @@ class History:
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in _COURSES}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:
-            raise ValueError(f"all courses of a history need one shape (m,), found {sorted(map(str, shapes))}")
+            raise ValueError(f"all courses of a history need one shape (m,), found {sorted(shapes)}")
 
     @property
     def later_peak_is_larger(self) -> bool:
@@ -209,7 +209,8 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     )  # fmt: skip
 
 
-def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[float]) -> tuple[Array, Array]:
+def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[float],
+              ) -> tuple[Array, Array]:  # fmt: skip
     """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else 1."""
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row]
@@ -227,7 +228,7 @@ def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[
 
 
 def states_at(scene: Scene, row: int, found: Motion, times: Array) -> Array:
-    """Approaches [m] at A and B, velocity of the sphere [m/s] at `times` [s], (m, 3); zero before first touch."""
+    """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
     scales = scene.scales
     s = times / scales.time[row]
     n = np.clip(np.searchsorted(found.start, s, side="right") - 1, 0, len(found.start) - 1)
@@ -353,7 +354,8 @@ def largest(scene: Scene, row: int, found: Motion, begin: float, end: float, *, 
             time = nodes[highest]
         force = float(_force(scene, row, approach(np.array([time])), fidelity)[0])
         if force > 0.0 and (best is None or force > best.force):
-            best = Peak(time=float(time), face=name, pressure=float(_pressure(scene, row, force)), force=force)
+            pressure = float(_pressure(scene, row, force))
+            best = Peak(time=float(time), face=name, pressure=pressure, force=force)
     return best
 
 

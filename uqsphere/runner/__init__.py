@@ -104,6 +104,8 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
     UqsphereError
         One of its family: see `uqsphere.errors`.
     """
+    from threadpoolctl import threadpool_limits
+
     from uqsphere.runner.work import Ledger, Work
 
     if study.black_box and model is None:
@@ -121,7 +123,9 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
             study=study, store=store, ledger=Ledger(), fidelity="full", threads=threads, model=reference, black_box=box,
             executor=executor, progress=progress, seconds=study.analysis.budget.time if seconds is None else seconds,
         )  # fmt: skip
-        return _run(work, store)
+        # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+        with threadpool_limits(limits=1, user_api="blas"):
+            return _run(work, store)
     finally:
         store.close()
 

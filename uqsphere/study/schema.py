@@ -44,7 +44,9 @@ OnFailure = Literal["abort", "bound", "drop"]
 class Table(BaseModel):
     """A table of the file: no key beyond those listed, no conversion of one kind of value into another."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, protected_namespaces=(), defer_build=True)
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, protected_namespaces=(), defer_build=True
+    )
 
 
 class SphereTable(Table):

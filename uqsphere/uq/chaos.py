@@ -43,6 +43,7 @@ GERMS = ("normal", "uniform")
 _HIGHEST_DEGREE = 15
 _MOST_TERMS = 1500
 _NORMS = (1.0, 0.75, 0.5)
+_EXACT_ENOUGH = 1e-8  # of the variance: a larger basis would only cost time
 _BLOCK = 16384
 
 
@@ -163,28 +164,58 @@ def _design(values: Sequence[Array], multi_indices: Indices) -> Array:
     return matrix.T
 
 
-def _regress(matrix: Array, outputs: Array) -> tuple[Array, float, float] | None:
-    """Least squares with its leave-one-out error, plain and corrected; None where ill-conditioned.
+def _nested(dimension: int, norm: float, most: int) -> tuple[Indices, list[int]] | None:
+    """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree has.
 
-    The error of leaving sample i out is e_i/(1 - h_i).  Its mean square, times n/(n-P) (1 + tr((ΨᵀΨ)⁻¹))
-    (Blatman and Sudret 2011), is what bases are chosen by: it holds large ones back.
+    The rows are ordered so that the set of every degree comes first.
     """
-    from scipy.linalg import solve_triangular
+    sizes: list[int] = []
+    largest = None
+    for degree in range(1, _HIGHEST_DEGREE + 1):
+        indices = hyperbolic_indices(dimension, degree, norm, most)
+        if indices is None:
+            break
+        sizes.append(indices.shape[0])
+        largest = indices
+    if largest is None:
+        return None
+    reach = (largest.astype(float) ** norm).sum(axis=1, where=largest > 0) ** (1.0 / norm)
+    # The set of degree p holds what reaches p; a sum of roots may miss a whole number by rounding.
+    level = np.ceil(reach - 1e-6)
+    return largest[np.argsort(level, kind="stable")], sizes
 
-    n, terms = matrix.shape
+
+def _regress(matrix: Array, outputs: Array, sizes: Sequence[int]) -> list[tuple[int, float, float, Array]]:
+    """Least squares in the nested bases of the first `sizes` columns: (size, error, corrected, coefficients).
+
+    One QR decomposition serves them all.  The error is that of leaving a sample out, e_i/(1 - h_i), in the
+    mean square; times n/(n-P) (1 + tr((ΨᵀΨ)⁻¹)) (Blatman and Sudret 2011) it is what bases are chosen by,
+    since it holds large ones back.  Bases that are ill-conditioned are left out.
+    """
+    n = outputs.size
     q, r = np.linalg.qr(matrix)
     diagonal = np.abs(np.diag(r))
-    if diagonal.min() < 1e-8 * diagonal.max():
-        return None
-    coefficients = solve_triangular(r, q.T @ outputs)
-    leverage = np.einsum("ij,ij->i", q, q)
-    if leverage.max() > 1.0 - 1e-9:
-        return None
-    residuals = (outputs - matrix @ coefficients) / (1.0 - leverage)
-    inverse = solve_triangular(r, np.eye(terms))
-    correction = n / (n - terms) * (1.0 + float(np.sum(inverse * inverse)))
-    plain = float(np.mean(residuals**2))
-    return np.asarray(coefficients), plain, plain * correction
+    sound = int(np.argmax(np.append(diagonal < 1e-8 * diagonal.max(), True)))
+    sizes = [size for size in sizes if size <= sound]
+    if not sizes:
+        return []
+    inverse = np.linalg.inv(r[:sound, :sound])
+    # The inverse of a leading block of a triangle is the leading block of its inverse.
+    traces = np.cumsum(np.sum(inverse * inverse, axis=0))
+    projections = q.T @ outputs
+    leverages = np.cumsum(q * q, axis=1)
+    fitted = np.cumsum(q * projections, axis=1)
+    answers = []
+    for size in sizes:
+        leverage = leverages[:, size - 1]
+        if leverage.max() > 1.0 - 1e-9:
+            break
+        residuals = (outputs - fitted[:, size - 1]) / (1.0 - leverage)
+        plain = float(np.mean(residuals**2))
+        corrected = plain * n / (n - size) * (1.0 + float(traces[size - 1]))
+        coefficients = np.asarray(inverse[:size, :size] @ projections[:size])
+        answers.append((size, plain, corrected, coefficients))
+    return answers
 
 
 def fit_chaos(points: Array, outputs: Array, germs: Sequence[str]) -> Chaos:
@@ -209,20 +240,17 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[str]) -> Chaos:
     values = [orthonormal_values(germ, points[:, j], _HIGHEST_DEGREE) for j, germ in enumerate(germs)]
     best = (1.0, 1.0, np.zeros(1), constant)
     for norm in _NORMS:
-        worse, previous = 0, math.inf
-        for degree in range(1, _HIGHEST_DEGREE + 1):
-            indices = hyperbolic_indices(dimension, degree, norm, min(n // 2, _MOST_TERMS))
-            found = None if indices is None else _regress(_design(values, indices), scaled)
-            if indices is None or found is None:
+        found = _nested(dimension, norm, min(n // 2, _MOST_TERMS))
+        if found is None:
+            continue
+        indices, sizes = found
+        for size, plain, corrected, coefficients in _regress(_design(values, indices), scaled, sizes):
+            if corrected < best[0]:
+                best = (corrected, plain, coefficients, indices[:size])
+            if corrected < _EXACT_ENOUGH:
                 break
-            coefficients, plain, error = found
-            if error < best[0]:
-                best = (error, plain, coefficients, indices)
-            # A new degree that brings nothing may be an odd one for an even function: try one more.
-            worse = worse + 1 if error >= previous else 0
-            previous = min(previous, error)
-            if worse == 3 or error < 1e-28:
-                break
+        if best[0] < _EXACT_ENOUGH:
+            break
     _, plain, coefficients, indices = best
     coefficients = coefficients * scale
     coefficients[0] += centre
@@ -261,7 +289,7 @@ def judge(chaos: Chaos, error: float | None = None, most: float = 0.05) -> Verdi
     """Whether the expansion may be used: the larger of `error` (held out) and its own is at most `most`."""
     own = chaos.cross_validation_error
     worst = own if error is None else max(own, error)
-    if not math.isfinite(worst):
+    if not (math.isfinite(worst) and (error is None or math.isfinite(error))):
         return Verdict(usable=False, error=1.0, reason="the error of the expansion is not finite")
     terms = f"{chaos.coefficients.size} terms of degree {chaos.degree} from {chaos.samples} samples"
     if worst > most:

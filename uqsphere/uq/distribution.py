@@ -78,12 +78,17 @@ def _tails(law: Law, x: Array) -> tuple[Array, Array]:
 
         score = empirical.kernel_score(law.data, law.parameters["bandwidth"], x)
         return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+    return _family_tail(law, x, upper=False), _family_tail(law, x, upper=True)
+
+
+def _family_tail(law: Law, x: Array, *, upper: bool) -> Array:
+    """One tail of a parametric law before truncation."""
     family = FAMILIES[law.kind]
     location, scale, shapes = family.resolve(law.parameters, law.lower, law.upper)
     if family.logarithmic:
         x = np.log(np.maximum(x, 0.0))
     y = (x - location) / scale
-    return family.cdf(y, shapes), family.sf(y, shapes)
+    return family.sf(y, shapes) if upper else family.cdf(y, shapes)
 
 
 def _base_inverse(law: Law, p: Array, q: Array) -> Array:
@@ -149,11 +154,17 @@ def _both(law: Law, x: Array) -> tuple[Array, Array]:
 
 def cdf(law: Law, x: Array) -> Array:
     """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
+    if law.kind in FAMILIES and not _is_truncated(law):
+        with np.errstate(divide="ignore", over="ignore"):
+            return _family_tail(law, np.asarray(x, dtype=float), upper=False)
     return _both(law, x)[0]
 
 
 def sf(law: Law, x: Array) -> Array:
     """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
+    if law.kind in FAMILIES and not _is_truncated(law):
+        with np.errstate(divide="ignore", over="ignore"):
+            return _family_tail(law, np.asarray(x, dtype=float), upper=True)
     return _both(law, x)[1]
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "kernel_density",
     "kernel_from_score",
     "kernel_score",
+    "kolmogorov_p_value",
     "steps_ppf",
     "steps_share_below",
 ]
@@ -122,22 +123,34 @@ def kernel_from_score(data: tuple[float, ...], width: float, score: Array) -> Ar
     nodes, z, slope = table
     cell = _cell(z, score)
     rise = z[cell + 1] - z[cell]
-    low, high = np.zeros_like(score), np.ones_like(score)
-    t = np.where(rise > 0.0, np.clip((score - z[cell]) / np.where(rise > 0.0, rise, 1.0), 0.0, 1.0), 0.5)
-    for _ in range(60):
-        value, derivative = _cubic(table, cell, t)
-        below = value < score
-        low, high = np.where(below, t, low), np.where(below, high, t)
-        newton = t - (value - score) / np.where(derivative > 0.0, derivative, 1.0)
-        usable = (derivative > 0.0) & (newton >= low) & (newton <= high)
-        following = np.where(usable, newton, 0.5 * (low + high))
-        done = np.max(np.abs(following - t), initial=0.0) < 1e-14
-        t = following
-        if done:
-            break
+    start = np.where(rise > 0.0, (score - z[cell]) / np.where(rise > 0.0, rise, 1.0), 0.5)
+    t = _solve_cells(table, cell, score, np.clip(start, 0.0, 1.0))
     inside = nodes[cell] + t * (nodes[cell + 1] - nodes[cell])
     inside = np.where(score < z[0], nodes[0] + (score - z[0]) / slope[0], inside)
     return np.where(score > z[-1], nodes[-1] + (score - z[-1]) / slope[-1], inside)
+
+
+def _solve_cells(table: tuple[Array, Array, Array], cell: Places, score: Array, start: Array) -> Array:
+    """Place t in [0, 1] of each score within its cell; entries leave the iteration as they converge."""
+    t = start.ravel()
+    low, high = np.zeros_like(t), np.ones_like(t)
+    cells, scores, open_ = cell.ravel(), score.ravel(), np.arange(t.size)
+    for _ in range(60):
+        value, derivative = _cubic(table, cells[open_], t[open_])
+        below = value < scores[open_]
+        low[open_], high[open_] = (
+            np.where(below, t[open_], low[open_]),
+            np.where(below, high[open_], t[open_]),
+        )
+        newton = t[open_] - (value - scores[open_]) / np.where(derivative > 0.0, derivative, 1.0)
+        usable = (derivative > 0.0) & (newton >= low[open_]) & (newton <= high[open_])
+        following = np.where(usable, newton, 0.5 * (low[open_] + high[open_]))
+        moved = np.abs(following - t[open_]) > 1e-12
+        t[open_] = following
+        open_ = open_[moved]
+        if not open_.size:
+            break
+    return t.reshape(start.shape)
 
 
 def kernel_density(data: tuple[float, ...], width: float, x: Array) -> Array:
@@ -226,3 +239,10 @@ def _fit_with_scipy(family: str, data: Array, lower: float, upper: float) -> Map
         return {"location": float(location) * size, "scale": float(scale) * size}
     dof, location, scale = stats.t.fit(scaled)
     return {"dof": float(dof), "location": float(location) * size, "scale": float(scale) * size}
+
+
+def kolmogorov_p_value(distance: float, observations: int) -> float:
+    """Probability that n observations of the law itself lie at least this far from it (exact in n)."""
+    from scipy import stats
+
+    return float(stats.kstwo.sf(distance, observations))

@@ -360,7 +360,7 @@ def reached(description: Description, *, mean: float, quantile: float) -> tuple[
     for name, estimate, wanted in asked:
         if estimate.value is None:
             missed.append(f"{name}: {estimate.reason}")
-        elif estimate.half_width > wanted * description.scale:
+        elif estimate.half_width > max(wanted * description.scale, 1e-13 * abs(estimate.value)):
             found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
             missed.append(f"{name}: half-width {found:.2g} of the standard deviation, asked {wanted:g}")
     return not missed, missed

@@ -105,7 +105,8 @@ def _triangular_cdf(y: Array, mode: float) -> Array:
     inside = np.clip(y, 0.0, 1.0)
     rising = inside * inside / mode if mode > 0.0 else np.zeros_like(inside)
     falling = 1.0 - (1.0 - inside) ** 2 / (1.0 - mode) if mode < 1.0 else np.ones_like(inside)
-    return np.where(inside < mode, rising, np.where(inside < 1.0, falling, 1.0))
+    # The last term is nothing but nan for nan, which fails every comparison above it.
+    return np.where(inside < mode, rising, np.where(inside < 1.0, falling, 1.0)) + 0.0 * inside
 
 
 def _triangular_ppf(p: Array, mode: float) -> Array:
@@ -207,9 +208,11 @@ def _gamma() -> Family:
 
 
 def _weibull_pdf(y: Array, shapes: Shapes) -> Array:
+    from scipy.special import xlogy
+
     (m,) = shapes
     inside = np.maximum(y, 0.0)
-    return np.where(y >= 0.0, m * inside ** (m - 1.0) * np.exp(-(inside**m)), 0.0)
+    return np.where(y >= 0.0, m * np.exp(xlogy(m - 1.0, inside) - inside**m), 0.0)
 
 
 def _weibull(keys: tuple[str, str, str] | None) -> Family:
@@ -289,7 +292,9 @@ def _student() -> Family:
     def ppf(p: Array, shapes: Shapes) -> Array:
         from scipy.special import stdtrit
 
-        return np.asarray(stdtrit(shapes[0], p))
+        # stdtrit of SciPy 1.17 answers +inf for a probability of 0, and for the very smallest ones.
+        found = stdtrit(shapes[0], np.maximum(p, 1e-250))
+        return np.where(p == 0.0, -math.inf, found)
 
     def pdf(y: Array, shapes: Shapes) -> Array:
         (dof,) = shapes

@@ -169,6 +169,5 @@ def goodness_of_fit(law: Law) -> dict[str, float]:
     below_step = np.searchsorted(values, values, side="left") / n
     left = cdf(law, np.nextafter(values, -math.inf)) if is_steps(law) else below
     distance = float(max(np.max(above_step - below), np.max(left - below_step), 0.0))
-    from scipy.stats import kstwo
-
-    return {"distance": distance, "p_value": float(kstwo.sf(distance, n)), "observations": float(n)}
+    p_value = empirical.kolmogorov_p_value(distance, n)
+    return {"distance": distance, "p_value": p_value, "observations": float(n)}

@@ -73,7 +73,9 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
         if p == 0.0 or q == 0.0:
             low, high = (0.0, bound) if p == 0.0 else (1.0 - bound, 1.0)
         else:
-            error = float(np.std(row, ddof=1)) / math.sqrt(replicates)
+            # Counts that agree in all replicates are still known to one sample only.
+            spread = float(np.std(row, ddof=1)) or 0.3 / samples
+            error = spread / math.sqrt(replicates)
             half = min(factor * error / (p * q), 600.0)
             low, high = p * math.exp(-half) / (q + p * math.exp(-half)), p / (q * math.exp(-half) + p)
         rows.append([float(value), p, min(low, p), max(high, p)])

@@ -261,6 +261,10 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     typical = float(ppf(strength, np.array([p]))[0]) / float(np.median(positive))
 
     def replicate_probabilities(margin: float) -> Array:
+        if state.shift is None and not is_steps(strength):
+            # A root needs one tail only, and there are many evaluations.
+            below = cdf(strength, np.where(broken, 0.0, state.demands) * margin)
+            return np.asarray(np.where(broken, 0.0, below).sum(axis=1) / counts)
         return np.asarray(_tails(state, margin)[0].sum(axis=1) / counts)
 
     def pooled(margin: float) -> float:

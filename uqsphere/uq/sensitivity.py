@@ -14,26 +14,48 @@ from uqsphere.uq.estimates import Estimate, absent, from_replicates
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
 
-__all__ = ["agree", "cross_check", "saltelli_points", "sobol_indices"]
+__all__ = ["agree", "cross_check", "mix", "saltelli_halves", "saltelli_points", "sobol_indices"]
 
 _METHOD = "pick and freeze on randomised Sobol' points"
 
 
-def saltelli_points(
+def saltelli_halves(
     *, inputs_count: int, count: int, seed: int, task: str, replicate: int, start: int = 0
-) -> Array:
-    """Uniform points (count, d + 2, d) in the blocks A, AB_1 ... AB_d, B: AB_j is A with column j of B.
+) -> tuple[Array, Array]:
+    """Uniform points A and B, (count, d) each: the two halves of Sobol' points in 2d dimensions.
 
-    A and B are the two halves of Sobol' points in 2d dimensions; `start` continues the same design.
+    `start` continues the same design.
     """
     d = inputs_count
     both = sobol_points(dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate)
-    a, b = both[:, :d], both[:, d:]
+    return both[:, :d], both[:, d:]
+
+
+def mix(a: Array, b: Array) -> Array:
+    """Blocks (count, d + 2, d) A, AB_1 ... AB_d, B of two designs (count, d): AB_j is A with column j of B.
+
+    Works on uniforms and, where the inputs are independent, on what they are mapped to: mapping A and B
+    before they are mixed spares most of the quantile functions.
+
+    >>> mix(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]])).tolist()
+    [[[1.0, 2.0], [3.0, 2.0], [1.0, 4.0], [3.0, 4.0]]]
+    """
+    d = a.shape[1]
     blocks = np.repeat(a[:, None, :], d + 2, axis=1)
     inputs = np.arange(d)
     blocks[:, inputs + 1, inputs] = b
     blocks[:, d + 1, :] = b
     return blocks
+
+
+def saltelli_points(
+    *, inputs_count: int, count: int, seed: int, task: str, replicate: int, start: int = 0
+) -> Array:
+    """Uniform points (count, d + 2, d) in the blocks of `mix`; `start` continues the same design."""
+    a, b = saltelli_halves(
+        inputs_count=inputs_count, count=count, seed=seed, task=task, replicate=replicate, start=start
+    )
+    return mix(a, b)
 
 
 def sobol_indices(outputs: Array) -> dict[str, list[Estimate]]:

@@ -1,0 +1,144 @@
+"""Energy and impulse, theory (6) and (7), from the waves and forces of a history: nothing gets lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uqsphere.mechanics import contact, dynamics
+from uqsphere.mechanics.history import states_at, waves_at
+from uqsphere.mechanics.scene import Scene
+
+BASE = {
+    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
+    "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
+    "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.length": 0.4, "striker.speed": 1.0,
+}  # fmt: skip
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+def scene_with(shape: str = "rectangular", **changes: float) -> Scene:
+    numbers = {**BASE, **{name.replace("_", ".", 1): value for name, value in changes.items()}}
+    return Scene(columns={name: np.array([value]) for name, value in numbers.items()}, shape=shape)
+
+
+class Balance:
+    """Both balances of a scene at any time, by quadrature over the integrator's own steps."""
+
+    def __init__(self, scene: Scene, tolerance: float, fidelity: str = "full") -> None:
+        self.scene, self.fidelity = scene, fidelity
+        self.motion = dynamics.motion(scene, 0, fidelity=fidelity, tolerance=tolerance)
+        self.unit = float(scene.scales.time[0])
+        self.end = self.motion.end * self.unit
+
+    def integrals(self, begin: float, end: float) -> np.ndarray:
+        """∫ f_in, g_A, k_B and their squares; Gauss on every step and between the kinks that come back."""
+        begin = max(begin, 0.0)
+        if end <= begin:
+            return np.zeros((2, 3))
+        trips = self.scene.round_trips[0]
+        starts = self.motion.start * self.unit
+        # the waves have the kinks of the forces one round trip ago besides those of the present
+        cuts = np.concatenate([starts, starts + trips[0], starts + trips[1], [begin, end]])
+        cuts = np.unique(cuts[(cuts >= begin) & (cuts <= end)])
+        half = 0.5 * np.diff(cuts)
+        times = (cuts[:-1] + half)[:, None] + half[:, None] * NODES
+        weights = (half[:, None] * WEIGHTS).ravel()
+        waves = waves_at(self.scene, 0, self.motion, times.ravel(), fidelity=self.fidelity)
+        back = self.scene.reflections[0, 0] * waves_at(
+            self.scene, 0, self.motion, times.ravel() - trips[0], fidelity=self.fidelity
+        ).leaving_a * (times.ravel() > trips[0])  # fmt: skip
+        courses = np.stack([waves.incident - back, waves.leaving_a, waves.leaving_b])
+        return np.stack([courses @ weights, courses**2 @ weights])
+
+    def errors(self, time: float) -> tuple[float, float]:
+        """Errors of impulse and energy at `time` [s], over the impulse and energy of the pulse."""
+        scales = self.scene.scales
+        (R_1, R_3), (T_1, T_3) = self.scene.reflections[0], self.scene.round_trips[0]
+        whole = self.integrals(0.0, time)
+        early_a, early_b = self.integrals(0.0, time - T_1)[:, 1], self.integrals(0.0, time - T_3)[:, 2]
+        alpha_1, alpha_2, w = states_at(self.scene, 0, self.motion, np.array([time]))[0]
+        Z, M, beta = scales.impedance[0], scales.mass[0], scales.hertz_constant[0]
+        if self.fidelity == "linear":
+            stiffness = scales.force[0] / scales.approach[0]
+            stored = 0.5 * stiffness * (max(alpha_1, 0.0) ** 2 + max(alpha_2, 0.0) ** 2)
+        else:
+            stored = contact.contact_energy(alpha_1, beta) + contact.contact_energy(alpha_2, beta)
+        given = Z * whole[:, 0]
+        waves_1 = whole[:, 1] - np.array([R_1, R_1**2]) * early_a
+        waves_3 = whole[:, 2] - np.array([R_3, R_3**2]) * early_b
+        impulse = M * w + Z * (waves_1[0] + waves_3[0])
+        energy = stored + 0.5 * M * w**2 + Z * (waves_1[1] + waves_3[1])
+        return impulse / given[0] - 1.0, energy / given[1] - 1.0
+
+
+SCENES = {
+    "granite": {},
+    "slow": {"striker_speed": 0.05},
+    "unequal bars": {"bars_receiving_length": 0.97, "striker_length": 0.25, "sphere_density": 7000.0},
+    "heavy sphere": {"sphere_density": 2e5, "striker_length": 0.1},
+    "half sine": {"shape": "half_sine"},
+    "trapezoid": {"shape": "trapezoid", "pulse_rise": 25e-6, "pulse_fall": 40e-6},
+    "absorbing": {"bars_receiving_end": 0.0},
+    "fixed and half": {"bars_incident_end": -1.0, "bars_receiving_end": 0.4},
+}
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_impulse_and_energy_balance(name):
+    tolerance = 1e-8
+    balance = Balance(scene_with(**SCENES[name]), tolerance)
+    trip = float(balance.scene.round_trips[0].min())
+    for time in (0.4 * trip, 1.3 * trip, 2.6 * trip, balance.end):
+        impulse, energy = balance.errors(min(time, balance.end))
+        assert abs(impulse) < 10.0 * tolerance, (name, time)
+        assert abs(energy) < 10.0 * tolerance, (name, time)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
+def test_the_balance_follows_the_tolerance(tolerance):
+    balance = Balance(scene_with(), tolerance)
+    impulse, energy = balance.errors(balance.end)
+    assert abs(impulse) < 10.0 * tolerance
+    assert abs(energy) < 10.0 * tolerance
+
+
+def test_the_linear_contact_keeps_the_balance():
+    balance = Balance(scene_with(), 1e-8, "linear")
+    impulse, energy = balance.errors(balance.end)
+    assert abs(impulse) < 1e-7
+    assert abs(energy) < 1e-7
+
+
+def test_free_ends_keep_the_momentum_of_the_striker():
+    """Z v0 t_i/2 = rho_b F0 l_0 v0: what the pulse carries is what the striker brought."""
+    scene = scene_with()
+    balance = Balance(scene, 1e-8)
+    striker = 7850.0 * np.pi * 0.02**2 * 0.4 * 1.0
+    given = scene.scales.impedance[0] * balance.integrals(0.0, balance.end)[0, 0]
+    assert given == pytest.approx(striker, rel=1e-9)
+
+
+def test_a_wrong_scene_would_be_seen():
+    """The balances are sharp: an end off by 1e-4 and a mass off by 1e-3 leave them open."""
+    balance = Balance(scene_with(), 1e-8)
+    balance.scene = scene_with(bars_receiving_end=0.9999)
+    assert abs(balance.errors(balance.end)[1]) > 1e-6
+    balance.scene = scene_with(sphere_density=2650.0 * 1.001)
+    assert abs(balance.errors(balance.end)[0]) > 1e-7
+
+
+@pytest.mark.parametrize(("length", "time", "mass"), [(1e3, 1e3, 1.0), (0.37, 5.1, 0.029)])
+def test_answers_do_not_know_units(length, time, mass):
+    speed, pressure = length / time, mass / (length * time**2)
+    factors = {"E": pressure, "density": mass / length**3, "speed": speed, "nu": 1.0,
+               "incident_end": 1.0, "receiving_end": 1.0}  # fmt: skip
+    here = scene_with()
+    there = Scene(columns={k: v * factors.get(k.split(".")[1], length) for k, v in here.columns.items()})
+    one, other = dynamics.solve(here, tolerance=1e-8).values, dynamics.solve(there, tolerance=1e-8).values
+    units = {"p_max": pressure, "first_peak": pressure, "P_max": pressure * length**2, "contact_time": time,
+             "pulse_width": time, "rise_time": time, "energy": pressure * length**3, "force_imbalance": 1.0,
+             "alpha_max": length, "a_max": length, "specific_energy": speed**2}  # fmt: skip
+    for name, unit in units.items():
+        np.testing.assert_allclose(other[name], one[name] * unit, rtol=1e-9, err_msg=name)

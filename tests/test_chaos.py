@@ -1,0 +1,226 @@
+"""Polynomial chaos: the families of chaospy, exact recovery, honest errors and covering indices."""
+
+from __future__ import annotations
+
+import logging
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from uqsphere.uq.chaos import (
+    chaos_indices,
+    chaos_moments,
+    fit_chaos,
+    germ_points,
+    hyperbolic_indices,
+    judge,
+    orthonormal_values,
+    predict,
+    validation_error,
+)
+from uqsphere.uq.sampling import sobol_points
+
+SCATTER = np.array([0.3, 0.2, 0.1, 0.4])
+
+
+def points(seed: int, replicate: int, n: int, germs: tuple[str, ...]) -> np.ndarray:
+    uniforms = sobol_points(dimension=len(germs), count=n, seed=seed, task="chaos", replicate=replicate)
+    return germ_points(ndtri(uniforms), germs)
+
+
+def ishigami(u: np.ndarray) -> np.ndarray:
+    x = math.pi * u
+    return np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+
+
+def product(z: np.ndarray) -> np.ndarray:
+    return 3e9 * np.exp(z @ SCATTER)
+
+
+def exact_indices(name: str) -> dict[str, list[float]]:
+    if name == "product":
+        s2 = SCATTER**2
+        every = math.expm1(s2.sum())
+        return {
+            "first": (np.expm1(s2) / every).tolist(),
+            "total": ((math.exp(s2.sum()) - np.exp(s2.sum() - s2)) / every).tolist(),
+        }
+    v1, v2, v13 = 0.5 * (1.0 + 0.1 * math.pi**4 / 5.0) ** 2, 49.0 / 8.0, 0.01 * math.pi**8 * 8.0 / 225.0
+    v = v1 + v2 + v13
+    return {"first": [v1 / v, v2 / v, 0.0], "total": [(v1 + v13) / v, v2 / v, v13 / v]}
+
+
+@pytest.mark.parametrize("germ", ["normal", "uniform"])
+def test_polynomials_are_those_of_chaospy(germ: str) -> None:
+    x = np.linspace(-1.0, 1.0, 21) * (4.0 if germ == "normal" else 1.0)
+    values = orthonormal_values(germ, x, 8)  # imports chaospy with its side effects undone
+    import chaospy
+
+    expansion = (
+        chaospy.expansion.hermite(8, normed=True)
+        if germ == "normal"
+        else chaospy.expansion.legendre(8, lower=-1.0, upper=1.0, normed=True)
+    )
+    reference = [polynomial(x) * np.ones_like(x) for polynomial in expansion]
+    np.testing.assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("germ", ["normal", "uniform"])
+def test_polynomials_are_orthonormal(germ: str) -> None:
+    if germ == "normal":
+        x, w = np.polynomial.hermite_e.hermegauss(20)
+    else:
+        x, w = np.polynomial.legendre.leggauss(20)
+    values = orthonormal_values(germ, x, 12)
+    np.testing.assert_allclose((values * (w / w.sum())) @ values.T, np.eye(13), atol=1e-10)
+
+
+def test_chaospy_leaves_logging_and_randomness_as_they_were() -> None:
+    code = (
+        "import logging, sys, numpy as np; before = np.random.get_state()[1].copy()\n"
+        "from uqsphere.uq.chaos import orthonormal_values\n"
+        "assert 'chaospy' not in sys.modules\n"
+        "orthonormal_values('normal', np.zeros(2), 3)\n"
+        "assert 'chaospy' in sys.modules\n"
+        "root = logging.getLogger()\n"
+        "assert root.level == logging.WARNING and not root.handlers, (root.level, root.handlers)\n"
+        "assert (np.random.get_state()[1] == before).all()"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert logging.getLogger().level != logging.DEBUG
+
+
+@pytest.mark.parametrize(("dimension", "degree"), [(1, 4), (3, 3), (6, 2)])
+def test_total_degree_sets_are_complete(dimension: int, degree: int) -> None:
+    indices = hyperbolic_indices(dimension, degree, 1.0, 10_000)
+    assert len({tuple(row) for row in indices.tolist()}) == math.comb(dimension + degree, degree)
+    assert indices[0].tolist() == [0] * dimension
+    sparse = hyperbolic_indices(dimension, degree, 0.5, 10_000)
+    assert {tuple(row) for row in sparse.tolist()} <= {tuple(row) for row in indices.tolist()}
+    assert np.all(np.sqrt(sparse).sum(axis=1) ** 2 <= degree + 1e-6)
+    assert hyperbolic_indices(dimension, degree, 1.0, 3) is None
+
+
+def test_a_polynomial_is_recovered_exactly() -> None:
+    germs = ("normal", "uniform", "normal")
+
+    def model(x: np.ndarray) -> np.ndarray:
+        return 2.0 + x[:, 0] ** 2 * x[:, 1] - 3.0 * x[:, 2] + x[:, 1] ** 3
+
+    p = points(1, 0, 128, germs)
+    chaos = fit_chaos(p, model(p), germs)
+    other = points(2, 0, 512, germs)
+    assert validation_error(chaos, other, model(other)) < 1e-24
+    assert chaos.cross_validation_error < 1e-24
+    assert chaos_moments(chaos) == pytest.approx(
+        (2.0, math.sqrt(1.0 + 9.0 + 1.0 / 7.0 + 2.0 / 5.0)), rel=1e-10
+    )
+
+
+def test_never_more_terms_than_half_the_points() -> None:
+    germs = ("uniform",) * 3
+    for n in (10, 33, 100):
+        p = points(3, 0, n, germs)
+        assert fit_chaos(p, ishigami(p), germs).coefficients.size <= n // 2
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_the_fit_does_not_depend_on_the_unit_of_the_output(unit: float) -> None:
+    germs = ("normal",) * 4
+    p, q = points(1, 0, 128, germs), points(2, 0, 50, germs)
+    one, other = fit_chaos(p, product(p), germs), fit_chaos(p, unit * product(p), germs)
+    np.testing.assert_allclose(predict(other, q), unit * predict(one, q), rtol=1e-9)
+    assert other.cross_validation_error == pytest.approx(one.cross_validation_error, rel=1e-6)
+
+
+def tame_product(z: np.ndarray) -> np.ndarray:
+    """The scatter of a contact pressure; at twice that, rare samples carry the error and nobody sees them."""
+    return product(0.4 * z)
+
+
+@pytest.mark.parametrize(("model", "germs"), [(ishigami, ("uniform",) * 3), (tame_product, ("normal",) * 4)])
+def test_the_reported_error_is_near_the_true_one(model, germs) -> None:
+    held_out = points(999, 0, 4096, germs)
+    ratios = []
+    for seed in range(10):
+        p = points(seed, 0, 128, germs)
+        chaos = fit_chaos(p, model(p), germs)
+        ratios.append(chaos.cross_validation_error / validation_error(chaos, held_out, model(held_out)))
+    assert 1 / 3 < np.median(ratios) < 3.0
+    assert np.mean((np.array(ratios) > 0.1) & (np.array(ratios) < 10.0)) >= 0.9
+
+
+@pytest.mark.parametrize("name", ["ishigami", "product"])
+@pytest.mark.parametrize("n", [128, 256])
+def test_indices_cover_the_closed_form(name: str, n: int) -> None:
+    model, germs = (ishigami, ("uniform",) * 3) if name == "ishigami" else (product, ("normal",) * 4)
+    exact = exact_indices(name)
+    hits, tries = 0, 0
+    for seed in range(6 if name == "ishigami" else 12):
+        designs = [points(seed, r, n, germs) for r in range(6)]
+        found = chaos_indices([fit_chaos(p, model(p), germs) for p in designs])
+        for order, values in exact.items():
+            for estimate, value in zip(found[order], values, strict=True):
+                hits += estimate.low <= value <= estimate.high
+                tries += 1
+    assert hits / tries >= 0.90
+
+
+def test_a_single_fit_is_bounded_by_what_it_leaves_unexplained() -> None:
+    germs = ("normal",) * 4
+    p = points(5, 0, 128, germs)
+    chaos = fit_chaos(p, product(p), germs)
+    found = chaos_indices([chaos], error=0.01)
+    for order, values in exact_indices("product").items():
+        for estimate, value in zip(found[order], values, strict=True):
+            assert estimate.low <= value <= estimate.high
+            assert math.sqrt(estimate.high) - math.sqrt(estimate.value) <= 0.1 + 1e-12
+    narrow = chaos_indices([chaos], error=1e-4)
+    assert narrow["total"][0].half_width < 0.2 * found["total"][0].half_width
+
+
+def test_a_jump_is_refused_and_noise_is_a_constant() -> None:
+    germs = ("normal",) * 4
+    p = points(1, 0, 256, germs)
+    jump = np.where(p.sum(axis=1) > 0.3, 1.0, 0.0)
+    verdict = judge(fit_chaos(p, jump, germs))
+    assert not verdict.usable
+    assert "refused" in verdict.reason
+    noise = fit_chaos(p, np.random.default_rng(1).standard_normal(256), germs)
+    assert noise.cross_validation_error == pytest.approx(1.0, abs=0.1)
+    assert judge(noise).error <= 1.0
+    if noise.coefficients.size == 1:
+        assert chaos_indices([noise])["first"][0].value is None
+
+
+def test_judgement_takes_the_larger_error_and_never_hides_it() -> None:
+    germs = ("normal",) * 4
+    p = points(1, 0, 256, germs)
+    chaos = fit_chaos(p, product(p), germs)
+    assert judge(chaos).usable
+    assert judge(chaos, error=0.2).error == 0.2
+    assert not judge(chaos, error=0.2).usable
+    assert judge(chaos, error=7.0).error == 1.0
+    assert not judge(chaos, error=math.nan).usable
+    # Far from the samples the expansion is worse than a constant, and the error says so.
+    assert validation_error(chaos, 12.0 * p, product(12.0 * p)) > 0.5
+
+
+def test_constant_outputs_and_bad_input() -> None:
+    germs = ("normal",) * 4
+    p = points(1, 0, 64, germs)
+    constant = fit_chaos(p, np.full(64, 5.0), germs)
+    assert predict(constant, p).tolist() == [5.0] * 64
+    assert validation_error(constant, p, np.full(64, 5.0)) == 0.0
+    assert "does not vary" in chaos_indices([constant, constant])["total"][0].reason
+    with pytest.raises(ValueError, match="not finite"):
+        fit_chaos(p, np.where(p[:, 0] > 0, math.nan, 1.0), germs)
+    with pytest.raises(ValueError, match="need points"):
+        fit_chaos(p[:, :2], product(p), germs)
+    with pytest.raises(ValueError, match="unknown germ"):
+        germ_points(p, ("normal", "beta", "normal", "normal"))

@@ -1,0 +1,137 @@
+"""Hertz contact: identities, Johnson's formulas, and impacts whose outcome is known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad, solve_ivp
+
+from uqsphere.mechanics import bars, contact
+
+EXACT = 1e-12
+moduli = st.floats(1e9, 1e12)
+ratios = st.floats(0.0, 0.49)
+sizes = st.floats(1e-4, 1.0)
+loads = st.floats(1e-3, 1e6)
+
+
+@given(moduli, ratios, sizes, loads)
+@settings(max_examples=60, deadline=None)
+def test_hertz_quantities_agree_with_each_other(E, nu, radius, force):
+    E_star = contact.reduced_modulus(E, nu, 210e9, 0.3)
+    beta = contact.hertz_constant(E_star, radius)
+    alpha = contact.approach_at_force(force, beta)
+    a = contact.contact_radius(alpha, radius)
+    p_0 = contact.pressure_at_force(force, E_star, radius)
+    assert contact.hertz_force(alpha, beta) == pytest.approx(force, rel=EXACT)
+    # Johnson (4.22) to (4.24)
+    assert a == pytest.approx((3.0 * force * radius / (4.0 * E_star)) ** (1 / 3), rel=EXACT)
+    assert alpha == pytest.approx(a * a / radius, rel=EXACT)
+    assert p_0 == pytest.approx(1.5 * force / (math.pi * a * a), rel=EXACT)
+    assert p_0 == pytest.approx(2.0 * E_star * a / (math.pi * radius), rel=EXACT)
+
+
+def test_pressure_over_the_contact_carries_the_force():
+    E_star, radius, alpha = 45e9, 0.01, 2e-5
+    a = float(contact.contact_radius(alpha, radius))
+    # R = a sin(phi) takes the square-root end out of the quadrature
+    carried, _ = quad(
+        lambda phi: 2.0 * math.pi * a * math.sin(phi) * a * math.cos(phi)
+        * float(contact.pressure_over_contact(a * math.sin(phi), alpha, E_star, radius)),
+        0.0, 0.5 * math.pi, epsrel=1e-12,
+    )  # fmt: skip
+    force = float(contact.hertz_force(alpha, contact.hertz_constant(E_star, radius)))
+    assert carried == pytest.approx(force, rel=1e-10)
+    assert contact.pressure_over_contact(1.0001 * a, alpha, E_star, radius) == 0.0
+
+
+def test_energy_is_the_work_of_the_force():
+    beta, alpha = 6e9, 3e-5
+    work, _ = quad(lambda x: float(contact.hertz_force(x, beta)), 0.0, alpha, epsabs=0.0, epsrel=1e-12)
+    assert contact.contact_energy(alpha, beta) == pytest.approx(work, rel=1e-10)
+
+
+def test_a_separated_face_carries_nothing():
+    assert contact.hertz_force(-1e-5, 6e9) == 0.0
+    assert contact.contact_radius(-1e-5, 0.01) == 0.0
+    assert contact.contact_energy(-1e-5, 6e9) == 0.0
+    assert contact.pressure_over_contact(0.0, -1e-5, 45e9, 0.01) == 0.0
+
+
+def test_rigid_bars_and_rounded_ends():
+    rigid = contact.reduced_modulus(52e9, 0.25, 210e9, 0.3, rigid_bars=True)
+    assert rigid == pytest.approx(52e9 / 0.9375, rel=EXACT)
+    # two equal bodies: half the modulus of one against a rigid one
+    assert contact.reduced_modulus(52e9, 0.25, 52e9, 0.25) == pytest.approx(26e9 / 0.9375, rel=EXACT)
+    assert contact.effective_radius(0.01) == pytest.approx(0.01, rel=EXACT)
+    assert contact.effective_radius(0.01, 0.01) == pytest.approx(0.005, rel=EXACT)
+
+
+def test_rim_and_centre_tension():
+    assert contact.edge_tension(3e9, 0.25) == pytest.approx(0.5e9, rel=EXACT)
+    assert contact.edge_tension(3e9, 0.5) == 0.0
+    # P/D² times 0.891, 0.836, 0.810, 0.786: theory section 6
+    found = contact.centre_tension(1.0, 0.5, np.array([0.1, 0.2, 0.25, 0.3]))
+    np.testing.assert_allclose(found, [0.891, 0.836, 0.810, 0.786], atol=5e-4)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+@settings(max_examples=30, deadline=None)
+def test_change_of_units(length, time, mass):
+    pressure, force = mass / (length * time**2), mass * length / time**2
+    E_star = contact.reduced_modulus(52e9, 0.25, 210e9, 0.3)
+    changed = contact.reduced_modulus(52e9 * pressure, 0.25, 210e9 * pressure, 0.3)
+    beta, beta_changed = contact.hertz_constant(E_star, 0.01), contact.hertz_constant(changed, 0.01 * length)
+    assert contact.hertz_force(1e-5 * length, beta_changed) == pytest.approx(
+        float(contact.hertz_force(1e-5, beta)) * force, rel=EXACT
+    )
+    assert contact.pressure_at_force(100.0 * force, changed, 0.01 * length) == pytest.approx(
+        float(contact.pressure_at_force(100.0, E_star, 0.01)) * pressure, rel=EXACT
+    )
+
+
+def test_free_impact_of_a_sphere():
+    """Force 1.25^0.6 beta^0.4 M^0.6 v^1.2 and duration 2.943275 alpha_m/v (Johnson 1985, 11.24)."""
+    beta, mass, speed = 6e9, 0.011, 0.7
+    alpha_m = (1.25 * mass * speed**2 / beta) ** 0.4
+    assert contact.contact_energy(alpha_m, beta) == pytest.approx(0.5 * mass * speed**2, rel=EXACT)
+    force = 1.1432626 * beta**0.4 * mass**0.6 * speed**1.2
+    assert contact.hertz_force(alpha_m, beta) == pytest.approx(force, rel=1e-7)
+    # x = sin²(phi)^(2/5) takes the root out of dt = dx/(v sqrt(1 - x^2.5))
+    half, _ = quad(lambda phi: 0.8 * math.sin(phi) ** -0.2, 0.0, 0.5 * math.pi, epsrel=1e-9)
+    assert 2.0 * half == pytest.approx(2.943275, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("number", "restitution", "peak"),
+    [
+        (0.01, 0.982876, 1.131514),
+        (0.1, 0.843339, 1.035546),
+        (0.5, 0.436895, 0.750231),
+        (1.0, 0.184123, 0.556161),
+    ],
+)
+def test_sphere_striking_one_long_bar(number, restitution, peak):
+    """Zener and Graff: restitution and peak force depend on beta^0.4 M^0.6 v^0.2/Z alone."""
+    beta, radius, density = float(contact.hertz_constant(45e9, 0.01)), 0.01, 2650.0
+    mass = contact.sphere_mass(radius, density)
+    Z = float(bars.impedance(210e9, 7850.0, 0.04))
+    speed = (number * Z / (beta**0.4 * mass**0.6)) ** 5
+    unit = (mass * speed**2 / beta) ** 0.4
+
+    def motion(_, y):
+        force = float(contact.hertz_force(y[0] * unit, beta)) / (mass * speed**2 / unit)
+        return [y[1] - number * force, -force]
+
+    def parted(t, y):
+        return y[0] if t > 0.1 else 1.0
+
+    parted.terminal = True
+    run = solve_ivp(motion, (0.0, 30.0), [0.0, 1.0], events=parted, rtol=1e-10, atol=1e-12, dense_output=True)
+    assert -run.y[1, -1] == pytest.approx(restitution, abs=2e-6)
+    approaches = run.sol(np.linspace(0.0, run.t[-1], 20001))[0]
+    assert approaches.max() ** 1.5 == pytest.approx(peak, abs=2e-6)

@@ -1,0 +1,212 @@
+"""Reliability: exact strengths, covering intervals, rare events on both sides, doubtful rows, margins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import ndtri
+
+from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.laws import cdf, make_law
+from uqsphere.uq.reliability import (
+    LimitState,
+    exceedance,
+    margin_quantiles,
+    miss,
+    reliability_index,
+    target_met,
+)
+from uqsphere.uq.sampling import sobol_points
+
+SCATTER = 0.1
+
+
+def scores(seed: int, n: int, replicates: int = 16, dimension: int = 3) -> np.ndarray:
+    points = [
+        sobol_points(dimension=dimension, count=n, seed=seed, task="reliability", replicate=r)
+        for r in range(replicates)
+    ]
+    return ndtri(np.stack(points))
+
+
+def lognormal_state(probability: float, strength_scatter: float, seed: int, n: int = 256) -> LimitState:
+    """ln demand normal (0, 0.1); ln strength normal, or fixed, placed so that the exceedance is known."""
+    place = -ndtri(probability) * math.hypot(SCATTER, strength_scatter)
+    strength = (
+        make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter})
+        if strength_scatter
+        else math.exp(place)
+    )
+    demands = np.exp(SCATTER * scores(seed, n).sum(axis=2) / math.sqrt(3.0))
+    return LimitState(demands=demands, strength=strength)
+
+
+@pytest.mark.parametrize("probability", [1e-2, 1e-3])
+@pytest.mark.parametrize("strength_scatter", [0.0, 0.05, 0.1])
+def test_intervals_cover_small_probabilities(probability: float, strength_scatter: float) -> None:
+    repetitions = 60
+    hits = 0
+    for seed in range(repetitions):
+        found = exceedance(lognormal_state(probability, strength_scatter, seed))
+        hits += found.low <= probability <= found.high
+    assert hits / repetitions >= 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / repetitions)
+
+
+@pytest.mark.parametrize("side", ["survive", "break"])
+def test_both_sides_keep_their_relative_accuracy(side: str) -> None:
+    p = 1e-20
+    state = lognormal_state(p if side == "survive" else 1.0 - 1e-12, 0.3, seed=1, n=4096)
+    found = miss(state, side)
+    # 1 - 1e-12 itself is rounded to one part in 1e4.
+    exact = p if side == "survive" else float(stats.norm.sf(-ndtri(1e-12)))
+    assert found.value == pytest.approx(exact, rel=max(4.0 * found.std_error / found.value, 3e-4))
+    assert found.std_error / found.value < 0.1
+
+
+def test_aims_are_complements() -> None:
+    state = lognormal_state(0.03, 0.1, seed=1)
+    fracture, survival, breaking = exceedance(state), miss(state, "survive"), miss(state, "break")
+    assert fracture == survival
+    assert breaking.value == pytest.approx(1.0 - survival.value, rel=1e-12)
+    assert (breaking.low, breaking.high) == pytest.approx((1.0 - survival.high, 1.0 - survival.low), rel=1e-9)
+    with pytest.raises(ValueError, match="survive or break"):
+        miss(state, "bend")
+
+
+def test_no_event_among_the_samples_is_not_zero_for_certain() -> None:
+    state = LimitState(demands=np.full((4, 250), 1.0), strength=2.0)
+    found = exceedance(state)
+    assert (found.value, found.low) == (0.0, 0.0)
+    assert found.high == pytest.approx(1.0 - 0.05 ** (1 / 1000))
+    every = exceedance(LimitState(demands=np.full((4, 250), 3.0), strength=2.0))
+    assert (every.value, every.high) == (1.0, 1.0)
+    assert every.low == pytest.approx(0.05 ** (1 / 1000))
+    few = np.full((4, 250), 1.0)
+    few[0, 0] = 3.0
+    one = exceedance(LimitState(demands=few, strength=2.0))
+    exact = stats.beta.ppf([0.025, 0.975], [1, 2], [1000, 999])
+    assert one.low < 3.0 * exact[0] + 1e-3
+    assert one.high > 0.5 * exact[1]
+    assert one.low <= one.value == pytest.approx(1e-3)
+
+
+def test_strength_that_depends_on_the_inputs() -> None:
+    # ln S = m + s zS, ln D = d z, corr(zS, z) = rho: the difference is normal in closed form.
+    rho, s, d, m = 0.6, 0.15, 0.1, 0.3
+    z = scores(2, 1024, dimension=1)[:, :, 0]
+    state = LimitState(
+        demands=np.exp(d * z),
+        strength=make_law("lognormal", {"log_mean": m, "log_sd": s}),
+        shift=rho * z,
+        remaining_sd=math.sqrt(1.0 - rho**2),
+    )
+    sd = math.sqrt(s**2 + d**2 - 2.0 * rho * s * d)
+    found = exceedance(state)
+    assert found.value == pytest.approx(stats.norm.cdf(-m / sd), abs=4.0 * found.std_error)
+    median = margin_quantiles(state)["0.05"]
+    assert median.value == pytest.approx(math.exp(m + ndtri(0.05) * sd), abs=4.0 * median.std_error)
+    comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, shift=z, remaining_sd=0.0)
+    # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
+    found = exceedance(comonotone)
+    assert found.value == pytest.approx(stats.norm.cdf(-m / (s - d)), abs=4.0 * found.std_error + 1e-3)
+
+
+def test_step_strength_is_exceeded_only_above_an_observation() -> None:
+    strength = make_law("empirical", {}, data=[1.0, 2.0, 3.0, 4.0], fit="steps")
+    state = LimitState(demands=np.full((4, 8), 2.0), strength=strength)
+    assert exceedance(state).value == 0.25
+    assert float(cdf(strength, np.array([2.0]))[0]) == 0.5
+
+
+def test_failed_rows_count_on_both_sides_or_not_at_all() -> None:
+    demands = np.where(np.random.default_rng(1).random((16, 400)) < 0.1, 3.0, 1.0)
+    failed = np.random.default_rng(2).random((16, 400)) < 0.05
+    spoiled = np.where(failed, math.nan, demands)
+    dropped = exceedance(LimitState(demands=spoiled, strength=2.0))
+    bound = exceedance(LimitState(demands=spoiled, strength=2.0, on_failure="bound"))
+    share = failed.mean()
+    assert dropped.value == pytest.approx(demands[~failed].mean() / 2.0 - 0.5, rel=1e-9)
+    assert bound.low < dropped.value * (1.0 - share)
+    assert bound.high > dropped.value * (1.0 - share) + share
+    for aim in ("survive", "break"):
+        one = miss(LimitState(demands=spoiled, strength=2.0, on_failure="bound"), aim)
+        assert one.low <= one.value <= one.high
+    # Failures where nothing else fails are no survival.
+    safe = LimitState(demands=np.where(failed, math.nan, 1.0), strength=2.0, on_failure="bound")
+    assert exceedance(safe).high > share
+    nothing = LimitState(demands=np.full((4, 8), math.nan), strength=2.0)
+    assert exceedance(nothing).value is None
+
+
+def test_censored_demands_may_exceed_any_strength() -> None:
+    x = np.random.default_rng(3).exponential(size=(16, 500))
+    recorded, censored = np.minimum(x, 1.0), x > 1.0
+    below = exceedance(LimitState(demands=recorded, strength=0.5, censored=censored))
+    assert below == exceedance(LimitState(demands=x, strength=0.5, censored=None)) or (
+        below.value == exceedance(LimitState(demands=x, strength=0.5)).value
+    )
+    above = exceedance(LimitState(demands=recorded, strength=2.0, censored=censored))
+    assert above.low <= math.exp(-2.0) <= above.high
+    assert above.high > math.exp(-1.0) * 0.95
+    breaking = miss(LimitState(demands=recorded, strength=2.0, censored=censored), "break")
+    assert breaking.low <= 1.0 - math.exp(-2.0) <= breaking.high
+    assert "censored" in above.method
+
+
+@pytest.mark.parametrize("strength_scatter", [0.0, 0.1])
+def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
+    place, total = 0.3, math.hypot(SCATTER, strength_scatter)
+    hits = 0
+    for seed in range(12):
+        state = lognormal_state(float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512)
+        found = margin_quantiles(state)
+        assert list(found) == ["0.05", "median", "0.95"]
+        for p, key in ((0.05, "0.05"), (0.5, "median"), (0.95, "0.95")):
+            exact = math.exp(place + ndtri(p) * total)
+            assert found[key].value == pytest.approx(exact, abs=5.0 * found[key].std_error)
+            hits += found[key].low <= exact <= found[key].high
+    assert hits >= 29  # of 36: four standard deviations below 95 %
+
+
+def test_margins_scale_with_the_strength_and_against_the_demand() -> None:
+    state = lognormal_state(0.01, 0.1, seed=1)
+    doubled = LimitState(demands=2.0 * state.demands, strength=state.strength)
+    for key, estimate in margin_quantiles(state).items():
+        assert margin_quantiles(doubled)[key].value == pytest.approx(0.5 * estimate.value, rel=1e-6)
+
+
+def test_margins_that_have_no_meaning_are_absent() -> None:
+    demands = np.abs(np.random.default_rng(1).standard_normal((8, 256)))
+    for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):
+        found = margin_quantiles(LimitState(demands=demands, strength=strength))
+        assert all(estimate.value is None and "zero" in estimate.reason for estimate in found.values())
+    weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
+    found = margin_quantiles(LimitState(demands=0.0 * demands, strength=weibull))
+    assert "unbounded" in found["median"].reason
+    censored = demands > 0.5
+    found = margin_quantiles(
+        LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored)
+    )
+    assert "censored" in found["0.05"].reason
+
+
+def test_reliability_index_and_target() -> None:
+    assert reliability_index(0.00134989803163) == pytest.approx(3.0, rel=1e-9)
+    assert [reliability_index(p) for p in (0.0, 1.0, None)] == [None, None, None]
+
+    def interval(low: float, high: float) -> Estimate:
+        return Estimate(value=low, low=low, high=high, std_error=0.0, method="m", evaluations=1)
+
+    assert target_met(interval(1e-3, 5e-3), 1e-2) is True
+    assert target_met(interval(2e-2, 5e-2), 1e-2) is False
+    assert target_met(interval(5e-3, 5e-2), 1e-2) is None
+    assert target_met(absent("why", "m", 1), 1e-2) is None
+
+
+def test_limit_states_are_validated() -> None:
+    for bad in ({"demands": np.zeros(4)}, {"on_failure": "abort"}, {"remaining_sd": 1.5}):
+        with pytest.raises(ValueError, match="must"):
+            LimitState(**({"demands": np.zeros((2, 4)), "strength": 1.0} | bad))

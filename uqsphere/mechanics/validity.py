@@ -1,0 +1,288 @@
+"""Where the model may be trusted: checks of every row against the assumptions behind it, theory section 9.
+
+Each check measures one number per row and grades it 0 ok, 1 information, 2 warning or 3 failure.  A breach
+never stops a run; it is shown with the share of rows that break it.  Failed rows (status not 0) are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import bars
+from uqsphere.mechanics.dynamics import Answers
+from uqsphere.mechanics.scene import Scene
+
+__all__ = ["GRADES", "RULES", "Check", "Rule", "check_validity", "grades"]
+
+Array = npt.NDArray[np.float64]
+
+#: what a grade means
+GRADES: Final = ("ok", "information", "warning", "failure")
+#: contact pressure over the yield strength at which a flat first yields below a sphere (Johnson 1985, 6.2)
+_ONSET: Final = 1.6
+#: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory section 5
+_IMBALANCE: Final = (1.318, 0.45)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """One check: how a row is measured, and beyond what it is graded how.
+
+    Attributes
+    ----------
+    name, meaning : str
+    measure : function of (scene, answers)
+        The number per row, (n,), NaN where it says nothing about a row; or a text, why the check is left out.
+    information, warning, failure : float or None
+        Beyond these a row gets the grade 1, 2, 3; None: the check does not give this grade.
+    rising : bool
+        Whether beyond means above; otherwise below.
+    words : str
+        Sentence on a breach, with {worst}, {limit} and {side} of the numbers.
+    fine : str
+        Sentence where no row breaks it, with {worst} and {limit}.
+    """
+
+    name: str
+    meaning: str
+    measure: Callable[[Scene, Answers], Array | str]
+    information: float | None = None
+    warning: float | None = None
+    failure: float | None = None
+    rising: bool = True
+    words: str
+    fine: str
+
+    @property
+    def limit(self) -> float:
+        """The mildest of the thresholds."""
+        return next(value for value in (self.information, self.warning, self.failure) if value is not None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Result of one check over a batch.
+
+    The three shares are of the rows that were computed and do not overlap: each row has one grade.  `worst`
+    is the worst measured number, None where the check was left out; `text` says it in plain words.
+    """
+
+    check: str
+    share_information: float
+    share_warning: float
+    share_failure: float
+    worst: float | None
+    text: str
+
+    @property
+    def grade(self) -> int:
+        """The highest grade that any row has."""
+        shares = (self.share_failure, self.share_warning, self.share_information)
+        return next((3 - k for k, share in enumerate(shares) if share > 0.0), 0)
+
+    @property
+    def share(self) -> float:
+        """Share of the rows that break the check at all."""
+        return self.share_information + self.share_warning + self.share_failure
+
+
+def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
+    return np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
+
+
+def _contact_over_bar(scene: Scene, answers: Answers) -> Array | str:
+    return np.asarray(2.0 * answers.values["a_max"] / scene.columns["bars.diameter"])
+
+
+def _yield(scene: Scene) -> Array | None:
+    found = scene.columns.get("bars.yield_strength")
+    if found is None or not np.any(found > 0.0):
+        return None
+    return np.where(found > 0.0, found, np.nan)
+
+
+_NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
+
+
+def _contact_over_yield(scene: Scene, answers: Answers) -> Array | str:
+    strength = _yield(scene)
+    return _NO_YIELD if strength is None else np.asarray(answers.values["p_max"] / strength)
+
+
+def _pulse_over_yield(scene: Scene, answers: Answers) -> Array | str:
+    strength = _yield(scene)
+    if strength is None:
+        return _NO_YIELD
+    c = scene.columns
+    level = np.ones(len(scene))
+    if scene.shape == "two_peak":
+        level = np.maximum(c["pulse.level1"], c["pulse.level2"])
+    stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
+    return np.asarray(stress / strength)
+
+
+def _imbalance(scene: Scene, answers: Answers) -> Array | str:
+    measured = answers.values["force_imbalance"]
+    if np.any(measured > 0.0):
+        return measured
+    # answers of the massless model: balanced by assumption, so the mass number has to say it
+    factor, power = _IMBALANCE
+    with np.errstate(all="ignore"):
+        estimate = factor * scene.scales.mass_number**power
+        return np.asarray(estimate * scene.scales.force / answers.values["P_max"])
+
+
+def _transits(scene: Scene, answers: Answers) -> Array | str:
+    c = scene.columns
+    with np.errstate(all="ignore"):
+        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
+        return np.asarray(answers.values["rise_time"] / transit)
+
+
+def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
+    c, breaks = scene.columns, scene.pulse.breaks
+    if scene.shape in ("rectangular", "step"):
+        return "an ideal jump"
+    with np.errstate(all="ignore"):
+        if scene.shape == "trapezoid":
+            rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
+        elif scene.shape == "two_peak":
+            rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
+        else:
+            rise = 0.5 * scene.pulse.end
+        return np.asarray(rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"]))
+
+
+def _pulse_over_scale(scene: Scene, answers: Answers) -> Array | str:
+    return np.asarray(scene.scales.pulse_number)
+
+
+def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
+    if not scene.infinite:
+        return "not needed: the reflections are part of the model"
+    # an end known to absorb sends nothing back; one that is not given may
+    echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
+    first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
+    if not np.any(np.isfinite(first)):
+        return "not checked: the bars are taken as infinite and no length with a reflecting end is given"
+    return np.asarray(answers.record / first)
+
+
+RULES: Final[tuple[Rule, ...]] = (
+    Rule(name="small_contact", meaning="contact radius over sphere radius (Hertz: small)",
+         measure=_contact_over_radius, warning=0.2, failure=0.3,
+         words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})",
+         fine="contact small against the sphere: a/r at most {worst} (limit {limit})"),
+    Rule(name="contact_on_bar_end", meaning="contact radius over bar radius (Hertz: half space)",
+         measure=_contact_over_bar, warning=0.2,
+         words="the bar's end is no half space to the contact, a/(d_b/2) reaches {worst} "
+               "(limit {limit})",
+         fine="contact small against the bar's end: a/(d_b/2) at most {worst} (limit {limit})"),
+    Rule(name="bar_yield_contact", meaning="contact pressure over the bars' yield strength (elastic contact)",
+         measure=_contact_over_yield, warning=_ONSET,
+         words="the bars yield under the sphere, p_0 reaches {worst} times their yield strength "
+               "(onset {limit})",
+         fine="bars elastic under the sphere: p_0 at most {worst} times their yield strength "
+              "(onset {limit})"),
+    Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
+         measure=_pulse_over_yield, warning=1.0,
+         words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
+         fine="bars elastic under the pulse: its stress is at most {worst} times their yield strength"),
+    Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
+         measure=_imbalance, warning=0.05, failure=0.1,
+         words="the two forces differ by up to {worst} of the largest at some instant (limit "
+               "{limit}; at the peak itself it may be less): one gauge does not stand for both faces",
+         fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),
+    Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
+         measure=_transits, warning=4.0, failure=3.0, rising=False,
+         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
+               "10 % to 90 % (at least {limit}), too few for a quasi-static sphere",
+         fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while the "
+              "force rises from 10 % to 90 % (at least {limit})"),
+    Rule(name="one_dimensional_bars", meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
+         measure=_pulse_rise, warning=5.0, rising=False,
+         words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
+               "than one-dimensional waves can carry",
+         fine="pulse smooth enough for one-dimensional waves: it rises in at least {worst} bar radii/c_0 "
+              "(at least {limit})"),
+    Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
+         measure=_pulse_over_scale, information=2.0, rising=False,
+         words="the pulse lasts only {worst} t_c (near P_0 from {limit}): the force of the first "
+               "loading stays below P_0 = Z v_0/2 and depends on the pulse's length",
+         fine="pulse long against the contact: at least {worst} t_c (from {limit} on the force nears "
+              "P_0 = Z v_0/2)"),
+    Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
+         measure=_record_over_echo, information=1.0,
+         words="infinite bars were asked for, but the record runs to {worst} times the first return of a "
+               "reflected wave in bars of the given length",
+         fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
+)  # fmt: skip
+
+
+def grades(rule: Rule, measured: Array) -> npt.NDArray[np.int64]:
+    """Grade 0 to 3 of every row; a row without a number is graded 0.
+
+    >>> grades(RULES[0], np.array([0.1, 0.25, 0.4, np.nan])).tolist()
+    [0, 2, 3, 0]
+    """
+    result = np.zeros(len(measured), dtype=np.int64)
+    for grade, threshold in enumerate((rule.information, rule.warning, rule.failure), start=1):
+        if threshold is not None:
+            result[measured > threshold if rule.rising else measured < threshold] = grade
+    return result
+
+
+def check_validity(scene: Scene, answers: Answers) -> list[Check]:
+    """Every check of `RULES` on a batch and its answers, in that order.
+
+    Raises
+    ------
+    ValueError
+        If the answers are not those of as many rows.
+    """
+    if len(answers.status) != len(scene):
+        raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
+    good = answers.status == 0
+    return [_check(rule, scene, answers, good) for rule in RULES]
+
+
+def _check(rule: Rule, scene: Scene, answers: Answers, good: npt.NDArray[np.bool_]) -> Check:
+    measured = rule.measure(scene, answers)
+    if isinstance(measured, str):
+        return _without_number(rule, scene, measured, bool(good.any()))
+    usable = measured[good & ~np.isnan(measured)]
+    if len(usable) == 0:
+        return _result(rule, np.zeros(3), None, "not checked: no scene was computed")
+    worst = float(usable.max() if rule.rising else usable.min())
+    shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
+    broken = float(shares.sum())
+    seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
+    numbers = {"worst": seen, "limit": f"{rule.limit:.3g}"}
+    if broken == 0.0:
+        return _result(rule, shares, worst, rule.fine.format(**numbers))
+    return _result(rule, shares, worst, f"in {_percent(broken)} scenes {rule.words.format(**numbers)}")
+
+
+def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:
+    """A check that measures nothing: left out, or a jump of the pulse, which concerns every row alike."""
+    if rule.name == "one_dimensional_bars" and any_row:
+        text = f"the ideal {scene.shape} pulse jumps, sharper than any bar can carry: a real one needs time"
+        return _result(rule, np.array([1.0, 0.0, 0.0]), 0.0, text)
+    return _result(rule, np.zeros(3), None, why)
+
+
+def _result(rule: Rule, shares: Array, worst: float | None, text: str) -> Check:
+    information, warning, failure = (float(share) for share in shares)
+    # an endless pulse is infinitely long, and a report holds no infinity
+    finite = worst if worst is not None and np.isfinite(worst) else None
+    return Check(check=rule.name, share_information=information, share_warning=warning, share_failure=failure,
+                 worst=finite, text=text)  # fmt: skip
+
+
+def _percent(share: float) -> str:
+    return "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
