@@ -104,8 +104,9 @@ def test_the_balance_follows_the_tolerance(tolerance):
     assert abs(energy) < 10.0 * tolerance
 
 
-def test_the_linear_contact_keeps_the_balance():
-    balance = Balance(scene_with(), 1e-8, "linear")
+@pytest.mark.parametrize("fidelity", ["linear", "massless"])
+def test_the_other_models_keep_the_balance(fidelity):
+    balance = Balance(scene_with(), 1e-8, fidelity)
     impulse, energy = balance.errors(balance.end)
     assert abs(impulse) < 1e-7
     assert abs(energy) < 1e-7

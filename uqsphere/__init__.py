@@ -1,5 +1,41 @@
-"""Fracture risk and uncertainty quantification for brittle spheres between split Hopkinson bars."""
+"""Fracture risk and uncertainty quantification for brittle spheres between split Hopkinson bars.
+
+>>> import uqsphere
+>>> study = uqsphere.load_study("studies/granite.toml")
+>>> study.title
+'Granite, 20 mm, between 40 mm steel bars'
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from uqsphere.model import evaluate
+    from uqsphere.runner import Run, open_run, run
+    from uqsphere.runner.deterministic import history_of as history
+    from uqsphere.study import Study, load_study
+
+__all__ = ["Run", "Study", "evaluate", "history", "load_study", "open_run", "run"]
+
 __version__ = "0.1.0"
+
+#: where each public name lives; loaded when it is first used, since some take a second to import
+_HOMES = {
+    "Run": ("uqsphere.runner", "Run"),
+    "Study": ("uqsphere.study", "Study"),
+    "evaluate": ("uqsphere.model", "evaluate"),
+    "history": ("uqsphere.runner.deterministic", "history_of"),
+    "load_study": ("uqsphere.study", "load_study"),
+    "open_run": ("uqsphere.runner", "open_run"),
+    "run": ("uqsphere.runner", "run"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'uqsphere' has no attribute {name!r}")
+    from importlib import import_module
+
+    module, attribute = _HOMES[name]
+    return getattr(import_module(module), attribute)

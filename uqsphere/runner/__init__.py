@@ -167,10 +167,9 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
         return []
     from uqsphere.mechanics.as_printed import compare
     from uqsphere.model import scene_of
-    from uqsphere.quantities import lookup
 
     return [
-        {"quantity": row.quantity, "unit": lookup(row.quantity).unit, "as_printed": row.as_printed,
+        {"quantity": row.quantity, "unit": row.unit, "as_printed": row.as_printed,
          "corrected": row.corrected, "full": row.full, "note": row.note}
         for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
     ]  # fmt: skip

@@ -126,7 +126,7 @@ def _why(asked: str, chosen: str, measured: dict[str, dict[str, float | None]], 
 def _check(row: Any) -> dict[str, Any]:
     return {
         "check": row.check,
-        "share": max(row.share_warning, row.share_failure),
+        "share": row.share_warning + row.share_failure,
         "share_information": row.share_information,
         "share_warning": row.share_warning,
         "share_failure": row.share_failure,

@@ -6,9 +6,8 @@ import csv
 import io
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import uqsphere
@@ -23,7 +22,7 @@ from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.laws import mean, sd
 
-__all__ = ["Findings", "build_results", "write_results"]
+__all__ = ["Findings", "build_manifest", "build_results", "csv_text", "tables", "versions", "write_results"]
 
 SCHEMA_VERSION = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
@@ -170,7 +169,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -234,7 +233,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         found["paper"] = (("quantity", "unit", "as_printed", "corrected", "full", "note"),
                           [[p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
                            for p in results["paper"]])  # fmt: skip
-    return {f"{name}.csv": _table(header, rows) for name, (header, rows) in found.items()}
+    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
 
 
 def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
@@ -259,12 +258,3 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "stopped_by_time": ledger.stopped_by_time,
     }
 
-
-def source_rows(work: Work) -> list[dict[str, Any]]:
-    """Where the defaults of the scene came from."""
-    return [{"name": name, **asdict(source)} for name, source in work.study.sources.items()]
-
-
-def folder_of(study_path: Path) -> Path:
-    """The default result folder: the file's stem + "-results", where the caller stands."""
-    return Path(f"{study_path.stem}-results")

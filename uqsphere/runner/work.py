@@ -220,7 +220,7 @@ def evaluate_points(work: Work, key: str, names: tuple[str, ...], rows: Array, *
             packed = np.concatenate([answered.values, answered.censored, answered.status[:, None]], axis=1)
             work.store.save(f"{key}.{k}", packed)
         if work.progress is not None:
-            work.progress(key.split(".")[0], work.ledger.total + min((k + 1) * CHUNK, len(rows)), len(rows))
+            work.progress(key.split(".")[0], min((k + 1) * CHUNK, len(rows)), len(rows))
         if work.ledger.elapsed > work.seconds and k != todo[-1]:
             work.ledger.stopped_by_time = True
             raise OutOfBudget

@@ -101,6 +101,8 @@ def _checked(law: Law) -> Law:
         centre = math.inf
     if not math.isfinite(centre):
         raise LawError(f"these parameters of {law.kind} give numbers beyond floating point", "")
+    if _plain(law, centre):
+        return law
     with np.errstate(over="ignore"):
         mass = truncated_mass(law)
         if not mass > _LEAST_MASS:
@@ -114,6 +116,33 @@ def _checked(law: Law) -> Law:
     if not high > low:
         raise LawError("the law has no scatter: give the number itself where a fixed value is meant", "dist")
     return law
+
+
+def _plain(law: Law, centre: float) -> bool:
+    """Whether a normal, lognormal or beta law is sound by closed forms that need no special functions.
+
+    What is not plainly so is looked at closely, which loads them; `uqsphere check` is quick without.
+    """
+    if law.kind == "beta":
+        a, b = law.parameters["alpha"], law.parameters["beta"]
+        width = law.upper - law.lower
+        scatter = width * math.sqrt(a * b / (a + b + 1.0)) / (a + b)
+        return math.isfinite(width) and scatter > 1e-9 * max(abs(centre), abs(law.lower), abs(law.upper))
+    if law.kind == "normal":
+        location, scale = law.parameters["mean"], law.parameters["sd"]
+        low, high, scatter = law.lower, law.upper, scale
+    elif law.kind == "lognormal" and law.parameters["log_sd"] < 5.0:
+        location, scale = law.parameters["log_mean"], law.parameters["log_sd"]
+        low = math.log(law.lower) if law.lower > 0.0 else -math.inf
+        high = math.log(law.upper) if law.upper > 0.0 else -math.inf
+        scatter = scale * centre
+    else:
+        return False
+    mass = 0.5 * (
+        math.erfc((low - location) / (scale * math.sqrt(2.0)))
+        - math.erfc((high - location) / (scale * math.sqrt(2.0)))
+    )
+    return mass > 0.1 and math.isfinite(scatter) and scatter > 1e-9 * abs(centre)
 
 
 def _empirical(given: Mapping[str, float], a: float, b: float, data: Sequence[float], fit: str | None) -> Law:

@@ -1,0 +1,110 @@
+"""The command line: every command of the contract that this version has, and nothing heavy before it is needed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import uqsphere
+from uqsphere.errors import UqsphereError, UsageError
+
+__all__ = ["build_parser", "main"]
+
+#: exit codes beside those of the error family
+MISSED, INTERRUPTED = 3, 130
+
+_EPILOG = """exit codes: 0 ok, 1 internal error, 2 invalid study or usage, 3 a target was not met, 4 too many failed
+evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with the family's exit code and a pointer to the help."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    parser = _Parser(
+        prog="uqsphere", description="Fracture risk of brittle spheres between split Hopkinson bars, with its uncertainty.",
+        epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"uqsphere {uqsphere.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        return commands.add_parser(name, help=text, description=text)
+
+    new = command("new", "write a commented study to start from")
+    new.add_argument("template", nargs="?", default="granite", metavar="TEMPLATE", help="name of a shipped study (default: granite)")
+    new.add_argument("-o", "--output", required=True, metavar="FILE", type=Path)
+
+    check = command("check", "validate a study; print the resolved scene and what a run will cost")
+    run = command("run", "run a study and write its report")
+    history = command("history", "one deterministic scene over time, all numbers at their means")
+    for study in (check, run, history):
+        study.add_argument("study", metavar="FILE", type=Path)
+        study.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
+                           help='replace a value of the study, such as striker.speed.mean="0.6 m/s"')  # fmt: skip
+        study.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: the study's name + -results)")
+    run.add_argument("-j", "--jobs", type=int, metavar="N", help="processors to use (default: all)")
+    run.add_argument("--budget", metavar="TIME", help='time budget in place of the study\'s, such as "10min"')
+    again = run.add_mutually_exclusive_group()
+    again.add_argument("--resume", action="store_true", help="go on with what is stored (the default)")
+    again.add_argument("--fresh", action="store_true", help="drop what is stored and begin again")
+    run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; THIS RUNS THE FILE")
+    history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv, history.svg and xt.svg here")
+
+    report = command("report", "build the report again from what is stored")
+    show = command("show", "the answers of a run as a table")
+    export = command("export", "samples and tables of a run in another format")
+    for folder in (report, show, export):
+        folder.add_argument("folder", metavar="DIR", type=Path)
+        folder.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
+    export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
+
+    listing = command("list", "what there is to choose from")
+    listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
+    listing.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    command("schema", "print the JSON schema of study files, for editors")
+    doctor = command("doctor", "check this installation")
+    doctor.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code.  Errors of the family are printed, never raised."""
+    try:
+        chosen = build_parser().parse_args(arguments)
+        from uqsphere import commands
+
+        return int(getattr(commands, f"command_{chosen.command}")(chosen))
+    except UqsphereError as error:
+        print(f"uqsphere: {error}" if not hasattr(error, "problems") else str(error), file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("\nuqsphere: interrupted; what was evaluated is kept, and the same command goes on with it", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader of stdout has gone: say nothing more, also not at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)
+        return UqsphereError.exit_code
+    except Exception as error:
+        if os.environ.get("UQSPHERE_DEBUG"):
+            raise
+        print(f"uqsphere: internal error: {type(error).__name__}: {error}\n"
+              "  this is a fault of uqsphere; set UQSPHERE_DEBUG=1 to see where it happened", file=sys.stderr)  # fmt: skip
+        return UqsphereError.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

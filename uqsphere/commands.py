@@ -1,0 +1,337 @@
+"""What each command does.  stdout carries the result, stderr everything else."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from uqsphere.console import Progress, plain, table
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_estimate, format_value, lookup, parse_value
+from uqsphere.study import Study, json_schema, load_study
+
+#: exit code of a finished run that misses a target
+MISSED = 3
+
+
+def _document(content: Any) -> None:
+    print(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False))
+
+
+def _warn(study: Study) -> None:
+    for text in study.warnings:
+        print(f"warning: {plain(text)}", file=sys.stderr)
+
+
+def _templates() -> dict[str, Path]:
+    """Shipped studies by name: beside the package when installed, in the repository otherwise."""
+    package = Path(__file__).parent
+    for folder in (package / "templates", package.parent / "studies"):
+        found = {path.stem: path for path in sorted(folder.glob("*.toml"))}
+        if found:
+            return found
+    return {}
+
+
+def command_new(chosen: argparse.Namespace) -> int:
+    """Write a shipped study to a new file."""
+    found = _templates()
+    if chosen.template not in found:
+        raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
+    try:
+        with open(chosen.output, "x", encoding="utf-8") as file:
+            file.write(found[chosen.template].read_text(encoding="utf-8"))
+    except FileExistsError as error:
+        raise UsageError(f"{chosen.output} exists already: choose another name") from error
+    except OSError as error:
+        raise AccessError(f"{chosen.output}: {error.strerror}") from error
+    print(f"wrote {chosen.output}; next: uqsphere check {chosen.output}")
+    model = found[chosen.template].with_suffix(".py")
+    if model.is_file():
+        target = chosen.output.parent / model.name
+        if not target.exists():
+            target.write_text(model.read_text(encoding="utf-8"), encoding="utf-8")
+            print(f"wrote {target}, its model")
+    return 0
+
+
+# --- check ----------------------------------------------------------------------------------------
+
+
+def command_check(chosen: argparse.Namespace) -> int:
+    """Validate a study; print the resolved scene and what a run will cost."""
+    from uqsphere.plan import plan_run
+
+    study = load_study(chosen.study, chosen.overrides)
+    _warn(study)
+    plan = plan_run(study)
+    if chosen.json:
+        _document({**study.resolved(), "hash": study.hash, "plan": plan})
+        return 0
+    print(f"{plain(study.title)}: the study is valid\n")
+    rows = []
+    for name, value in study.at_means().items():
+        law = study.random.get(name)
+        text = format_value(value, name) if not study.black_box else f"{value:.6g}"
+        source = study.sources.get(name)
+        rows.append((name, text, law.kind if law else "fixed", source.text if source else "study"))
+    print(table(("number", "mean", "law", "source"), rows))
+    print()
+    if not study.black_box:
+        numbers = plan["scene"]
+        print(f"pulse: {study.options['pulse.shape']}; bars: {'infinite' if study.options['bars.infinite'] else 'finite'}")
+        theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
+        print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
+    print(f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}")
+    print(f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (first run: 10 to 20 s more to compile)"
+          if plan["seconds"] is not None else "time: depends on the model that is given with --model")  # fmt: skip
+    return 0
+
+
+# --- run ------------------------------------------------------------------------------------------
+
+
+def _seconds(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        seconds = parse_value(text, "time")
+    except UnitError as error:
+        raise UsageError(f"--budget: {error}") from error
+    if seconds <= 0.0:
+        raise UsageError(f"--budget must be positive, found {text}")
+    return seconds
+
+
+def command_run(chosen: argparse.Namespace) -> int:
+    """Run a study and write its report."""
+    from uqsphere.report import build_report
+    from uqsphere.runner import run
+
+    study = load_study(chosen.study, chosen.overrides)
+    _warn(study)
+    if chosen.jobs is not None and chosen.jobs < 1:
+        raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
+    progress = Progress(quiet=False)
+    seconds = _seconds(chosen.budget)
+    if study.black_box and chosen.model and (chosen.jobs or 1) > 1:
+        # a black box runs in processes of its own, since nothing is known of its threads
+        from concurrent.futures import ProcessPoolExecutor
+        from multiprocessing import get_context
+
+        with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
+            found = run(study, out=chosen.out, executor=pool, model=chosen.model, fresh=chosen.fresh, seconds=seconds,
+                        progress=progress)  # fmt: skip
+    else:
+        found = run(study, out=chosen.out, model=chosen.model, threads=chosen.jobs, fresh=chosen.fresh,
+                    seconds=seconds, progress=progress)  # fmt: skip
+    progress.finish()
+    page = build_report(found.folder)
+    for text in found.results["accuracy"]["missed"]:
+        print(f"accuracy not reached: {plain(text)}", file=sys.stderr)
+    if chosen.json:
+        _document(found.results)
+    else:
+        print(_summary(found.results))
+        print(f"\nreport: {page}")
+    return 0 if found.met else MISSED
+
+
+def _estimate(entry: dict[str, Any], name: str = "") -> str:
+    if entry["value"] is None:
+        return f"- ({entry.get('reason', 'not known')})"
+    low = entry["low"] if entry["low"] is not None else entry["value"]
+    high = entry["high"] if entry["high"] is not None else entry["value"]
+    return format_estimate(entry["value"], low, high, name)
+
+
+def _summary(results: dict[str, Any]) -> str:
+    """The answers of a run for the terminal."""
+    parts = [plain(results["study"]["title"]), ""]
+    rows = []
+    for name, limit in results["limits"].items():
+        verdict = {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]] if limit["target"] is not None else "no target"
+        target = f"{limit['target']:g}" if limit["target"] is not None else "-"
+        rows.append((name, limit["aim"], _estimate(limit["miss"]), target, verdict, _estimate(limit["margin"]["median"])))
+    if rows:
+        parts += [table(("limit", "aim", "probability of missing it (95 %)", "target", "verdict", "median margin"), rows), ""]
+    rows = []
+    for name, entry in results["quantities"].items():
+        rows.append((name, "mean", _estimate(entry["mean"], name)))
+        rows.append(("", "standard deviation", _estimate(entry["sd"], name)))
+        rows += [("", f"{100 * float(p):g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
+        if entry["censored_share"]["value"]:
+            rows.append(("", "censored share", _estimate(entry["censored_share"])))
+    parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), ""]
+    rows = [
+        (quantity, name, _estimate(entry["first"][name]), _estimate(entry["total"][name]))
+        for quantity, entry in results["sensitivity"].items()
+        for name in entry["first"]
+    ]
+    if rows:
+        parts += [table(("quantity", "input", "first-order index", "total index"), rows), ""]
+    rows = [
+        (name, f"{float(p):g}", _estimate(e, entry["solve"]))
+        for name, entry in results["margins"].items()
+        for p, e in entry["values"].items()
+    ]
+    if rows:
+        solve = next(iter(results["margins"].values()))["solve"]
+        parts += [table(("limit", "probability of exceedance", f"at {solve}"), rows), ""]
+    model = results["model"]
+    parts.append(f"model: {model['chosen']} ({plain(model['why'])})")
+    counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
+    parts.append(f"evaluations: {counts}; failed: {model['failures']:,}")
+    return "\n".join(parts)
+
+
+def command_report(chosen: argparse.Namespace) -> int:
+    """Build the report again from what is stored."""
+    from uqsphere.report import build_report
+    from uqsphere.runner import open_run
+
+    found = open_run(chosen.folder)
+    page = build_report(found.folder)
+    if chosen.json:
+        _document({"report": str(page)})
+    else:
+        print(f"report: {page}")
+    return 0
+
+
+def command_show(chosen: argparse.Namespace) -> int:
+    """The answers of a run as a table."""
+    from uqsphere.runner import open_run
+
+    found = open_run(chosen.folder)
+    if chosen.json:
+        _document(found.results)
+    else:
+        print(_summary(found.results))
+    return 0
+
+
+def command_export(chosen: argparse.Namespace) -> int:
+    """Samples and tables of a run in another format."""
+    from uqsphere.runner import open_run
+    from uqsphere.runner.export import export_run
+
+    found = open_run(chosen.folder)
+    written = export_run(found, chosen.format, chosen.out or chosen.folder / "export")
+    if chosen.json:
+        _document({"written": [str(path) for path in written]})
+    else:
+        print("\n".join(str(path) for path in written))
+    return 0
+
+
+# --- history --------------------------------------------------------------------------------------
+
+
+def command_history(chosen: argparse.Namespace) -> int:
+    """One deterministic scene over time."""
+    from uqsphere.runner.deterministic import history_of, history_summary, write_history
+
+    study = load_study(chosen.study, chosen.overrides)
+    _warn(study)
+    if study.black_box:
+        raise UsageError("history shows an impact scene; this study is a black box")
+    trace = history_of(study)
+    summary = history_summary(trace)
+    if chosen.out is not None:
+        summary["written"] = [str(path) for path in write_history(trace, study, chosen.out)]
+    if chosen.json:
+        _document(summary)
+        return 0
+    print(f"{plain(study.title)}: one scene, every number at its mean\n")
+    rows = [(lookup(name).meaning if name in OUTPUTS else name, text) for name, text in summary["lines"]]
+    print(table(("what", "value"), rows))
+    for path in summary.get("written", []):
+        print(f"wrote {path}")
+    return 0
+
+
+# --- lists ----------------------------------------------------------------------------------------
+
+
+def _materials() -> tuple[list[dict[str, Any]], str]:
+    from uqsphere.materials import library
+
+    content = []
+    rows = []
+    for kind, materials in library().items():
+        for name, material in materials.items():
+            for key, entry in material.properties.items():
+                content.append({"kind": kind, "material": name, "property": key, "value": entry.value, "cov": entry.cov,
+                                "source": entry.source, "source_seen": entry.seen})  # fmt: skip
+                path = f"{kind}.{key}"
+                shown = format_value(entry.value, path) if path in INPUTS else f"{entry.value:.4g}"
+                scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
+                rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
+    return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows)
+
+
+def _models() -> tuple[list[dict[str, Any]], str]:
+    rows = [
+        ("massless", "no mass of the sphere (mu = 0); closed form for a rectangle or step on infinite bars"),
+        ("linear", "linear spring of the secant stiffness in place of the Hertz contact"),
+        ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
+        ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
+    ]
+    return [{"fidelity": name, "meaning": text} for name, text in rows], table(("fidelity", "meaning"), rows)
+
+
+def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
+    entries = [OUTPUTS[name] for name in names]
+    content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
+    return content, table(("quantity", "unit", "meaning"), [(e.name, e.display or e.unit or "-", e.meaning) for e in entries])
+
+
+def command_list(chosen: argparse.Namespace) -> int:
+    """What there is to choose from."""
+    if chosen.what == "materials":
+        content, text = _materials()
+    elif chosen.what == "models":
+        content, text = _models()
+    elif chosen.what == "quantities":
+        content, text = _quantity_rows(list(OUTPUTS))
+    else:
+        content, text = _quantity_rows(["p_max", "edge_tension", "centre_tension", "specific_energy"])
+    if chosen.json:
+        _document(content)
+    else:
+        print(text)
+    return 0
+
+
+def command_schema(chosen: argparse.Namespace) -> int:
+    """Print the JSON schema of study files."""
+    _document(json_schema())
+    return 0
+
+
+def command_doctor(chosen: argparse.Namespace) -> int:
+    """Check this installation."""
+    from uqsphere.mechanics.compiled import cache_folder
+    from uqsphere.runner.results import versions
+
+    found = versions()
+    folder = cache_folder()
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    missing = [name for name, version in found.items() if version == "missing"]
+    content = {"versions": found, "processors": processors, "missing": missing,
+               "compiled_code_cache": str(folder) if folder else None}  # fmt: skip
+    if chosen.json:
+        _document(content)
+    else:
+        print(table(("package", "version"), list(found.items())))
+        print(f"\nprocessors: {processors}")
+        print(f"cache of compiled code: {folder or 'none that is private and writable: code is compiled in every process'}")
+        if missing:
+            print(f"missing: {', '.join(missing)}")
+    return 1 if missing else 0
+

@@ -1,0 +1,58 @@
+"""Samples and tables of a finished run in formats that other tools read."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from uqsphere.errors import UsageError
+from uqsphere.store import write_atomically
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.runner import Run
+
+__all__ = ["export_run"]
+
+
+def _frames(run: Run) -> dict[str, pd.DataFrame]:
+    import pandas as pd
+
+    frames = {"samples": run.samples()}
+    for path in sorted((run.folder / "tables").glob("*.csv")):
+        frames[path.stem] = pd.read_csv(path)
+    return frames
+
+
+def _content(frame: pd.DataFrame, form: str) -> bytes:
+    if form == "csv":
+        return frame.to_csv(index=False).encode()
+    if form == "json":
+        return (json.dumps(json.loads(frame.to_json(orient="records", double_precision=15)), indent=1) + "\n").encode()
+    buffer = io.BytesIO()
+    try:
+        frame.to_parquet(buffer, index=False)
+    except ImportError as error:
+        raise UsageError('parquet needs pyarrow: pip install "uqsphere[parquet]"') from error
+    return buffer.getvalue()
+
+
+def export_run(run: Run, form: str, folder: Path) -> list[Path]:
+    """Write the samples and every table; the paths written.
+
+    Raises
+    ------
+    UsageError
+        For a format that is not known or whose package is missing.
+    """
+    if form not in ("csv", "json", "parquet"):
+        raise UsageError(f"unknown format {form!r} (allowed: csv, json, parquet)")
+    written = []
+    for name, frame in _frames(run).items():
+        path = folder / f"{name}.{form}"
+        write_atomically(path, _content(frame, form))
+        written.append(path)
+    return written
