@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
 
 import uqsphere
-from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.errors import AccessError, UqsphereError, UsageError
 
 __all__ = ["build_parser", "main"]
 
 #: exit codes beside those of the error family
-MISSED, INTERRUPTED = 3, 130
+MISSED, INTERRUPTED, TERMINATED = 3, 130, 143
 
 _EPILOG = """exit codes: 0 ok, 1 internal error, 2 invalid study or usage, 3 a target was not met, 4 too many failed
-evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 interrupted"""
+evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 or 143 interrupted"""
+
+
+class _Terminated(BaseException):
+    """The system asks this process to end (SIGTERM)."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -78,32 +86,72 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise _Terminated
+
+
+def _go_on(chosen: argparse.Namespace | None, arguments: Sequence[str]) -> str:
+    """How to go on after an interruption; the command that does it never drops what is stored."""
+    if chosen is None or chosen.command != "run":
+        return "interrupted"
+    again = [word for word in arguments if not (chosen.fresh and word.startswith("--f"))]
+    return f"interrupted; what was evaluated is kept, and this goes on with it:\n  uqsphere {shlex.join(again)}"
+
+
+def _drop_stdout() -> None:
+    """Whatever is still to be written goes nowhere, also at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code.  Errors of the family are printed, never raised."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal that lacks a character shows its code instead
+            stream.reconfigure(errors="backslashreplace")
+    chosen: argparse.Namespace | None = None
+    handler = None
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        chosen = build_parser().parse_args(arguments)
+        chosen = build_parser().parse_args(given)
         from uqsphere import commands
 
-        return int(getattr(commands, f"command_{chosen.command}")(chosen))
+        code = int(getattr(commands, f"command_{chosen.command}")(chosen))
+        sys.stdout.flush()
+        return code
     except UqsphereError as error:
         print(f"uqsphere: {error}" if not hasattr(error, "problems") else str(error), file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print("\nuqsphere: interrupted; what was evaluated is kept, and the same command goes on with it", file=sys.stderr)
-        return INTERRUPTED
+    except (KeyboardInterrupt, _Terminated) as error:
+        print(f"\nuqsphere: {_go_on(chosen, given)}", file=sys.stderr)
+        return TERMINATED if isinstance(error, _Terminated) else INTERRUPTED
     except BrokenPipeError:
-        # the reader of stdout has gone: say nothing more, also not at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # the reader of stdout has gone: say nothing more
+        _drop_stdout()
         return 0
-    except MemoryError:
-        print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)
-        return UqsphereError.exit_code
     except Exception as error:
-        if os.environ.get("UQSPHERE_DEBUG"):
-            raise
+        return _unforeseen(error)
+    finally:
+        if handler is not None:
+            signal.signal(signal.SIGTERM, handler)
+
+
+def _unforeseen(error: Exception) -> int:
+    """Tell of an error that is none of the family; the exit code."""
+    if os.environ.get("UQSPHERE_DEBUG"):
+        raise error
+    if isinstance(error, OSError):
+        print(f"uqsphere: {error.filename or 'input/output'}: {error.strerror or error}", file=sys.stderr)
+        if error.filename is None:
+            _drop_stdout()
+        return AccessError.exit_code
+    if isinstance(error, MemoryError):
+        print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)
+    else:
         print(f"uqsphere: internal error: {type(error).__name__}: {error}\n"
               "  this is a fault of uqsphere; set UQSPHERE_DEBUG=1 to see where it happened", file=sys.stderr)  # fmt: skip
-        return UqsphereError.exit_code
+    return UqsphereError.exit_code
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.console import Progress, plain, table
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_estimate, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study
 
@@ -19,7 +19,9 @@ MISSED = 3
 
 
 def _document(content: Any) -> None:
-    print(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False))
+    # a stdout that cannot take every character still gets one whole document
+    narrow = (sys.stdout.encoding or "ascii").lower().replace("-", "") != "utf8"
+    print(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=narrow))
 
 
 def _warn(study: Study) -> None:
@@ -42,21 +44,31 @@ def command_new(chosen: argparse.Namespace) -> int:
     found = _templates()
     if chosen.template not in found:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
-    try:
-        with open(chosen.output, "x", encoding="utf-8") as file:
-            file.write(found[chosen.template].read_text(encoding="utf-8"))
-    except FileExistsError as error:
-        raise UsageError(f"{chosen.output} exists already: choose another name") from error
-    except OSError as error:
-        raise AccessError(f"{chosen.output}: {error.strerror}") from error
+    _write_new(chosen.output, found[chosen.template])
     print(f"wrote {chosen.output}; next: uqsphere check {chosen.output}")
     model = found[chosen.template].with_suffix(".py")
-    if model.is_file():
-        target = chosen.output.parent / model.name
-        if not target.exists():
-            target.write_text(model.read_text(encoding="utf-8"), encoding="utf-8")
-            print(f"wrote {target}, its model")
+    target = chosen.output.parent / model.name
+    if model.is_file() and not target.exists():
+        _write_new(target, model)
+        print(f"wrote {target}, its model")
     return 0
+
+
+def _write_new(path: Path, source: Path) -> None:
+    """Copy `source` to a file that must not exist yet; nothing is left behind where that fails."""
+    try:
+        text = source.read_text(encoding="utf-8")
+        with open(path, "x", encoding="utf-8") as file:
+            try:
+                file.write(text)
+                file.flush()
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
+    except FileExistsError as error:
+        raise UsageError(f"{path} exists already: choose another name") from error
+    except OSError as error:
+        raise AccessError(f"{path}: {error.strerror}") from error
 
 
 # --- check ----------------------------------------------------------------------------------------
@@ -124,8 +136,12 @@ def command_run(chosen: argparse.Namespace) -> int:
         from multiprocessing import get_context
 
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
-            found = run(study, out=chosen.out, executor=pool, model=chosen.model, fresh=chosen.fresh, seconds=seconds,
-                        progress=progress)  # fmt: skip
+            try:
+                found = run(study, out=chosen.out, executor=pool, model=chosen.model, fresh=chosen.fresh,
+                            seconds=seconds, progress=progress)  # fmt: skip
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     else:
         found = run(study, out=chosen.out, model=chosen.model, threads=chosen.jobs, fresh=chosen.fresh,
                     seconds=seconds, progress=progress)  # fmt: skip
@@ -151,8 +167,15 @@ def _estimate(entry: dict[str, Any], name: str = "") -> str:
 
 def _summary(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal."""
+    try:
+        return _summary_text(results)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise FolderError(f"results.json is damaged: {type(error).__name__}: {error}") from error
+
+
+def _summary_text(results: dict[str, Any]) -> str:
     parts = [plain(results["study"]["title"]), ""]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, limit in results["limits"].items():
         verdict = {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]] if limit["target"] is not None else "no target"
         target = f"{limit['target']:g}" if limit["target"] is not None else "-"
@@ -163,7 +186,7 @@ def _summary(results: dict[str, Any]) -> str:
     for name, entry in results["quantities"].items():
         rows.append((name, "mean", _estimate(entry["mean"], name)))
         rows.append(("", "standard deviation", _estimate(entry["sd"], name)))
-        rows += [("", f"{100 * float(p):g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
+        rows += [("", f"{100 * float(p):.12g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
         if entry["censored_share"]["value"]:
             rows.append(("", "censored share", _estimate(entry["censored_share"])))
     parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), ""]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
 __all__ = ["FIDELITIES", "STATUS_NOT_FINITE", "Answered", "BlackBox", "answer", "evaluate", "load_black_box",
-           "scene_of", "status_text"]  # fmt: skip
+           "model_digest", "scene_of", "status_text"]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
@@ -80,13 +81,39 @@ def _answer_scene(study: Study, names: Sequence[str], rows: Array, quantities: S
     )
 
 
+_redirect_lock = threading.Lock()
+_redirected: list[contextlib.redirect_stdout[Any]] = []
+_depth = 0
+
+
+@contextlib.contextmanager
+def _prints_to_stderr() -> Iterator[None]:
+    """stdout carries results only: whatever a black box prints goes the way of diagnostics.
+
+    sys.stdout belongs to the whole process: of several threads the first redirects it and the last gives
+    it back, or one would restore what another had redirected.
+    """
+    global _depth
+    with _redirect_lock:
+        if _depth == 0:
+            _redirected.append(contextlib.redirect_stdout(sys.stderr))
+            _redirected[-1].__enter__()
+        _depth += 1
+    try:
+        yield
+    finally:
+        with _redirect_lock:
+            _depth -= 1
+            if _depth == 0:
+                _redirected.pop().__exit__(None, None, None)
+
+
 def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str], box: BlackBox) -> Answered:
     given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
-    # stdout carries results only: whatever the model prints goes the way of diagnostics
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with _prints_to_stderr():
             found = box(given)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UqsphereError(f"the model raised {type(error).__name__}: {error}") from error
     if not isinstance(found, Mapping):
         raise UqsphereError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
@@ -95,6 +122,8 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
         if name not in found:
             raise UqsphereError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
         try:
+            if np.iscomplexobj(found[name]):
+                raise TypeError("found complex numbers")
             column = np.asarray(found[name], dtype=float)
         except (TypeError, ValueError) as error:
             raise UqsphereError(f"the model's {name!r} is not an array of numbers: {error}") from error
@@ -175,10 +204,13 @@ def evaluate(study: Study, values: Mapping[str, Any], quantities: Sequence[str] 
     if fidelity not in FIDELITIES:
         raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)})")
     columns = {name: np.atleast_1d(np.asarray(column, dtype=float)) for name, column in values.items()}
+    flat = [name for name, column in columns.items() if column.ndim != 1]
+    if flat:
+        raise UsageError(f"{flat[0]} must have shape (n,), found {columns[flat[0]].shape}")
     lengths = {len(column) for column in columns.values()}
     if len(lengths - {1}) > 1:
         raise UsageError(f"the columns of values differ in length: {sorted(lengths)}")
-    n = max(lengths, default=1)
+    n = next(iter(lengths - {1}), 1)
     names = list(columns)
     rows = np.stack([np.broadcast_to(columns[name], (n,)) for name in names], axis=1) if names else np.zeros((n, 0))
     try:
@@ -214,14 +246,37 @@ def load_black_box(reference: str) -> BlackBox:
         raise UsageError(f"{file} cannot be loaded as a Python file")
     module = importlib.util.module_from_spec(spec)
     try:
-        with contextlib.redirect_stdout(sys.stderr):
+        with _prints_to_stderr():
             spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UqsphereError(f"{file} raised {type(error).__name__} on loading: {error}") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise UsageError(f"{file} has no function {name!r}")
     return function  # type: ignore[no-any-return]
+
+
+def model_digest(model: str | BlackBox) -> str:
+    """What tells one black box from another: a digest of its file and function, or of the function's own source.
+
+    What the model reads or imports besides is not seen.
+    """
+    import hashlib
+    import inspect
+
+    if isinstance(model, str):
+        file, _, name = model.rpartition(":")
+        try:
+            source = Path(file).read_bytes()
+        except OSError as error:
+            raise AccessError(f"the model file {file}: {error.strerror}") from error
+    else:
+        name = f"{getattr(model, '__module__', '')}.{getattr(model, '__qualname__', type(model).__qualname__)}"
+        try:
+            source = inspect.getsource(model).encode()
+        except (OSError, TypeError):
+            source = b""
+    return hashlib.sha256(source + b"\0" + name.encode()).hexdigest()[:16]
 
 
 def status_text(code: int, black_box: bool) -> str:

@@ -108,7 +108,8 @@ class Store:
             with _system_errors(path):
                 data = path.read_bytes()
             if hashlib.sha256(data).hexdigest()[:16] == match["digest"]:
-                return np.asarray(np.load(io.BytesIO(data), allow_pickle=False), dtype=np.float64)
+                with contextlib.suppress(ValueError, EOFError):
+                    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False), dtype=np.float64)
         return None
 
     def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
@@ -126,13 +127,39 @@ class Store:
                 path.unlink()
 
 
-def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False) -> Store:
+def _leftover(path: Path) -> bool:
+    """Whether a file is what a run leaves that was killed before it had put its mark into the folder."""
+    return path.name == ".lock" or path.name.startswith((f".{_MARK}.", ".study.toml."))
+
+
+def _check_owner(folder: Path, study_hash: str, model: str | None, fresh: bool) -> None:
+    """Refuse a folder with evaluations that are not those of this study and this model."""
+    with _system_errors(folder):
+        marked = (folder / _MARK).is_file()
+        foreign = folder.is_dir() and not marked and not all(_leftover(path) for path in folder.iterdir())
+    if foreign:
+        raise FolderError(f"{folder} exists and is not a result folder: choose another with --out")
+    if not marked:
+        return
+    found = read_json(folder / _MARK)
+    if not isinstance(found, dict) or found.get("hash") != study_hash:
+        raise FolderError(f"{folder} holds the run of another study: choose another folder with --out, or remove it")
+    if found.get("model_digest") != model and not fresh:
+        raise FolderError(
+            f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
+            "run with --fresh to evaluate again, or choose another folder with --out"
+        )
+
+
+def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False,
+               model: str | None = None) -> Store:  # fmt: skip
     """Create a result folder, or take up the one that is there.
 
     Parameters
     ----------
     resolved, text, study_hash : what the study means, its file as given, and the hash of its meaning.
     fresh : drop the evaluations of an earlier run of the same study.
+    model : what tells one black box from another (a digest of its source); None for the impact model.
 
     Raises
     ------
@@ -143,18 +170,11 @@ def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: st
     """
     from filelock import FileLock, Timeout
 
-    if folder.exists() and not folder.is_dir():
-        raise FolderError(f"{folder} is not a folder")
     with _system_errors(folder):
-        foreign = folder.is_dir() and any(folder.iterdir()) and not (folder / _MARK).is_file()
-    if foreign:
-        raise FolderError(f"{folder} exists and is not a result folder: choose another with --out")
-    if (folder / _MARK).is_file():
-        found = read_json(folder / _MARK)
-        if not isinstance(found, dict) or found.get("hash") != study_hash:
-            raise FolderError(
-                f"{folder} holds the run of another study: choose another folder with --out, or remove it"
-            )
+        occupied = folder.exists() and not folder.is_dir()
+    if occupied:
+        raise FolderError(f"{folder} is not a folder")
+    _check_owner(folder, study_hash, model, fresh)
     with _system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock", timeout=0)
@@ -165,9 +185,12 @@ def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: st
         raise FolderError(f"{folder} is locked: another run is at work on it") from error
     store = Store(folder=folder, lock=lock)
     try:
+        # once more, now that nobody else can change it
+        _check_owner(folder, study_hash, model, fresh)
         if fresh:
             store.forget()
-        write_json(folder / _MARK, {"hash": study_hash, **resolved})
+        mark = {"hash": study_hash, **resolved}
+        write_json(folder / _MARK, mark if model is None else {**mark, "model_digest": model})
         write_atomically(folder / "study.toml", text)
     except BaseException:
         store.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.model import BlackBox, load_black_box
+from uqsphere.model import BlackBox, load_black_box, model_digest
 from uqsphere.store import Store, open_store, read_json
 from uqsphere.study import Study
 
@@ -34,9 +34,9 @@ class Run:
         return all(limit["met"] is True for limit in self.results["limits"].values() if limit["target"] is not None)
 
     def _table(self, name: str) -> pd.DataFrame:
-        import pandas as pd
+        from uqsphere.runner.export import read_table
 
-        return pd.read_csv(self.folder / "tables" / f"{name}.csv")
+        return read_table(self.folder, name)
 
     def samples(self) -> pd.DataFrame:
         """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
@@ -57,6 +57,11 @@ class Run:
         return self._table("margins")
 
 
+#: parts of results.json that everything reads
+_PARTS = {"study": dict, "inputs": dict, "quantities": dict, "sensitivity": dict, "limits": dict, "margins": dict,
+          "model": dict, "validity": list, "speed_error": list, "accuracy": dict}  # fmt: skip
+
+
 def open_run(folder: str | Path) -> Run:
     """A finished run from its folder.
 
@@ -71,9 +76,12 @@ def open_run(folder: str | Path) -> Run:
     if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
         raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
     results = read_json(path / "results.json")
-    if not isinstance(results, dict) or "quantities" not in results:
+    if not isinstance(results, dict) or not all(isinstance(results.get(key), kind) for key, kind in _PARTS.items()):
         raise FolderError(f"{path / 'results.json'} is not what a run writes")
-    return Run(folder=path, results=results, manifest=read_json(path / "manifest.json"))
+    manifest = read_json(path / "manifest.json")
+    if not isinstance(manifest, dict):
+        raise FolderError(f"{path / 'manifest.json'} is not what a run writes")
+    return Run(folder=path, results=results, manifest=manifest)
 
 
 def run(study: Study, *, out: str | Path | None = None, executor: Executor | None = None,
@@ -117,7 +125,8 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
     reference = model if isinstance(model, str) else None
     box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
     folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
-    store = open_store(folder, study.resolved(), study.text, study.hash, fresh=fresh)
+    digest = None if model is None else model_digest(model)
+    store = open_store(folder, study.resolved(), study.text, study.hash, fresh=fresh, model=digest)
     try:
         work = Work(
             study=study, store=store, ledger=Ledger(), fidelity="full", threads=threads, model=reference, black_box=box,

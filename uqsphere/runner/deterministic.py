@@ -60,7 +60,7 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(("  at", f"{peak.time * 1e6:.4g} us, face {peak.face}"))
         lines.append(("  force there", format_value(peak.force, "P_max", 6)))
     for change in found.changes:
-        word = "lost" if change.lost else "found again"
+        word = "lost" if change.kind == "lost" else "found again"
         lines.append((f"contact {word} at face {change.face}", f"{change.time * 1e6:.6g} us"))
     if found.later_peak is not None:
         peak = found.later_peak
@@ -88,7 +88,7 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
     contents = {
         "history.csv": csv_text(list(_COLUMNS), rows),
         "history.svg": history_figure(found),
-        "xt.svg": xt_figure(found, scene_of(study, {}, 1)),
+        "xt.svg": xt_figure(scene_of(study, {}, 1), found),
     }
     for name, text in contents.items():
         write_atomically(folder / name, text)

@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uqsphere.errors import UsageError
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.runner.results import tables
 from uqsphere.store import write_atomically
 
 if TYPE_CHECKING:
@@ -15,16 +16,31 @@ if TYPE_CHECKING:
 
     from uqsphere.runner import Run
 
-__all__ = ["export_run"]
+__all__ = ["export_run", "read_table"]
+
+
+def read_table(folder: Path, name: str) -> pd.DataFrame:
+    """A table of a finished run.
+
+    Raises
+    ------
+    FolderError
+        When it is missing or damaged.
+    """
+    import pandas as pd
+
+    path = folder / "tables" / f"{name}.csv"
+    try:
+        return pd.read_csv(path)
+    except FileNotFoundError as error:
+        raise FolderError(f"{folder} has no tables/{path.name}: it is damaged; run the study again") from error
+    except (OSError, ValueError) as error:
+        raise FolderError(f"{path} is damaged: {error}") from error
 
 
 def _frames(run: Run) -> dict[str, pd.DataFrame]:
-    import pandas as pd
-
-    frames = {"samples": run.samples()}
-    for path in sorted((run.folder / "tables").glob("*.csv")):
-        frames[path.stem] = pd.read_csv(path)
-    return frames
+    names = sorted(name.removesuffix(".csv") for name in tables(run.results))
+    return {"samples": run.samples(), **{name: read_table(run.folder, name) for name in names}}
 
 
 def _content(frame: pd.DataFrame, form: str) -> bytes:

@@ -42,6 +42,15 @@ class Findings:
     paper: list[dict[str, Any]] = field(default_factory=list)
 
 
+def _share(p: float) -> str:
+    """A probability as a key: two that differ have two keys, also close to 1.
+
+    >>> _share(0.05), _share(0.9999999)
+    ('0.05', '0.9999999')
+    """
+    return f"{p:.15g}"
+
+
 def _number(value: float) -> float | None:
     return float(value) if value == value and abs(value) != float("inf") else None
 
@@ -63,7 +72,7 @@ def _quantities(sampled: Sampled) -> dict[str, Any]:
             "unit": lookup(name).unit,
             "mean": found.mean.as_dict(),
             "sd": found.sd.as_dict(),
-            "quantiles": {f"{p:g}": estimate.as_dict() for p, estimate in found.quantiles.items()},
+            "quantiles": {_share(p): estimate.as_dict() for p, estimate in found.quantiles.items()},
             "censored_share": found.censored_share.as_dict(),
         }
         for name, found in sampled.descriptions.items()
@@ -114,7 +123,7 @@ def _margins(margins: dict[str, MarginAnswer]) -> dict[str, Any]:
         name: {
             "solve": found.solve,
             "unit": lookup(found.solve).unit,
-            "values": {f"{p:g}": estimate.as_dict() for p, estimate in found.values.items()},
+            "values": {_share(p): estimate.as_dict() for p, estimate in found.values.items()},
             "curve": [list(point) for point in found.curve],
         }
         for name, found in margins.items()

@@ -53,7 +53,7 @@ def read_points(folder: Path) -> tuple[list[str], list[str], npt.NDArray[np.floa
     try:
         rows = np.load(folder / "samples.npy", allow_pickle=False)
         inputs, quantities = list(map(str, names["inputs"])), list(map(str, names["quantities"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
         raise FolderError(f"the samples in {folder} are damaged: {error}") from error
     if rows.ndim != 2 or rows.shape[1] != len(inputs) + 2 * len(quantities) + 1:
         raise FolderError(f"the samples in {folder} are damaged: found an array of shape {rows.shape}")

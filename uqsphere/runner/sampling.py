@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, describe, reached
 
@@ -16,6 +17,8 @@ __all__ = ["METHOD", "Sampled", "sample_distributions"]
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
 FIRST = 128
+#: points of each replicate from which on an accuracy may be given up
+JUDGED = 512
 #: share of the budget that sampling may take where sensitivities and margins are still to come
 SHARE = 0.7
 
@@ -81,6 +84,36 @@ def _record(descriptions: dict[str, Description], limits: dict[str, LimitAnswer]
     return rows
 
 
+def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
+    """Half-width over what is asked, the worst of every quantity and limit that is not there yet."""
+    asked = work.study.analysis.accuracy
+    found = {}
+    for name, description in descriptions.items():
+        if not description.scale > 0.0:
+            continue
+        ratios = [description.mean.half_width / asked.mean]
+        ratios += [e.half_width / asked.quantile for p, e in description.quantiles.items() if p not in description.exempt]
+        found[name] = max(ratios) / description.scale
+    for name, limit in limits.items():
+        for which in ("exceedance", "miss"):
+            estimate = getattr(limit, which)
+            if estimate.value and limit.accuracy_missed(which, asked.probability):
+                found[f"limits.{name}.{which}"] = estimate.half_width / estimate.value / asked.probability
+    return {name: ratio for name, ratio in found.items() if ratio > 1.0}
+
+
+def _hopeless(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer],
+              course: dict[str, list[tuple[int, float]]], budget: float) -> bool:  # fmt: skip
+    """Whether everything that is not yet accurate is out of the budget's reach."""
+    n = next(iter(descriptions.values())).mean.evaluations
+    excess = _excess(work, descriptions, limits)
+    for name, ratio in excess.items():
+        course.setdefault(name, []).append((n, ratio))
+    affordable = n + budget - work.ledger.total
+    finite = {name for name, ratio in excess.items() if np.isfinite(ratio)}
+    return bool(finite) and all(out_of_reach(course[name], 1.0, affordable) for name in finite)
+
+
 def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
     """Sample until the accuracy is reached; a study without scatter is evaluated once.
 
@@ -97,6 +130,7 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
     descriptions: dict[str, Description] = {}
     limits: dict[str, LimitAnswer] = {}
     missed: list[str] = []
+    course: dict[str, list[tuple[int, float]]] = {}
     while True:
         count = FIRST if start == 0 else start
         if start and work.ledger.total + REPLICATES * count > budget:
@@ -127,9 +161,13 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
         seconds += [work.ledger.elapsed] * len(rows)
         if not missed:
             break
+        if not study.analysis.budget.exhaust and start >= JUDGED and _hopeless(work, descriptions, limits, course, budget):
+            stopped = "out of reach"
+            break
         if work.ledger.elapsed > work.seconds:
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
+    assert points is not None and sample is not None
     return Sampled(points=points, sample=sample, descriptions=descriptions, limits=limits, missed=missed,
                    stopped=stopped, history=history, seconds=seconds)  # fmt: skip

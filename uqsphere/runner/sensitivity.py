@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 
@@ -17,6 +18,8 @@ __all__ = ["Sensitivity", "find_sensitivity"]
 Array = npt.NDArray[np.float64]
 
 FIRST = 64
+#: base points of each replicate from which on an accuracy may be given up
+JUDGED = 128
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
@@ -88,25 +91,40 @@ def _refused(work: Work, reason: str) -> Sensitivity:
                        sampled={}, expanded={}, agree=None, text=reason)  # fmt: skip
 
 
-def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, Array]:
+def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
     from scipy.special import ndtri
 
     from uqsphere.uq.inputs import physical_from_normal
-    from uqsphere.uq.sensitivity import saltelli_points
+    from uqsphere.uq.sensitivity import mix, saltelli_halves
 
     d = len(work.scene_names)
     inputs = sub_inputs(work.all_inputs, work.scene_names)
-    uniforms = np.stack([
-        saltelli_points(inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate,
-                        start=start)
-        for replicate in range(REPLICATES)
-    ])  # fmt: skip
-    rows = physical_from_normal(inputs, np.asarray(ndtri(uniforms)).reshape(-1, d))
-    answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, rows)
+
+    def physical(uniforms: Array) -> Array:
+        return physical_from_normal(inputs, np.asarray(ndtri(uniforms)))
+
+    # the inputs are independent here, so the halves are mapped once and mixed afterwards
+    blocks = []
+    for replicate in range(REPLICATES):
+        a, b = saltelli_halves(inputs_count=d, count=count, seed=work.study.seed, task="sensitivity",
+                               replicate=replicate, start=start)  # fmt: skip
+        blocks.append(mix(physical(a), physical(b)))
+    answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, np.stack(blocks).reshape(-1, d))
     q = len(work.quantities)
     values = answered.values.reshape(REPLICATES, count, d + 2, q)
     return values, (answered.status != 0).reshape(REPLICATES, count, d + 2).any(axis=2)
+
+
+def _more(start: int, widths: list[float], asked: float) -> int:
+    """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
+
+    The width of rough outputs falls with the root of the number of points, that of smooth ones faster.
+    """
+    if start == 0:
+        return FIRST
+    wanted = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
+    return 64 * max(1, int(round(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0)))
 
 
 def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
@@ -144,11 +162,16 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
     found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
     stopped = "accuracy"
     start = 0
+    widest = dict.fromkeys(work.quantities, asked)
+    done = dict.fromkeys(work.quantities, False)
+    course: dict[str, list[tuple[int, float]]] = {q: [] for q in work.quantities}
+    given_up = dict.fromkeys(work.quantities, "")
+    budget = work.study.analysis.budget
     values: Array | None = None
     failed: npt.NDArray[np.bool_] | None = None
     while "sobol" in methods or "auto" in methods:
-        count = FIRST if start == 0 else start
-        if start and work.ledger.total + REPLICATES * count * (len(names) + 2) > work.study.analysis.budget.evaluations:
+        count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
+        if start and work.ledger.total + REPLICATES * count * (len(names) + 2) > budget.evaluations:
             stopped = "evaluations"
             break
         try:
@@ -163,17 +186,27 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
         for k, quantity in enumerate(work.quantities):
             found[quantity] = sobol_indices(clean[:, :, :, k])
             widths = [e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None]
+            widest[quantity] = max(widths, default=0.0)
+            done[quantity] = _accurate(found[quantity], expanded[quantity], asked)
+            spent = clean[:, :, :, k].size
+            if start >= JUDGED and not budget.exhaust:
+                course[quantity].append((spent, widest[quantity]))
+                affordable = spent + budget.evaluations - work.ledger.total
+                given_up[quantity] = "" if done[quantity] else out_of_reach(course[quantity], asked, affordable)
             if widths:
                 _note(history, seconds, work, METHOD, quantity, values[:, :, :, 0].size, max(widths),
                       "largest half-width of an index")  # fmt: skip
-        if all(_accurate(found[q], expanded[q], asked) for q in work.quantities):
+        if all(done.values()):
+            break
+        if all(done[q] or given_up[q] for q in work.quantities):
+            stopped = "out of reach"
             break
         if work.ledger.elapsed > work.seconds:
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
     return (
-        {q: _conclude(names, found[q], expanded[q], about[q], asked) for q in work.quantities},
+        {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities},
         history,
         seconds,
         stopped,
@@ -211,7 +244,7 @@ def _accurate(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estim
 
 
 def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]],
-              about: dict[str, Any], asked: float) -> Sensitivity:  # fmt: skip
+              about: dict[str, Any], asked: float, given_up: str) -> Sensitivity:  # fmt: skip
     from uqsphere.uq.sensitivity import cross_check
 
     given = expanded if _preferred(sampled, expanded) else sampled
@@ -228,7 +261,7 @@ def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expand
     else:
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)
-    missed = [f"indices: half-width {width:.2g}, asked {asked:g}"] if width > asked else []
+    missed = [f"indices: half-width {width:.2g}, asked {asked:g}" + (f" ({given_up})" if given_up else "")] if width > asked else []
     if agree is False:
         missed.append("indices: sampling and polynomial chaos disagree")
     return Sensitivity(

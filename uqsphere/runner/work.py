@@ -84,7 +84,7 @@ class Sample:
     @property
     def failed(self) -> Flags:
         """Rows without an answer, (R, n)."""
-        return self.status != 0
+        return np.asarray(self.status != 0)
 
     def join(self, other: Sample) -> Sample:
         """This sample and the points that continue it."""

@@ -205,6 +205,7 @@ def _analysis() -> Node:
     positive = {"type": "number", "exclusiveMinimum": 0}
     budget: dict[str, Node] = {
         "evaluations": {"type": "integer", "minimum": 1, "default": Budget().evaluations},
+        "exhaust": _FLAG | {"default": False},
         "time": {"$ref": "#/$defs/time"},
     }
     accuracy = {

@@ -54,10 +54,14 @@ class Accuracy:
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Where a run stops at the latest; `time` in seconds."""
+    """Where a run stops at the latest; `time` in seconds.
+
+    `exhaust` spends all of it on an accuracy that is out of its reach; else such an accuracy is given up.
+    """
 
     evaluations: int = 2_000_000
     time: float = 600.0
+    exhaust: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -184,7 +184,7 @@ def read_analysis(
     return Analysis(
         quantities=asked,
         accuracy=Accuracy(**table.accuracy.model_dump()),
-        budget=Budget(evaluations=table.budget.evaluations, time=time or Budget().time),
+        budget=Budget(evaluations=table.budget.evaluations, time=time or Budget().time, exhaust=table.budget.exhaust),
         quantiles=shares(table.quantiles, ("analysis", "quantiles"), findings),
         methods=_methods(table.methods, findings),
         on_failure=table.on_failure,

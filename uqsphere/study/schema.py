@@ -126,6 +126,7 @@ class AccuracyTable(Table):
 class BudgetTable(Table):
     evaluations: int = 2_000_000
     time: Any = "10 min"
+    exhaust: bool = False
 
 
 class AnalysisTable(Table):

@@ -1,0 +1,114 @@
+"""What all tests share: one thread of linear algebra, a small study, and one finished run of it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+import uqsphere
+from uqsphere.study import Study
+
+#: heavy enough for both faces, reflections and every analysis; light enough to be run in a second or two
+SMALL = """\
+title = "Small"
+seed = 5
+
+[sphere]
+E = { dist = "lognormal", mean = "60 GPa", cov = 0.1 }
+nu = 0.25
+radius = { dist = "normal", mean = "5 mm", sd = "0.05 mm" }
+density = "2650 kg/m3"
+
+[bars]
+E = "200 GPa"
+nu = 0.3
+density = "7850 kg/m3"
+yield_strength = "1500 MPa"
+diameter = "12 mm"
+incident_length = "0.4 m"
+receiving_length = "0.4 m"
+incident_end = "free"
+receiving_end = "free"
+
+[striker]
+speed = { dist = "normal", mean = "5 m/s", cov = 0.05 }
+length = "0.1 m"
+
+[model]
+fidelity = "full"
+tolerance = 1e-4
+
+[limits.crushing]
+quantity = "p_max"
+strength = { dist = "weibull", mean = "6 GPa", modulus = 12 }
+target = 0.1
+
+[[dependence]]
+of = ["sphere.E", "limits.crushing.strength"]
+spearman = 0.5
+
+[analysis]
+quantities = ["p_max", "contact_time"]
+accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.3, probability = 0.5 }
+budget = { evaluations = 30_000, time = "10 min" }
+quantiles = [0.05, 0.5, 0.95]
+"""
+
+MARGINS = """
+[margins]
+solve = "striker.speed"
+between = ["3 m/s", "20 m/s"]
+for_probability = [0.1, 0.5, 0.9]
+"""
+
+#: infinite bars in closed form: thousands of rows in no time
+QUICK = (
+    'bars.infinite=true', 'model.fidelity="massless"', 'analysis.quantities=["p_max"]', 'analysis.methods=["sobol"]',
+)  # fmt: skip
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_blas_thread() -> Iterator[None]:
+    """Sums of linear algebra in one fixed order."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+@pytest.fixture(scope="session")
+def small_text() -> str:
+    return SMALL
+
+
+@pytest.fixture
+def study_from(tmp_path: Path) -> Callable[..., Study]:
+    """A study from a text and overrides; `quick` puts the small study into its closed form."""
+
+    def build(*overrides: str, text: str = SMALL, quick: bool = False) -> Study:
+        path = tmp_path / "study.toml"
+        path.write_text(text, encoding="utf-8")
+        return uqsphere.load_study(path, [*(QUICK if quick else ()), *overrides])
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of one finished run of the small study with margins and report; not to be written to."""
+    from uqsphere.report import build_report
+
+    folder = tmp_path_factory.mktemp("finished")
+    path = folder / "small.toml"
+    path.write_text(SMALL + MARGINS, encoding="utf-8")
+    run = uqsphere.run(uqsphere.load_study(path), out=folder / "results", threads=1)
+    build_report(run.folder)
+    return run.folder
+
+
+@pytest.fixture
+def finished_copy(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run for tests that damage it."""
+    return Path(shutil.copytree(finished, tmp_path / "results"))

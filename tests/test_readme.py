@@ -1,0 +1,70 @@
+"""Every command and number of the README's tour is executed.  ``python tests/test_readme.py`` prints what they give."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = ROOT / "README.md"
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def console_blocks() -> list[tuple[str, str]]:
+    """(command, expected output) pairs of the README's console blocks, in order."""
+    pairs = []
+    for block in re.findall(r"^```console\n(.*?)^```$", README.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+        for piece in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+            command, _, output = piece.partition("\n")
+            pairs.append((command, output))
+    return pairs
+
+
+def run(command: str, folder: Path) -> str:
+    """What a command prints on both streams, progress left out."""
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "LC_ALL": "C.UTF-8"}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 2, 3), done.stderr
+    messages = [line for line in done.stderr.splitlines() if not re.match(r"\w+: [\d,]+ of [\d,]+ evaluations", line)]
+    return "\n".join([*messages, done.stdout])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("tour")
+
+
+def test_the_tour_is_what_the_commands_print(folder: Path) -> None:
+    checker = doctest.OutputChecker()
+    wrong = []
+    for command, expected in console_blocks():
+        found = run(command, folder)
+        if not checker.check_output(expected, found, FLAGS):
+            wrong.append(f"$ {command}\nexpected:\n{expected}\nfound:\n{found}")
+    assert not wrong, "\n\n".join(wrong)
+
+
+def test_the_readme_has_its_two_commands_and_a_figure() -> None:
+    text = README.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 2
+    assert "uqsphere run studies/granite.toml" in blocks[0]
+    assert "pytest" in blocks[1]
+    for picture in re.findall(r"!\[.+?\]\((.+?)\)", text):
+        assert (ROOT / picture).is_file()
+    for page in re.findall(r"\]\((docs/.+?)\)", text):
+        assert (ROOT / page).is_file()
+
+
+if __name__ == "__main__":
+    import tempfile
+
+    place = Path(tempfile.mkdtemp())
+    for line, _ in console_blocks():
+        print(f"$ {line}\n{run(line, place)}\n")

@@ -1,0 +1,228 @@
+"""One style for every figure, and the way from a drawing to SVG text.
+
+Colours are those of Okabe and Ito (2008), told apart by colour-blind readers; marks, hatches and line styles
+differ too, so that the figures can be read in grey.  Texts stay texts in the SVG.  Matplotlib's settings are
+changed inside `style` alone and put back after it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import textwrap
+import unicodedata
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+from xml.etree import ElementTree
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["BLUE", "GREEN", "GREY", "INK", "MARKS", "ORANGE", "PAPER", "PURPLE", "RED", "SKY", "Picture", "clean",
+           "inline", "new_figure", "render", "shorten", "spread", "style", "wrap"]  # fmt: skip
+
+INK: Final = "#1b1f24"
+GREY: Final = "#6b7280"
+FAINT: Final = "#d6d9de"
+PAPER: Final = "#ffffff"
+BLUE: Final = "#0072b2"
+ORANGE: Final = "#e69f00"
+GREEN: Final = "#009e73"
+RED: Final = "#d55e00"
+PURPLE: Final = "#cc79a7"
+SKY: Final = "#56b4e9"
+MARKS: Final = "osD^vP"
+
+#: colours that the page replaces by its own, so that figures follow a dark theme
+_THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue"}
+_WIDTH: Final = 6.4
+_BIDI: Final = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_SVG: Final = "{http://www.w3.org/2000/svg}"
+_XLINK: Final = "{http://www.w3.org/1999/xlink}"
+
+_SETTINGS: Final[dict[str, Any]] = {
+    "svg.fonttype": "none", "svg.hashsalt": "uqsphere", "text.parse_math": False, "text.usetex": False,
+    "font.family": ["DejaVu Sans"], "font.size": 10.0, "axes.titlesize": 10.0, "axes.labelsize": 10.0,
+    "xtick.labelsize": 9.0, "ytick.labelsize": 9.0, "legend.fontsize": 9.0, "legend.frameon": False,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
+    "axes.titlelocation": "left", "text.color": INK, "xtick.color": GREY, "ytick.color": GREY,
+    "xtick.labelcolor": INK, "ytick.labelcolor": INK, "axes.linewidth": 0.8, "axes.unicode_minus": True,
+    "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none", "hatch.linewidth": 0.8,
+    "grid.color": FAINT, "grid.linewidth": 0.6, "axes.axisbelow": True, "lines.linewidth": 1.6,
+    "axes.formatter.useoffset": False, "axes.formatter.use_mathtext": False, "path.simplify": True,
+}  # fmt: skip
+#: settings of the machine, not of a picture
+_MACHINE: Final = ("backend", "interactive", "toolbar", "webagg", "tk.", "savefig.directory", "date.", "timezone",
+                   "docstring", "keymap", "animation", "macosx", "figure.hooks", "_internal")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A drawing with the words that stand for it.
+
+    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows.
+    """
+
+    name: str
+    title: str
+    finding: str
+    figure: Figure
+
+
+def clean(text: str) -> str:
+    """A text of a study as it may stand in a figure: no control characters, on one line.
+
+    >>> clean("a\\x00b\\nc")
+    'ab c'
+    """
+    kept = "".join(" " if c in "\t\n\r" else c for c in text
+                   if c in "\t\n\r" or (unicodedata.category(c) not in ("Cc", "Cs", "Cn", "Co") and c not in _BIDI))
+    return " ".join(kept.split())  # fmt: skip
+
+
+def shorten(text: str, length: int) -> str:
+    """At most `length` characters; what is too long loses its middle.
+
+    >>> shorten("a_very_long_name_of_an_input", 15)
+    'a_very_…n_input'
+    """
+    text = clean(text)
+    if len(text) <= length:
+        return text
+    front = (length - 1) // 2
+    return text[:front] + "…" + text[len(text) - (length - 1 - front) :]
+
+
+def wrap(text: str, width: int, lines: int = 2) -> str:
+    """At most `lines` lines of `width` characters; what is too long loses its middle."""
+    found = textwrap.wrap(clean(text), width)
+    if len(found) > lines:
+        found = textwrap.wrap(shorten(text, width * lines - lines), width)[:lines]
+    return "\n".join(found)
+
+
+@contextlib.contextmanager
+def style() -> Iterator[None]:
+    """Matplotlib in the report's style, whatever the user's own settings are."""
+    import matplotlib
+
+    with warnings.catch_warnings():
+        # a sign that the measuring font lacks is drawn by the reader's own font
+        warnings.filterwarnings("ignore", message=r"Glyph \d+ .* missing from")
+        warnings.filterwarnings("ignore", message=r".*does not support .* natively")
+        warnings.simplefilter("ignore", matplotlib.MatplotlibDeprecationWarning)
+        settings = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_MACHINE)}
+        with matplotlib.rc_context({**settings, **_SETTINGS}):
+            yield
+
+
+def new_figure(height: float, rows: int = 1, **keywords: Any) -> tuple[Figure, list[Axes]]:
+    """A figure of the one width and `height` [in], with `rows` axes one above the other."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    # the canvas measures texts; what is written is SVG
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, squeeze=False, **keywords)
+    return figure, [row[0] for row in axes]
+
+
+def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Positions as near as possible to those wanted, at least `gap` apart, between low and high if there is room.
+
+    >>> spread([1.0, 1.1, 5.0], 1.0, 0.0, 10.0)
+    [0.55, 1.55, 5.0]
+    """
+    order = sorted(range(len(wanted)), key=lambda k: wanted[k])
+    blocks: list[tuple[float, list[int]]] = []  # centre of a block and its members, in order
+    for k in order:
+        centre, members = min(max(wanted[k], low), high), [k]
+        while blocks and blocks[-1][0] + 0.5 * gap * len(blocks[-1][1]) > centre - 0.5 * gap * len(members):
+            before, others = blocks.pop()
+            centre = (before * len(others) + centre * len(members)) / (len(others) + len(members))
+            members = others + members
+            half = 0.5 * gap * (len(members) - 1)
+            centre = max(low + half, min(centre, high - half))
+        blocks.append((centre, members))
+    positions = [0.0] * len(wanted)
+    for centre, members in blocks:
+        for place, k in enumerate(members):
+            positions[k] = centre + gap * (place - 0.5 * (len(members) - 1))
+    return positions
+
+
+def _tree(picture: Picture) -> ElementTree.Element:
+    buffer = io.BytesIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with style():
+        picture.figure.savefig(buffer, format="svg", metadata=nothing)
+    root = ElementTree.fromstring(buffer.getvalue())
+    for parent in list(root.iter()):
+        for child in list(parent):
+            # metadata says nothing; the style sheet would reach beyond the figure once it stands in a page
+            if child.tag in (f"{_SVG}metadata", f"{_SVG}style"):
+                parent.remove(child)
+    for element in root.iter():
+        # the reader's machine may lack the font that was measured with; it is wide, so others fit
+        if "font:" in element.get("style", ""):
+            element.set("style", element.get("style", "").replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
+    return _described(root, picture)
+
+
+def _described(root: ElementTree.Element, picture: Picture) -> ElementTree.Element:
+    width, height = root.attrib.pop("width"), root.attrib.pop("height")
+    root.attrib.setdefault("viewBox", f"0 0 {width.removesuffix('pt')} {height.removesuffix('pt')}")
+    root.set("role", "img")
+    root.set("id", "root")
+    root.set("style", "stroke-linejoin: round; stroke-linecap: butt")
+    root.set("aria-labelledby", "title description")
+    for place, (tag, text) in enumerate((("title", picture.title), ("desc", picture.finding))):
+        element = ElementTree.Element(f"{_SVG}{tag}", {"id": "title" if tag == "title" else "description"})
+        element.text = clean(text)
+        root.insert(place, element)
+    return root
+
+
+def render(picture: Picture) -> str:
+    """The picture as the text of an SVG file, the same for the same picture."""
+    root = _tree(picture)
+    box = root.get("viewBox", "0 0 1 1").split()
+    root.set("width", f"{box[2]}pt")
+    root.set("height", f"{box[3]}pt")
+    ElementTree.register_namespace("", _SVG[1:-1])
+    ElementTree.register_namespace("xlink", _XLINK[1:-1])
+    text = ElementTree.tostring(root, encoding="unicode")
+    # a file of its own stands on white
+    end = text.index(">") + 1
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text[:end]}<rect width="100%" height="100%" fill="{PAPER}"/>{text[end:]}\n'
+
+
+def inline(picture: Picture) -> str:
+    """The picture as an element of an HTML page: names made its own, colours of the page's theme."""
+    root = _tree(picture)
+    prefix = f"{picture.name}-"
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(_SVG)
+        for key, value in list(element.attrib.items()):
+            del element.attrib[key]
+            element.set(key.removeprefix(_XLINK), _own(key.removeprefix(_XLINK), value, prefix))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _own(key: str, value: str, prefix: str) -> str:
+    if key == "id":
+        return prefix + value
+    if key == "href":
+        return "#" + prefix + value.removeprefix("#")
+    if key == "aria-labelledby":
+        return " ".join(prefix + word for word in value.split())
+    value = re.sub(r"url\(#", f"url(#{prefix}", value)
+    if key == "style":
+        for colour, name in _THEME.items():
+            value = value.replace(colour, f"var(--{name}, {colour})")
+    return value

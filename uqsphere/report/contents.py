@@ -1,0 +1,108 @@
+"""What a report is made of: the stored answers of a finished run, read once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import FolderError
+from uqsphere.runner.samples import read_points
+from uqsphere.store import read_json
+from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
+
+__all__ = ["Contents", "Samples", "law_of", "read_contents"]
+
+Array = npt.NDArray[np.float64]
+
+_NEEDED = ("study", "versions", "inputs", "quantities", "sensitivity", "limits", "margins", "model", "validity",
+           "speed_error", "accuracy")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Sampled rows of one quantity, failed rows left out: values (n,) SI and censored flags (n,)."""
+
+    values: Array
+    censored: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """The files of a result folder.
+
+    `resolved` is study.resolved.json; `samples` are by quantity, `failed` the share of the sampled rows that
+    have no answer.
+    """
+
+    results: Mapping[str, Any]
+    manifest: Mapping[str, Any]
+    resolved: Mapping[str, Any]
+    samples: Mapping[str, Samples]
+    failed: float
+
+    @property
+    def black_box(self) -> bool:
+        return bool(self.resolved["kind"] == "black box")
+
+    def subject(self, name: str) -> str:
+        """The name whose unit a number has: a strength has that of the limit's quantity."""
+        parts = name.split(".")
+        if parts[0] == "limits" and parts[-1] == "strength":
+            limit = self.results["limits"].get(".".join(parts[1:-1]))
+            return str(limit["quantity"]) if limit else name
+        return name
+
+    def at_mean(self, name: str) -> float | None:
+        """The number of an input that the study states: fixed, or the mean of its law (SI)."""
+        if name in self.resolved["fixed"]:
+            return float(self.resolved["fixed"][name])
+        law = law_of(self.resolved, name)
+        return None if law is None else nominal_mean(law)
+
+
+def law_of(resolved: Mapping[str, Any], name: str) -> Law | None:
+    """The law of a random number of the study; None where it is not random."""
+    found = resolved["random"].get(name)
+    if found is None:
+        return None
+    if found["dist"] == "empirical":
+        return Law(kind="empirical", parameters=found["parameters"], data=tuple(found["data"]),
+                   lower=-np.inf if found["lower"] is None else found["lower"],
+                   upper=np.inf if found["upper"] is None else found["upper"])  # fmt: skip
+    try:
+        return make_law(found["dist"], found["parameters"], found["lower"], found["upper"])
+    except LawError as error:
+        raise FolderError(f"study.resolved.json is damaged: {name}: {error}") from error
+
+
+def read_contents(folder: Path) -> Contents:
+    """Everything stored that the report shows.
+
+    Raises
+    ------
+    FolderError
+        When a file is missing or is not what a run writes.
+    """
+    files = [read_json(folder / name) for name in ("results.json", "manifest.json", "study.resolved.json")]
+    for name, found, needed in zip(
+        ("results.json", "manifest.json", "study.resolved.json"), files,
+        (_NEEDED, (), ("kind", "fixed", "random", "analysis", "limits")), strict=True,
+    ):  # fmt: skip
+        missing = [key for key in needed if not isinstance(found, dict) or key not in found]
+        if missing or not isinstance(found, dict):
+            raise FolderError(f"{folder / name} is not what a run writes: it has no {', '.join(missing) or 'table'}")
+    results, manifest, resolved = files
+    inputs, quantities, rows = read_points(folder)
+    d, q = len(inputs), len(quantities)
+    good = rows[:, -1] == 0.0
+    samples = {
+        name: Samples(values=rows[good, d + k], censored=rows[good, d + q + k] > 0.0)
+        for k, name in enumerate(quantities)
+    }
+    failed = float(1.0 - good.mean()) if len(good) else 0.0
+    return Contents(results=results, manifest=manifest, resolved=resolved, samples=samples, failed=failed)

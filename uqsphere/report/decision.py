@@ -1,0 +1,209 @@
+"""Margin and fragility as figures: how far the strength is from the demand, and at which value it breaks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.quantities import display_unit
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, RED, Picture
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures import axis_label, slug
+from uqsphere.report.wording import input_name, limit_name, number_text, plain_percent, rounded, symbol, value_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["fragility_figure", "fragility_finding", "margin_figure", "margin_finding"]
+
+Array = npt.NDArray[np.float64]
+
+#: probabilities outside this range are drawn at its ends
+_LEAST: Final = 1e-6
+_TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
+_PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
+
+
+def margin_figure(contents: Contents) -> Picture | None:
+    """Strength over demand of every limit: median and 90 % range; None where no limit has a margin."""
+    rows = {name: limit["margin"] for name, limit in contents.results["limits"].items() if _whole(limit["margin"])}
+    if not rows:
+        return None
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.35 + 0.55 * len(rows))
+        values = [margin[key]["value"] for margin in rows.values() for key in ("0.05", "median", "0.95")]
+        ends = min(1.0, *values), max(1.0, *values)
+        width = 0.12 * (ends[1] - ends[0])
+        axes.set_xlim(ends[0] - width, ends[1] + width)
+        axes.axvspan(axes.get_xlim()[0], 1.0, facecolor=RED, alpha=0.10, linewidth=0.0)
+        axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
+        for row, margin in enumerate(rows.values()):
+            low, middle, high = (margin[key] for key in ("0.05", "median", "0.95"))
+            axes.plot([low["value"], high["value"]], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
+            axes.plot(middle["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
+            for estimate in (low, middle, high):
+                axes.annotate(rounded(estimate, digits=3), (estimate["value"], row), xytext=(0, 8),
+                              textcoords="offset points", ha="center", fontsize=9.0)  # fmt: skip
+        axes.set_yticks(range(len(rows)), [canvas.wrap(name, 20) for name in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.7)
+        axes.tick_params(axis="y", length=0)
+        axes.set_xlabel("strength over demand (○ median, bar 5 to 95 %)")
+        axes.annotate("exceeded", (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(-4, 2), ha="right",
+                      textcoords="offset points", color=RED, fontsize=9.0)  # fmt: skip
+        axes.annotate("withstood", (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(4, 2), ha="left",
+                      textcoords="offset points", color=INK, fontsize=9.0)  # fmt: skip
+    finding = " ".join(margin_finding(name, margin) for name, margin in rows.items())
+    return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
+
+
+def _whole(margin: Mapping[str, Any]) -> bool:
+    return all(key in margin and margin[key]["value"] is not None for key in ("0.05", "median", "0.95"))
+
+
+def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
+    """The margin of a limit in a sentence, or why there is none."""
+    if not _whole(margin):
+        absent = next((e for e in margin.values() if e["value"] is None), {})
+        reason = absent.get("reason") or "the strength is zero"
+        return f"Limit {limit_name(name)} has no margin: {reason}."
+    low, middle, high = (rounded(margin[key], digits=3) for key in ("0.05", "median", "0.95"))
+    return (f"Limit {limit_name(name)}: the strength is {middle} times the demand in the median case, and between "
+            f"{low} and {high} times it in nine cases of ten.")  # fmt: skip
+
+
+def _score(p: Any) -> Array:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), _LEAST, 1.0 - _LEAST)))
+
+
+def fragility_figure(contents: Contents, name: str) -> Picture | None:
+    """Probability of exceeding over the free scalar, with its band, the operating point and the target."""
+    entry = contents.results["margins"].get(name)
+    if not entry or len(entry["curve"]) < 2:
+        return None
+    solve = entry["solve"]
+    factor = display_unit(solve)[1]
+    curve = np.array(entry["curve"], dtype=float)
+    here = contents.at_mean(solve)
+    limit = contents.results["limits"][name]
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.9)
+        kept = _interesting(curve[:, 1], curve[:, 0], here)
+        x = curve[kept, 0] * factor
+        axes.fill_between(x, _score(curve[kept, 2]), _score(curve[kept, 3]), color=BLUE, alpha=0.25, linewidth=0.0)
+        axes.plot(x, _score(curve[kept, 1]), color=BLUE)
+        _x_scale(axes, x)
+        rising = bool(curve[-1, 1] >= curve[0, 1])
+        _asked_points(axes, entry, factor, x, rising)
+        _target_line(axes, limit, rising)
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
+        if here is not None and x[0] <= here * factor <= x[-1]:
+            _operating_point(axes, here * factor, limit["exceedance"], rising)
+        _probability_axis(axes)
+        word = "mean " if solve in contents.resolved["random"] else ""
+        axes.set_xlabel(axis_label(solve, word + canvas.shorten(input_name(solve), 50)))
+        axes.set_ylabel(f"probability that {symbol(limit['quantity'], 24)}\nexceeds the strength")
+    return Picture(name=slug("fragility", name), title=f"Fragility: {limit_name(name)}",
+                   finding=fragility_finding(contents, name), figure=figure)  # fmt: skip
+
+
+def _interesting(p: Array, x: Array, here: float | None) -> Array:
+    """Points of the curve between the first that is practically sure and the last, and around the operating point."""
+    inside = np.flatnonzero((p > 1e-5) & (p < 1.0 - 1e-5))
+    first, last = (inside[0], inside[-1]) if len(inside) else (0, len(p) - 1)
+    if here is not None and x[0] <= here <= x[-1]:
+        k = int(np.searchsorted(x, here))
+        first, last = min(first, max(k - 1, 0)), max(last, min(k, len(p) - 1))
+    return np.arange(max(first - 1, 0), min(last + 2, len(p)))
+
+
+def _x_scale(axes: Axes, x: Array) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if x[0] > 0.0 and x[-1] > 8.0 * x[0]:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlim(x[0], x[-1])
+
+
+def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool) -> None:
+    """The values at the probabilities asked for, each labelled below its point, away from the curve."""
+    for p, estimate in entry["values"].items():
+        if estimate["value"] is None or not x[0] <= estimate["value"] * factor <= x[-1]:
+            continue
+        place = estimate["value"] * factor, float(_score(float(p)))
+        axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
+        axes.annotate(rounded(estimate, entry["solve"], 3), place, xytext=(7 if rising else -7, -3),
+                      textcoords="offset points", va="top", ha="left" if rising else "right", fontsize=9.0)  # fmt: skip
+
+
+def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
+    """The accepted probability, labelled where the curve lies below it."""
+    if limit["target"] is None:
+        return
+    accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
+    y = float(_score(accepted))
+    axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
+    word = "at most" if limit["aim"] == "survive" else "at least"
+    axes.annotate(f"target: {word} {plain_percent(accepted)}", (0.0 if rising else 1.0, y), xytext=(4 if rising else -4, 3),
+                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="left" if rising else "right",
+                  va="bottom", color=RED, fontsize=9.0)  # fmt: skip
+
+
+def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising: bool) -> None:
+    """Where the study stands, with a line to its label: at the bottom behind the curve, or at the top before it."""
+    p = exceedance["value"]
+    if p is None:
+        return
+    y = float(_score(p))
+    if exceedance["low"] is not None and exceedance["high"] is not None:
+        axes.plot([x, x], [float(_score(exceedance["low"])), float(_score(exceedance["high"]))], color=INK, linewidth=1.4)
+    axes.plot(x, y, marker="D", markersize=8, color=ORANGE, markeredgecolor=INK)
+    across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
+    below = (across if rising else 1.0 - across) <= 0.6
+    bottom, top = axes.get_ylim()
+    axes.plot([x, x], [y, bottom if below else top], color=INK, linewidth=0.8, linestyle=":")
+    right = rising == below
+    axes.annotate(f"as planned: {plain_percent(p)}", (x, bottom if below else top), xytext=(5 if right else -5, 4 if below else -4),
+                  ha="left" if right else "right", va="bottom" if below else "top", textcoords="offset points", fontsize=9.0)
+    axes.set_ylim(bottom, top)
+
+
+def _probability_axis(axes: Axes) -> None:
+    """Ticks at round probabilities, the roundest first, none nearer to another than a line of text."""
+    low, high = axes.get_ylim()
+    seen: list[float] = []
+    for p in sorted(_TICKS, key=lambda p: _PRIORITY.get(p, 1.0)):
+        score = float(_score(p))
+        if low <= score <= high and all(abs(score - float(_score(q))) > 0.055 * (high - low) for q in seen):
+            seen.append(p)
+    axes.set_yticks([float(_score(p)) for p in seen], [_tick(p) for p in seen])
+    axes.set_ylim(low, high)
+    axes.grid()
+
+
+def _tick(p: float) -> str:
+    return f"{100.0 * p:.10g} %" if p >= 1e-4 else number_text(f"{p:g}")
+
+
+def fragility_finding(contents: Contents, name: str) -> str:
+    """At which values of the free scalar it breaks, in a sentence."""
+    entry = contents.results["margins"][name]
+    known = {p: e for p, e in entry["values"].items() if e["value"] is not None}
+    if not known:
+        reasons = sorted({str(e.get("reason")) for e in entry["values"].values()})
+        return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({'; '.join(reasons) or 'no curve'})."
+    parts = [f"{plain_percent(float(p))} at {rounded(e, entry['solve'])}" for p, e in known.items()]
+    here = contents.at_mean(entry["solve"])
+    text = f"Over {input_name(entry['solve'])}, the probability of exceeding {limit_name(name)} is {', '.join(parts)}"
+    if here is not None:
+        text += f"; the study stands at {value_text(here, entry['solve'])}"
+    return text + "."

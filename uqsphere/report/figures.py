@@ -1,0 +1,307 @@
+"""Distributions of the quantities against the strengths, and what drives them, as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.quantities import display_unit, lookup
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, RED, Picture
+from uqsphere.report.contents import Contents, Samples, law_of
+from uqsphere.report.wording import (
+    call, capital, limit_name, plain_percent, rounded, share_text, short_input, symbol, unit_text, value_text,
+)  # fmt: skip
+from uqsphere.uq.laws import Law, pdf, ppf
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "sensitivity_figure", "slug"]
+
+Array = npt.NDArray[np.float64]
+
+#: bars of a sensitivity figure
+MOST_INPUTS: Final = 12
+#: bins of a density
+_BINS: Final = 60
+#: a range of more than this ratio is drawn on a logarithmic axis
+_WIDE: Final = 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Strength:
+    """A strength on the axis of its quantity: a law, or one value."""
+
+    name: str
+    law: Law | None
+    value: float | None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        if self.law is None:
+            assert self.value is not None
+            return self.value, self.value
+        low, high = ppf(self.law, np.array([0.001, 0.999]))
+        return float(low), float(high)
+
+
+def slug(*words: str) -> str:
+    """A file name and anchor made of words."""
+    text = "-".join(words).lower()
+    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in text)[:60].strip("-") or "figure"
+
+
+def axis_label(name: str, words: str = "") -> str:
+    """Name (or the words given) and display unit of a quantity."""
+    unit = unit_text(display_unit(name)[0])
+    text = words or symbol(name, 40)
+    return f"{text} [{unit}]" if unit else text
+
+
+def _strengths(contents: Contents, quantity: str) -> list[_Strength]:
+    found = []
+    for name, limit in contents.resolved["limits"].items():
+        if limit["quantity"] == quantity:
+            law = law_of(contents.resolved, f"limits.{name}.strength")
+            value = None if law is not None else float(limit["strength"])
+            found.append(_Strength(name=name, law=law, value=value))
+    return found
+
+
+def _range(values: Array, strengths: list[_Strength]) -> tuple[float, float, bool]:
+    """Ends of the axis (SI), and whether it is logarithmic."""
+    low, high = (float(x) for x in np.quantile(values, [0.0005, 0.9995]))
+    for strength in strengths:
+        low, high = min(low, strength.ends[0]), max(high, strength.ends[1])
+    if low > 0.0 and high > _WIDE * low:
+        return low / 1.1, high * 1.1, True
+    margin = 0.04 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin, False
+
+
+def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
+    """Density of the samples with median and 90 % range, the strengths on the same axis, the censored share.
+
+    None where there is nothing to draw: no sample, or the same value in all of them.
+    """
+    samples = contents.samples.get(quantity)
+    if samples is None or len(samples.values) < 2:
+        return None
+    spread = float(np.ptp(samples.values))
+    if not spread > 1e-9 * float(np.abs(samples.values).max()):
+        return None
+    strengths = _strengths(contents, quantity)
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.0 if not strengths else 3.3)
+        low, high, logarithmic = _range(samples.values, strengths)
+        factor = display_unit(quantity)[1]
+        if logarithmic:
+            axes.set_xscale("log")
+            _log_ticks(axes.xaxis)
+        tallest = _density(axes, samples, (low, high), logarithmic, factor)
+        for strength in strengths:
+            tallest = max(tallest, _strength_curve(axes, strength, (low, high), logarithmic, factor))
+        axes.set_xlim(low * factor, high * factor)
+        axes.set_ylim(0.0, 1.22 * tallest)
+        _marks(axes, contents.results["quantities"][quantity], tallest, quantity)
+        _curve_legend(axes, samples, strengths, quantity)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel(axis_label(quantity))
+    return Picture(name=slug("distribution", quantity), title=f"Distribution of {symbol(quantity)}",
+                   finding=distribution_finding(contents, quantity), figure=figure)  # fmt: skip
+
+
+def _log_ticks(axis: Any) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+
+
+def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmic: bool, factor: float) -> float:
+    """Histogram of what was seen and a hatched bar for what outlasted its record; areas are shares."""
+    edges = np.geomspace(*ends, _BINS + 1) if logarithmic else np.linspace(*ends, _BINS + 1)
+    total = len(samples.values)
+    seen = samples.values[~samples.censored]
+    counts, _ = np.histogram(seen, bins=edges)
+    # per step of the axis as drawn, so that areas compare on a logarithmic axis too
+    heights = counts / total * _BINS
+    axes.stairs(heights, edges * factor, fill=True, color=BLUE, alpha=0.35, linewidth=0.0)
+    axes.stairs(heights, edges * factor, color=BLUE, linewidth=1.2)
+    tallest = float(heights.max(initial=0.0))
+    late = samples.values[samples.censored]
+    if len(late):
+        middle = float(np.median(late))
+        width = max(1, _BINS // 20)
+        k = int(np.clip(np.searchsorted(edges, middle) - width // 2 - 1, 0, _BINS - width))
+        height = len(late) / total * _BINS / width
+        left, right = float(edges[k] * factor), float(edges[k + width] * factor)
+        axes.bar(left, height, right - left, align="edge", facecolor="none", edgecolor=RED, hatch="///", linewidth=1.0)
+        tallest = max(tallest, height)
+    return tallest or 1.0
+
+
+def _strength_curve(axes: Axes, strength: _Strength, ends: tuple[float, float], logarithmic: bool, factor: float) -> float:
+    if strength.law is None:
+        assert strength.value is not None
+        axes.axvline(strength.value * factor, color=RED, linestyle="--", ymax=0.8)
+        return 0.0
+    x = np.geomspace(*ends, 300) if logarithmic else np.linspace(*ends, 300)
+    density = np.nan_to_num(pdf(strength.law, x), nan=0.0, posinf=0.0)
+    width = x * np.log(ends[1] / ends[0]) if logarithmic else np.full_like(x, ends[1] - ends[0])
+    heights = density * width
+    axes.plot(x * factor, heights, color=RED, linestyle="--")
+    axes.fill_between(x * factor, heights, color=RED, alpha=0.12, linewidth=0.0)
+    return float(heights.max())
+
+
+def _marks(axes: Axes, entry: Mapping[str, Any], tallest: float, quantity: str) -> None:
+    """Median and 5 to 95 % range above the density."""
+    factor = display_unit(quantity)[1]
+    found = {p: entry["quantiles"].get(p, {}).get("value") for p in ("0.05", "0.5", "0.95")}
+    y = 1.1 * tallest
+    if found["0.05"] is not None and found["0.95"] is not None:
+        axes.plot([found["0.05"] * factor, found["0.95"] * factor], [y, y], color=INK, linewidth=1.2, marker="|",
+                  markersize=8)  # fmt: skip
+    if found["0.5"] is not None:
+        axes.plot([found["0.5"] * factor], [y], marker="o", markersize=6, color=INK, markerfacecolor=PAPER)
+
+
+def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quantity: str) -> None:
+    """What each mark is, above the drawing."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    share = float(samples.censored.mean())
+    handles: list[Any] = []
+    if share < 1.0:
+        handles += [Patch(facecolor=BLUE, alpha=0.35, label=symbol(quantity, 30)),
+                    Line2D([], [], color=INK, marker="o", markerfacecolor=PAPER, label="median, 5 to 95 %")]  # fmt: skip
+    if share > 0.0:
+        handles.append(Patch(facecolor="none", edgecolor=RED, hatch="///", label=f"{plain_percent(share)} outlast the record"))
+    for strength in strengths[:3]:
+        handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {limit_name(strength.name, 30)}"))
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0,
+                handlelength=1.8)  # fmt: skip
+
+
+def distribution_finding(contents: Contents, quantity: str) -> str:
+    """What the distribution of a quantity says, in one or two sentences."""
+    entry = contents.results["quantities"][quantity]
+    quantiles = entry["quantiles"]
+    median, low, high = (quantiles.get(p, {"value": None}) for p in ("0.5", "0.05", "0.95"))
+    share = entry["censored_share"]["value"] or 0.0
+    name = call(quantity)
+    name = name[0].upper() + name[1:] if lookup(quantity).meaning != quantity else name
+    if share >= 1.0:
+        return f"{name}: no sample ends within its record, so that only a lower bound is known."
+    if median["value"] is None:
+        text = f"{name}: the median is not known ({median.get('reason', 'it was not asked for')})."
+    elif low["value"] is not None and high["value"] is not None:
+        text = (f"{name}: half of the cases lie below {rounded(median, quantity)}, and nine in ten between "
+                f"{rounded(low, quantity)} and {rounded(high, quantity)}.")  # fmt: skip
+    else:
+        text = f"{name}: half of the cases lie below {rounded(median, quantity)}."
+    if share > 0.0:
+        text += f" In {plain_percent(share)} of the cases it outlasts the record; these are known as lower bounds only."
+    return text
+
+
+def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
+    """First and total indices as bars with intervals, the largest on top; None where there are none."""
+    entry = contents.results["sensitivity"].get(quantity)
+    rows = ranked(entry)
+    if not rows:
+        return None
+    shown = rows[:MOST_INPUTS]
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.15 + 0.52 * len(shown))
+        assert entry is not None
+        top = 0.0
+        for row, name in enumerate(shown):
+            for order, shift, colour, hatch in (("total", 0.18, ORANGE, "///"), ("first", -0.18, BLUE, "")):
+                top = max(top, _index_bar(axes, entry[order][name], row + shift, colour, hatch))
+        axes.set_yticks(range(len(shown)), [canvas.wrap(short_input(name), 24) for name in shown])
+        axes.set_ylim(len(shown) - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.axvline(0.0, color=GREY, linewidth=0.8)
+        axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, top) * 1.22)
+        axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
+        axes.grid(axis="x")
+        axes.set_xlabel(f"share of the variance of {symbol(quantity, 40)}")
+        _order_legend(axes)
+    return Picture(name=slug("sensitivity", quantity), title=f"What drives {symbol(quantity)}",
+                   finding=sensitivity_finding(contents, quantity), figure=figure)  # fmt: skip
+
+
+def _index_bar(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, hatch: str) -> float:
+    """One bar with whisker and label; the right end of what is drawn."""
+    value = estimate["value"]
+    if value is None:
+        return 0.0
+    low = value if estimate["low"] is None else estimate["low"]
+    high = value if estimate["high"] is None else estimate["high"]
+    low, high = max(low, -0.1), min(high, 1.5)
+    axes.barh(y, value, 0.34, facecolor=colour if not hatch else "none", edgecolor=colour, hatch=hatch, linewidth=1.0)
+    axes.plot([low, high], [y, y], color=INK, linewidth=1.2, marker="|", markersize=6)
+    axes.annotate(share_text(estimate), (max(high, value, 0.0), y), xytext=(5, 0), textcoords="offset points",
+                  va="center", fontsize=8.0)  # fmt: skip
+    return float(max(high, value))
+
+
+def _order_legend(axes: Axes) -> None:
+    from matplotlib.patches import Patch
+
+    handles = [Patch(facecolor=BLUE, edgecolor=BLUE, label="alone (first)"),
+               Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="with interactions (total)")]  # fmt: skip
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2,
+                borderpad=0.0, handlelength=1.4)  # fmt: skip
+
+
+def ranked(entry: Mapping[str, Any] | None) -> list[str]:
+    """Inputs with an index, the largest total first."""
+    if not entry:
+        return []
+    totals = {name: e["value"] for name, e in entry["total"].items() if e["value"] is not None}
+    return sorted(totals, key=lambda name: -totals[name])
+
+
+def sensitivity_finding(contents: Contents, quantity: str) -> str:
+    """Which inputs drive a quantity, with numbers."""
+    entry = contents.results["sensitivity"].get(quantity)
+    rows = ranked(entry)
+    name = symbol(quantity)
+    if not rows or entry is None:
+        return f"What drives {name} is not known."
+    first, total = entry["first"], entry["total"]
+    text = f"{capital(short_input(rows[0]))} drives {share_text(first[rows[0]])} of the variance of {name}"
+    others = [n for n in rows[1:] if (first[n]["low"] or 0.0) > 0.0 or (total[n]["low"] or 0.0) > 0.0][:2]
+    if others:
+        text += "; next " + " and ".join(f"{short_input(n)} with {share_text(first[n])}" for n in others)
+    text += "."
+    extra = [(n, total[n]["low"] - first[n]["high"]) for n in rows
+             if total[n]["low"] is not None and first[n]["high"] is not None]  # fmt: skip
+    acting = [short_input(n) for n, gap in extra if gap > 0.0]
+    if acting:
+        text += f" Interactions matter for {', '.join(acting[:4])}: the total index is larger than the first."
+    else:
+        text += " Interactions are not seen above the intervals."
+    return text
+
+
+def single_value(contents: Contents, quantity: str) -> str:
+    """The one value of a quantity without scatter, or an empty text."""
+    samples = contents.samples.get(quantity)
+    if samples is None or len(samples.values) == 0:
+        return ""
+    if float(np.ptp(samples.values)) > 1e-9 * float(np.abs(samples.values).max()):
+        return ""
+    return value_text(float(samples.values[0]), quantity, 6)

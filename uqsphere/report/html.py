@@ -1,0 +1,160 @@
+"""One self-contained page from a finished run: figures inlined, no script, nothing fetched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from uqsphere.report import canvas, decision, figures, progress, sections
+from uqsphere.report.canvas import Picture
+from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.report.wording import call, capital, limit_name, symbol
+from uqsphere.store import write_atomically
+
+__all__ = ["MOST_BYTES", "Block", "build_report"]
+
+#: a page is never larger than this
+MOST_BYTES: Final = 3_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A heading with its finding, picture, table and remarks; what is absent is left out."""
+
+    heading: str
+    finding: str = ""
+    picture: Picture | None = None
+    table: sections.Table | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def build_report(folder: Path) -> Path:
+    """Write figures/*.svg and report.html of a finished run, from what is stored there.
+
+    Parameters
+    ----------
+    folder : result folder of `uqsphere.runner.run`
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    FolderError
+        When the folder holds no finished run, or is damaged.
+    AccessError
+        When a file cannot be written.
+    """
+    contents = read_contents(folder)
+    parts = _parts(contents)
+    pictures = [block.picture for blocks in parts.values() for block in blocks if block.picture is not None]
+    for picture in _named_apart(pictures):
+        write_atomically(folder / "figures" / f"{picture.name}.svg", canvas.render(picture))
+    page = folder / "report.html"
+    write_atomically(page, _page(contents, parts))
+    return page
+
+
+def _named_apart(pictures: list[Picture]) -> list[Picture]:
+    """The pictures; names that fall together are an error of `_parts`."""
+    names = [picture.name for picture in pictures]
+    assert len(set(names)) == len(names), "two pictures share a name"
+    return pictures
+
+
+def _parts(contents: Contents) -> dict[str, list[Block]]:
+    """The blocks of every section."""
+    return _distinct({
+        "distributions": [_distribution(contents, name) for name in contents.results["quantities"]],
+        "sensitivity": [_sensitivity(contents, name) for name in contents.results["sensitivity"]],
+        "margins": _margins(contents),
+        "convergence": _convergence(contents),
+    })  # fmt: skip
+
+
+def _distinct(parts: dict[str, list[Block]]) -> dict[str, list[Block]]:
+    """The same blocks with pictures whose names, cut to what files allow, do not fall together."""
+    from dataclasses import replace
+
+    taken: set[str] = set()
+    for blocks in parts.values():
+        for k, block in enumerate(blocks):
+            if block.picture is None:
+                continue
+            name, number = block.picture.name, 1
+            while name in taken:
+                number += 1
+                name = f"{block.picture.name}-{number}"
+            taken.add(name)
+            blocks[k] = replace(block, picture=replace(block.picture, name=name))
+    return parts
+
+
+def _distribution(contents: Contents, name: str) -> Block:
+    single = figures.single_value(contents, name)
+    finding = f"One value: {single}." if single else figures.distribution_finding(contents, name)
+    return Block(heading=capital(call(name)), finding=finding, picture=figures.distribution_figure(contents, name),
+                 table=sections.quantity_table(contents, name))  # fmt: skip
+
+
+def _sensitivity(contents: Contents, name: str) -> Block:
+    entry = contents.results["sensitivity"][name]
+    picture = figures.sensitivity_figure(contents, name)
+    remarks = [str(entry.get("check", {}).get("text") or "")]
+    hidden = len(figures.ranked(entry)) - figures.MOST_INPUTS
+    if hidden > 0:
+        remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
+    finding = figures.sensitivity_finding(contents, name)
+    return Block(heading=symbol(name), finding=finding, picture=picture, table=sections.index_table(contents, name),
+                 remarks=tuple(text for text in remarks if text))  # fmt: skip
+
+
+def _margins(contents: Contents) -> list[Block]:
+    limits = contents.results["limits"]
+    if not limits:
+        return []
+    found = " ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items())
+    blocks = [Block(heading="Strength over demand", finding=found, picture=decision.margin_figure(contents),
+                    table=sections.limits_table(contents))]  # fmt: skip
+    for name in contents.results["margins"]:
+        blocks.append(Block(heading=f"Fragility of {limit_name(name)}", finding=decision.fragility_finding(contents, name),
+                            picture=decision.fragility_figure(contents, name),
+                            table=sections.margins_table(contents, name)))  # fmt: skip
+    return blocks
+
+
+def _convergence(contents: Contents) -> list[Block]:
+    finding = progress.progress_finding(contents)
+    return [
+        Block(heading="Error against evaluations", finding=finding, picture=progress.convergence_figure(contents)),
+        Block(heading="Speed against error of each method", picture=progress.speed_figure(contents),
+              finding="The same errors over the seconds since the start, the methods running one after the other."),
+    ]  # fmt: skip
+
+
+def _page(contents: Contents, parts: dict[str, list[Block]]) -> str:
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    def drawn(picture: Picture) -> Any:
+        # the one text that is not escaped: made of escaped parts by the XML writer
+        return Markup(canvas.inline(picture))  # noqa: S704
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["drawn"] = drawn
+    template = environment.from_string(resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8"))
+    return template.render(
+        title=canvas.clean(str(contents.results["study"]["title"])) or "Untitled study",
+        verdicts=verdicts(contents), cautions=[canvas.clean(text) for text in cautions(contents)], parts=parts,
+        checks=sections.checks_table(contents), paper=sections.paper_table(contents),
+        model=sections.model_table(contents), inputs=sections.inputs_table(contents), fixed=sections.fixed_table(contents),
+        dependence=sections.dependence_texts(contents), accuracy=sections.accuracy_table(contents),
+        missed=[canvas.clean(str(text)) for text in contents.results["accuracy"]["missed"]],
+        repeat=sections.repeat_rows(contents), commands=sections.commands(contents),
+        version=contents.results["versions"].get("uqsphere", ""), black_box=contents.black_box,
+    ) + "\n"  # fmt: skip

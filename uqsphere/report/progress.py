@@ -1,0 +1,174 @@
+"""Convergence, and speed against error of every method, as figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
+from uqsphere.report.contents import Contents
+from uqsphere.report.wording import limit_name, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Series", "convergence_figure", "error_series", "speed_figure"]
+
+_COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
+#: series with a label; the rest is drawn thin
+_LABELLED: Final = 10
+_STYLES: Final = ("-", "--", ":", "-.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """The errors of one method for one question: points (evaluations, seconds, error over what was asked)."""
+
+    method: str
+    quantity: str
+    kind: str
+    asked: float
+    points: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Which question it is."""
+        name = limit_name(self.quantity[7:], 20) if self.quantity.startswith("limits.") else symbol(self.quantity, 20)
+        return f"{name} {_short(self.kind)}"
+
+
+def _short(kind: str) -> str:
+    for word in ("mean", "quantile", "probability", "index"):
+        if word in kind:
+            return word
+    return "unexplained" if "variance" in kind else kind
+
+
+def _asked(kind: str, accuracy: Mapping[str, float]) -> float:
+    word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
+    return float(accuracy[word])
+
+
+def error_series(contents: Contents) -> list[Series]:
+    """The speed-error rows of a run as series; the seconds are those of the manifest, in the same order."""
+    rows = contents.results["speed_error"]
+    seconds = list(contents.manifest.get("speed_error_seconds", []))
+    seconds += [math.nan] * (len(rows) - len(seconds))
+    accuracy = contents.resolved["analysis"]["accuracy"]
+    found: dict[tuple[str, str, str], Series] = {}
+    for row, second in zip(rows, seconds, strict=False):
+        if not row["error"] or row["error"] <= 0.0:
+            continue
+        key = (row["method"], row["quantity"], row["error_kind"])
+        asked = _asked(row["error_kind"], accuracy)
+        series = found.setdefault(key, Series(method=key[0], quantity=key[1], kind=key[2], asked=asked))
+        point = (float(row["evaluations"]), float(second), row["error"] / asked)
+        found[key] = replace(series, points=(*series.points, point))
+    return list(found.values())
+
+
+def _drawing(contents: Contents, column: int, name: str, title: str, label: str, finding: str) -> Picture | None:
+    series = [s for s in error_series(contents) if any(p[column] > 0.0 for p in s.points)]
+    if not series:
+        return None
+    series.sort(key=lambda s: -s.points[-1][2])
+    methods = sorted({s.method for s in series})
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.9)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for k, s in enumerate(series):
+            where = methods.index(s.method)
+            points = [p for p in s.points if p[column] > 0.0]
+            axes.plot([p[column] for p in points], [p[2] for p in points], color=_COLOURS[where % len(_COLOURS)],
+                      marker=canvas.MARKS[where % len(canvas.MARKS)], markersize=4.5,
+                      linestyle=_STYLES[k % len(_STYLES)], linewidth=1.2 if k < _LABELLED else 0.6)  # fmt: skip
+        axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
+        _limits(axes, series, column)
+        _end_labels(axes, series[:_LABELLED], column)
+        axes.set_xlabel(label)
+        axes.set_ylabel("error over what was asked")
+        axes.grid()
+        _method_legend(axes, methods)
+    return Picture(name=name, title=title, finding=finding, figure=figure)
+
+
+def _limits(axes: Axes, series: list[Series], column: int) -> None:
+    """Decades around the points, with room for labels on the right."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    xs = [p[column] for s in series for p in s.points if p[column] > 0.0]
+    ys = [p[2] for s in series for p in s.points] + [1.0]
+    low, high = math.log10(min(xs)), math.log10(max(xs))
+    width = max(high - low, 0.5)
+    axes.set_xlim(10.0 ** (low - 0.06 * width), 10.0 ** (high + 0.06 * width))
+    axes.set_ylim(min(ys) / 2.0, max(ys) * 2.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0,) if axis is axes.yaxis or width > 2.0 else (1.0, 2.0, 5.0), numticks=8))
+        axis.set_minor_formatter(NullFormatter())
+        axis.set_major_formatter(FuncFormatter(_thousands))
+
+
+def _thousands(value: float, _: int) -> str:
+    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1000.0 else f"{value:g}"
+
+
+def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
+    """Labels in a column on the right, at the height of their last point as far as there is room."""
+    low, high = (math.log10(v) for v in axes.get_ylim())
+    wanted = [math.log10(s.points[-1][2]) for s in series]
+    places = canvas.spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
+    for s, place in zip(series, places, strict=True):
+        last = s.points[-1]
+        axes.annotate(s.label, (last[column], last[2]), xycoords="data", xytext=(1.06, (place - low) / (high - low)),
+                      textcoords="axes fraction", va="center", fontsize=8.0, annotation_clip=False,
+                      arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 1.0, "shrinkB": 3.0})  # fmt: skip
+
+
+def _method_legend(axes: Axes, methods: list[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    handles: list[Any] = [
+        Line2D([], [], color=_COLOURS[k % len(_COLOURS)], marker=canvas.MARKS[k % len(canvas.MARKS)], markersize=5,
+               label=canvas.shorten(method, 30))
+        for k, method in enumerate(methods)
+    ]  # fmt: skip
+    handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
+
+
+def progress_finding(contents: Contents) -> str:
+    """How far the errors came, in words."""
+    series = error_series(contents)
+    if not series:
+        return "No errors were recorded on the way."
+    # the better of two methods for one question is the one that counts
+    best: dict[tuple[str, str], float] = {}
+    for s in series:
+        best[_question(s)] = min(best.get(_question(s), math.inf), s.points[-1][2])
+    reached = sum(error <= 1.0 for error in best.values())
+    counting = [s for s in series if _question(s) in best and s.points[-1][2] == best[_question(s)]]
+    worst = max(counting, key=lambda s: s.points[-1][2])
+    text = f"{reached} of {len(best)} errors are below what was asked after the last evaluation"
+    if worst.points[-1][2] > 1.0:
+        text += f"; the largest, {worst.label} by {worst.method}, is {worst.points[-1][2]:.2g} times what was asked"
+    return text + "."
+
+
+def _question(series: Series) -> tuple[str, str]:
+    """What is asked: two methods answer for the indices."""
+    return series.quantity, "indices" if _short(series.kind) in ("index", "unexplained") else series.kind
+
+
+def convergence_figure(contents: Contents) -> Picture | None:
+    """Error over what was asked against the evaluations spent."""
+    return _drawing(contents, 0, "convergence", "Error against evaluations", "model evaluations", progress_finding(contents))
+
+
+def speed_figure(contents: Contents) -> Picture | None:
+    """Error over what was asked against the seconds of this machine."""
+    return _drawing(contents, 1, "speed", "Error against time", "seconds since the start, this machine",
+                    progress_finding(contents))  # fmt: skip

@@ -1,0 +1,163 @@
+"""The verdict of a run in words: the answer with its uncertainty, the margin, what it hangs on, what limits it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from uqsphere.model import status_text
+from uqsphere.report.contents import Contents
+from uqsphere.report.decision import margin_finding
+from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
+from uqsphere.report.wording import (
+    absent_reason, call, capital, input_name, limit_name, listed, plain_percent, probability_text, rounded, symbol, value_text,
+)  # fmt: skip
+
+__all__ = ["Verdict", "cautions", "verdicts"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One answer: `word` is met, not met, undecided, no target or answer; `lines` are its three lines."""
+
+    word: str
+    heading: str
+    lines: tuple[str, ...]
+    note: str = ""
+
+    @property
+    def mark(self) -> str:
+        """A sign beside the colour."""
+        return {"met": "✓", "not met": "✗", "undecided": "?"}.get(self.word, "•")
+
+
+def verdicts(contents: Contents) -> list[Verdict]:
+    """One verdict per limit; for a study without limits one per quantity."""
+    limits = contents.results["limits"]
+    if limits:
+        return [_limit_verdict(contents, name, limit) for name, limit in limits.items()]
+    return [_quantity_verdict(contents, name) for name in contents.results["quantities"]]
+
+
+def _word(limit: Mapping[str, Any]) -> str:
+    if limit["target"] is None:
+        return "no target"
+    return {True: "met", False: "not met", None: "undecided"}[limit["met"]]
+
+
+def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> Verdict:
+    word = _word(limit)
+    breaks = limit["aim"] == "break"
+    what = f"Probability of missing {limit_name(name)}" if breaks else f"Probability of {limit_name(name)}"
+    answer = f"{what}: {probability_text(limit['miss'])}"
+    if limit["miss"]["value"] is None:
+        answer += f" ({absent_reason(limit['miss'])})"
+    if limit["target"] is not None:
+        answer += f", target at most {plain_percent(limit['target'])}: {word}."
+    else:
+        answer += "; no target was set."
+    relation = "stays below" if breaks else "exceeds"
+    aim = "the aim is to break it" if breaks else "the aim is to survive"
+    note = f"That is the probability that the {call(limit['quantity'])} {relation} {_strength(contents, name)}; {aim}."
+    if lookup_is_plain(limit["quantity"]):
+        note = note.replace("that the ", "that ", 1)
+    if word == "undecided":
+        note += " The interval reaches across the target: more evaluations would decide it."
+    return Verdict(word=word, heading=name, note=note,
+                   lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)))  # fmt: skip
+
+
+def lookup_is_plain(name: str) -> bool:
+    """Whether a quantity has no other words than its name."""
+    return call(name) == symbol(name, 10_000) or "(" not in call(name)
+
+
+def _strength(contents: Contents, name: str) -> str:
+    found = contents.resolved["limits"][name]["strength"]
+    if found == "random":
+        return "the strength"
+    return value_text(float(found), contents.results["limits"][name]["quantity"])
+
+
+def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str:
+    text = margin_finding(name, limit["margin"]).partition(": ")[2] or margin_finding(name, limit["margin"])
+    text = "Margin: " + text
+    values = contents.results["margins"].get(name)
+    if values:
+        # the value that the target allows if it was asked for, else the smallest probability asked for
+        known = {float(p): e for p, e in values["values"].items() if e["value"] is not None}
+        accepted = limit["target"] if limit["aim"] == "survive" else (1.0 - limit["target"] if limit["target"] else None)
+        if known:
+            p = min(known, key=lambda q: abs(q - accepted)) if accepted is not None else min(known)
+            text += (f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
+                     f"{rounded(known[p], values['solve'])}.")  # fmt: skip
+    return text
+
+
+def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
+    governing = limit.get("governing_inputs")
+    text = "It hangs on: "
+    if governing:
+        order = sorted(governing, key=lambda n: -governing[n])
+        kept = [n for n in order if governing[n] >= 0.05][:3] or order[:1]
+        text += listed([f"{input_name(n)} ({100.0 * governing[n]:.0f} %)" for n in kept])
+        text += ", by their shares in the direction of the failures. "
+    else:
+        text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
+    return text + sensitivity_finding(contents, limit["quantity"])
+
+
+def _quantity_verdict(contents: Contents, name: str) -> Verdict:
+    single = single_value(contents, name)
+    if single:
+        text = f"{capital(call(name))}: {single}, in the one scene of a study without scatter."
+        return Verdict(word="answer", heading=symbol(name), lines=(text,))
+    return Verdict(word="answer", heading=symbol(name),
+                   lines=(distribution_finding(contents, name), sensitivity_finding(contents, name)))  # fmt: skip
+
+
+def cautions(contents: Contents) -> list[str]:
+    """Everything that weakens the answer, the gravest first; empty if nothing does."""
+    results = contents.results
+    found = _failures(contents)
+    grave = [c for c in results["validity"] if c.get("share_failure", 0.0) > 0.0]
+    if grave:
+        found.append("Outside the model's validity: " + listed(
+            [f"{check_name(c['check'])} in {plain_percent(c['share_failure'])} of the samples" for c in grave]) + ".")
+    warned = [c for c in results["validity"] if c not in grave and c.get("share_warning", 0.0) > 0.0]
+    if warned:
+        found.append("Validity warnings: " + listed(
+            [f"{check_name(c['check'])} in {plain_percent(c['share_warning'])} of the samples" for c in warned]) + ".")
+    for name, entry in results["quantities"].items():
+        share = entry["censored_share"]
+        if share["value"]:
+            found.append(f"{probability_text(share)} of the samples of {symbol(name)} outlast their record: they are lower "
+                         "bounds, mean and standard deviation are those restricted to the record.")  # fmt: skip
+    if contents.manifest.get("stopped_by_time"):
+        found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
+    elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
+        found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")
+    missed = results["accuracy"]["missed"]
+    if missed:
+        found.append(f"Accuracy asked for but not reached in {len(missed)} place{'s' if len(missed) > 1 else ''}: "
+                     + "; ".join(missed[:6]) + ("; …" if len(missed) > 6 else "") + ".")  # fmt: skip
+    found += [str(text) for text in results.get("warnings", [])]
+    return found
+
+
+def _failures(contents: Contents) -> list[str]:
+    model = contents.results["model"]
+    if not model["failures"]:
+        return []
+    reasons = [f"{number} because {status_text(int(code), contents.black_box)}"
+               for code, number in model.get("failure_reasons", {}).items()]  # fmt: skip
+    policy = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
+    how = policy[contents.resolved["analysis"]["on_failure"]]
+    text = f"{model['failures']} evaluations failed ({how})"
+    return [text + (": " + "; ".join(reasons) if reasons else "") + "."]
+
+
+def check_name(check: str) -> str:
+    """A validity check in words."""
+    return check.replace("_", " ")

@@ -1,0 +1,175 @@
+"""Numbers and findings in words: every number with its unit, rounded to what its interval supports."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from uqsphere.quantities import format_estimate, format_value, lookup
+from uqsphere.report.canvas import clean, shorten
+
+__all__ = ["ABSENT", "Estimate", "absent_reason", "call", "capital", "estimate_text", "input_name", "limit_name", "listed",
+           "number_text", "probability_text", "rounded", "share_text", "short_input", "symbol", "unit_text",
+           "value_text"]  # fmt: skip
+
+#: an EST of results.json
+Estimate = Mapping[str, Any]
+
+ABSENT: Final = "–"
+_UNITS: Final = {"um": "µm", "us": "µs", "uJ": "µJ", "kg/m3": "kg/m³"}
+_SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_POWER: Final = re.compile(r"(?<=\d)e([+-]?\d+)")
+
+
+def unit_text(unit: str) -> str:
+    """A unit as people write it."""
+    return _UNITS.get(unit, unit)
+
+
+def number_text(text: str) -> str:
+    """A formatted number with a true minus and powers of ten.
+
+    >>> number_text("-1.5e-07 um")
+    '−1.5 × 10⁻⁷ µm'
+    """
+    number, space, unit = text.partition(" ")
+    number = _POWER.sub(lambda m: " × 10" + str(int(m[1])).translate(_SUPERSCRIPT), number)
+    return re.sub(r"(?<!\w)-(?=\d)", "−", number) + space + unit_text(unit)
+
+
+def value_text(value: float | None, name: str = "", digits: int = 4) -> str:
+    """A plain value (SI) of a named quantity."""
+    return ABSENT if value is None else number_text(format_value(value, name, digits))
+
+
+def capital(text: str) -> str:
+    """The text with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
+def call(name: str) -> str:
+    """How a quantity is called in a sentence: its meaning and its name."""
+    meaning = lookup(name).meaning
+    return clean(name) if meaning == name else f"{meaning} ({symbol(name)})"
+
+
+def symbol(name: str, length: int = 60) -> str:
+    """The name of a quantity as the study file has it."""
+    return shorten(name, length)
+
+
+def limit_name(name: str, length: int = 60) -> str:
+    """A limit's own name, as a quotation."""
+    return f"“{shorten(name, length)}”"
+
+
+def input_name(name: str) -> str:
+    """A random or fixed number of the study in words."""
+    parts = name.split(".")
+    if parts[0] == "limits" and len(parts) > 2:
+        return f"{parts[-1].replace('_', ' ')} of {limit_name('.'.join(parts[1:-1]))}"
+    meaning = lookup(name).meaning
+    return clean(meaning)
+
+
+def short_input(name: str) -> str:
+    """The same, without what one knows anyway, for bars and lists."""
+    words = input_name(name)
+    return re.sub(r"^(.*) \(.*\)$", r"\1", words)
+
+
+def _tens(text: str) -> str:
+    return _POWER.sub(lambda m: " × 10" + str(int(m[1])).translate(_SUPERSCRIPT), text)
+
+
+def estimate_text(estimate: Estimate, name: str = "") -> str:
+    """Value and interval with unit; a dash for an absent answer, whose reason `absent_reason` gives."""
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    if value is None:
+        return ABSENT
+    if low is None or high is None:
+        return value_text(value, name)
+    if not low < high:
+        return value_text(value, name, 6)
+    text = format_estimate(value, low, high, name)
+    body, end, unit = text.rpartition(")")
+    body = re.sub(r"(?<![\w.])-(?=\d)", "−", _tens(body + end))
+    return f"{body} {unit_text(unit.strip())}".rstrip()
+
+
+def absent_reason(estimate: Estimate) -> str:
+    """Why an answer is absent, or an empty text."""
+    return "" if estimate["value"] is not None else clean(str(estimate.get("reason") or "no reason is stored"))
+
+
+def probability_text(estimate: Estimate) -> str:
+    """A probability with its interval, in per cent unless it is tiny.
+
+    >>> probability_text({"value": 0.0075, "low": 0.0071, "high": 0.0079})
+    '0.750 (0.710 to 0.790) %'
+    """
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    if value is None:
+        return ABSENT
+    if low is None or high is None:
+        return _percent(value)
+    if value == 0.0 and low == 0.0:
+        return f"none seen, at most {_percent(high)}"
+    if value == 1.0 and high == 1.0 and low < 1.0:
+        return f"all seen, at least {_percent(low)}"
+    if high < 1e-4:
+        return estimate_text(estimate)
+    return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}) + " %"
+
+
+def _percent(value: float) -> str:
+    """Four digits at most, and never 100 % for less than all."""
+    if value > 0.99 and value < 1.0:
+        digits = max(0, 1 - math.floor(math.log10(100.0 * (1.0 - value))))
+        return f"{math.floor(100.0 * value * 10.0**digits) / 10.0**digits:.{digits}f} %"
+    if 0.0 < value < 1e-4:
+        return number_text(f"{value:.2g}")
+    return number_text(f"{100.0 * value:.3g}") + " %"
+
+
+def plain_percent(value: float) -> str:
+    """A share without interval, in per cent."""
+    return _percent(value)
+
+
+def rounded(estimate: Estimate, name: str = "", digits: int = 4) -> str:
+    """The value alone, to what its interval supports and at most `digits` digits."""
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    if value is None:
+        return ABSENT
+    if low is not None and high is not None and low < high and value != 0.0:
+        supported = 1 + math.floor(math.log10(abs(value))) - math.floor(math.log10(0.5 * (high - low)))
+        digits = max(1, min(digits, supported))
+    return value_text(value, name, digits) if digits > 0 else ABSENT
+
+
+def share_text(estimate: Estimate) -> str:
+    """A Sobol' index as a share of the variance, rounded to what its interval supports.
+
+    >>> share_text({"value": 0.9574, "low": 0.9522, "high": 0.9626})
+    '95.7 %'
+    >>> share_text({"value": 1.02, "low": 0.93, "high": 1.12})
+    'nearly all'
+    """
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    if value is None:
+        return ABSENT
+    if value > 0.995 and low is not None:
+        return "nearly all"
+    if low is None or high is None:
+        return f"{100.0 * value:.2g} %"
+    half = 50.0 * (high - low)
+    decimals = min(3, max(0, -math.floor(math.log10(half)))) if half > 0.0 else 2
+    return number_text(f"{100.0 * value:.{decimals}f}") + " %"
+
+
+def listed(words: list[str]) -> str:
+    """a, b and c."""
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""

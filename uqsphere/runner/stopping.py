@@ -1,0 +1,49 @@
+"""When to give up an accuracy: a forecast of what it would take, from how the error has fallen so far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+__all__ = ["evaluations_needed", "out_of_reach"]
+
+#: slowest and fastest fall of an error with the number of points that a forecast believes in
+SLOWEST, FASTEST = 0.5, 1.2
+#: how far a forecast must lie beyond the budget before it is acted on
+CAUTION = 1.5
+
+
+def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> float:
+    """Evaluations at which a half-width would reach `asked`, from its course [(evaluations, half-width), ...].
+
+    Power law through the first and the last point, its exponent kept within what random and smooth
+    quasi-random sampling show.
+
+    >>> round(evaluations_needed([(1000, 0.1), (4000, 0.05)], 0.01))
+    100000
+    """
+    n, width = course[-1]
+    if width <= asked:
+        return float(n)
+    first, wide = course[0]
+    rate = SLOWEST
+    if len(course) > 1 and wide > width > 0.0:
+        rate = min(max(math.log(wide / width) / math.log(n / first), SLOWEST), FASTEST)
+    return float(n * (width / asked) ** (1.0 / rate))
+
+
+def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: float) -> str:
+    """Why an accuracy is given up, or an empty text while the budget may still reach it."""
+    if len(course) < 2:
+        return ""
+    needed = evaluations_needed(course, asked)
+    if needed <= CAUTION * affordable:
+        return ""
+    return f"given up: it would take about {_round(needed):,} evaluations, and {int(affordable):,} are affordable"
+
+
+def _round(value: float) -> int:
+    if not math.isfinite(value):
+        return 10**12
+    digits = max(0, math.floor(math.log10(max(value, 1.0))) - 1)
+    return int(round(value / 10**digits) * 10**digits)
