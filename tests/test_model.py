@@ -71,7 +71,7 @@ def test_rows_do_not_see_each_other(study: Study) -> None:
     whole = evaluate(study, values, QUANTITIES, tolerance=1e-4, threads=1)
     order = np.random.default_rng(1).permutation(700)
     mixed = evaluate(study, {k: v[order] for k, v in values.items()}, QUANTITIES, tolerance=1e-4, threads=2)
-    assert whole.to_numpy()[order].tobytes() == mixed.to_numpy().tobytes()
+    assert whole.to_numpy(dtype=float)[order].tobytes() == mixed.to_numpy(dtype=float).tobytes()
     alone = evaluate(study, {k: v[[300]] for k, v in values.items()}, QUANTITIES, tolerance=1e-4)
     assert alone.to_numpy()[0].tolist() == whole.to_numpy()[300].tolist()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.console import Progress, plain, table
-from uqsphere.errors import AccessError, FolderError, UsageError
+from uqsphere.errors import AccessError, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_estimate, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study
 
@@ -167,13 +167,6 @@ def _estimate(entry: dict[str, Any], name: str = "") -> str:
 
 def _summary(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal."""
-    try:
-        return _summary_text(results)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise FolderError(f"results.json is damaged: {type(error).__name__}: {error}") from error
-
-
-def _summary_text(results: dict[str, Any]) -> str:
     parts = [plain(results["study"]["title"]), ""]
     rows: list[tuple[str, ...]] = []
     for name, limit in results["limits"].items():

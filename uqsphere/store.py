@@ -178,11 +178,11 @@ def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: st
     with _system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock", timeout=0)
-    try:
-        with _system_errors(folder):
+    with _system_errors(folder):
+        try:
             lock.acquire()
-    except Timeout as error:
-        raise FolderError(f"{folder} is locked: another run is at work on it") from error
+        except Timeout as error:  # an OSError itself, so it must not get to the outer block
+            raise FolderError(f"{folder} is locked: another run is at work on it") from error
     store = Store(folder=folder, lock=lock)
     try:
         # once more, now that nobody else can change it

@@ -11,7 +11,7 @@ towards the sphere, theory (4) and (5).
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.quantities import OUTPUTS
 
 __all__ = ["MODES", "Answers", "Motion", "integrate", "motion", "solve", "thread_count"]
 
@@ -33,6 +34,13 @@ _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
 _FULL, _NOT_FINITE = 5, 6
+#: what the kernel has to follow beside the largest approaches and the contact time, as it numbers it
+_WANTED: Final[dict[str, int]] = {
+    "pulse_width": 1, "rise_time": 1, "loading_rate": 1, "force_imbalance": 2, "energy": 4, "specific_energy": 4,
+}  # fmt: skip
+#: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
+#: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
+_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.2, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +50,8 @@ class Answers:
     Attributes
     ----------
     values : mapping of str to (n,) array
-        Every quantity of `uqsphere.quantities.OUTPUTS`, SI; NaN where `status` is not 0.
+        The quantities asked for, all of `uqsphere.quantities.OUTPUTS` by default, SI; NaN where `status` is
+        not 0.
     censored : mapping of str to (n,) array of bool
         For contact_time and pulse_width: the record ended first, the value is a lower bound.
     status : (n,) array of int
@@ -108,17 +117,22 @@ def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
 
 def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, tolerance: float, stop_at_loss: bool,
            answers: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], keep: int = 0,
-           ) -> Motion | None:  # fmt: skip
+           wanted: int = 7) -> Motion | None:  # fmt: skip
     """Run the kernel on rows `order`, with more room for those that run out of it."""
     from uqsphere.mechanics.kernel import march
+    from uqsphere.mechanics.series import TERMS
 
+    share = _LOCAL_DIFFERENCE if wanted & 2 else _LOCAL
+    share = _LOCAL_TAIL if not np.isfinite(arguments["horizon"]).all() else share
+    # without the velocity of the sphere, or with a force that has no limit of smoothness, less holds back a step
+    local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     motion = None
     for capacity in _CAPACITIES:
         room = capacity if keep else 0
-        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, 8)))
-        march(mode, arguments["mass"], arguments["ends"], arguments["round_trips"], arguments["breaks"],
+        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, TERMS)))
+        march(mode, wanted, arguments["mass"], arguments["ends"], arguments["round_trips"], arguments["breaks"],
               arguments["coefficients"], arguments["frequencies"], arguments["horizon"], arguments["pulse_end"],
-              arguments["level"], tolerance, stop_at_loss, capacity, answers, status, order, steps, *kept)  # fmt: skip
+              arguments["level"], local, stop_at_loss, capacity, answers, status, order, steps, *kept)  # fmt: skip
         if keep:
             taken = int(steps[order[-1]])
             motion = Motion(start=kept[0][:taken], length=kept[1][:taken], states=kept[2][:taken])
@@ -129,8 +143,12 @@ def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, t
 
 
 def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None,
+              quantities: Collection[str] | None = None,
               ) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:  # fmt: skip
-    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of a batch."""
+    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of a batch.
+
+    What `quantities` does not name may be left NaN.
+    """
     from uqsphere.mechanics.events import empty_answers
 
     status = scene.status.copy()
@@ -139,6 +157,9 @@ def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, 
     steps = np.zeros(len(scene), dtype=np.int64)
     if len(rows) == 0:
         return answers, status, steps
+    wanted = 0
+    for name in _WANTED if quantities is None else quantities:
+        wanted |= _WANTED.get(name, 0)
     arguments = _arguments(scene, rows)
     inner_answers = empty_answers(len(rows))
     inner_status = np.zeros(len(rows), dtype=np.int64)
@@ -146,7 +167,8 @@ def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, 
     blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
 
     def run(block: npt.NDArray[np.int64]) -> None:
-        _march(arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps)
+        _march(arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps,
+               wanted=wanted)  # fmt: skip
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:
@@ -189,7 +211,8 @@ def _check_request(fidelity: str, tolerance: float) -> None:
         raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
 
 
-def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None) -> Answers:
+def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None,
+          quantities: Collection[str] | None = None) -> Answers:  # fmt: skip
     """Quantities of interest of n scenes by integrating the equations of motion.
 
     Parameters
@@ -202,6 +225,8 @@ def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, thre
         Relative error asked for in every quantity, 1e-12 to 1e-2.
     threads : int, optional
         Threads; all processors of this process if None.  The answers do not depend on it.
+    quantities : collection of str, optional
+        Names of `uqsphere.quantities.OUTPUTS`; all if None.  What is not asked for is not computed.
 
     Returns
     -------
@@ -209,13 +234,20 @@ def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, thre
         With NaN and a status for rows outside the domain; never a number that was not computed.
     """
     _check_request(fidelity, tolerance)
-    scaled, status, steps = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
-    return to_si(scene, scaled, status, steps, linear=fidelity == "linear")
+    if quantities is not None and (unknown := set(quantities) - set(OUTPUTS)):
+        raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
+    scaled, status, steps = integrate(
+        scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
+    )
+    return to_si(scene, scaled, status, steps, linear=fidelity == "linear", quantities=quantities)
 
 
 def to_si(scene: Scene, scaled: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], *,
-          linear: bool) -> Answers:  # fmt: skip
-    """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz."""
+          linear: bool, quantities: Collection[str] | None = None) -> Answers:  # fmt: skip
+    """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz.
+
+    Only the named `quantities`, or all, are answered; a row one of them is not finite in has failed.
+    """
     scales = scene.scales
     (x_max, x_first, difference, energy, contact_time, contact_censored,
      width, width_censored, rise, ended) = scaled.T  # fmt: skip
@@ -241,12 +273,12 @@ def to_si(scene: Scene, scaled: Array, status: npt.NDArray[np.int64], steps: npt
             "edge_tension": contact.edge_tension(pressure, scene.columns["sphere.nu"]),
             "centre_tension": contact.centre_tension(force, scene.columns["sphere.radius"], scene.columns["sphere.nu"]),
         }
-        finite = np.logical_and.reduce([np.isfinite(value) for value in values.values()])
+        if quantities is not None:
+            values = {name: value for name, value in values.items() if name in quantities}
+        finite = np.logical_and.reduce([np.isfinite(value) for value in (x_max, *values.values())])
     status = np.where((status == 0) & ~finite, _NOT_FINITE, status)
     bad = status != 0
     values = {name: np.where(bad, np.nan, value) for name, value in values.items()}
-    censored = {
-        "contact_time": (contact_censored > 0.0) & ~bad,
-        "pulse_width": (width_censored > 0.0) & ~bad,
-    }
+    flags = {"contact_time": contact_censored, "pulse_width": width_censored}
+    censored = {name: (flag > 0.0) & ~bad for name, flag in flags.items() if name in values}
     return Answers(values=values, censored=censored, status=status, record=scales.time * ended, steps=steps)

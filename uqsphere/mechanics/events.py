@@ -1,7 +1,8 @@
-"""What happens inside the steps of a row: peaks, loss of contact, threshold crossings.
+"""What happens inside the steps of a row: peaks, loss of contact, threshold crossings, the end of the record.
 
-All searches run on the polynomials of a step, in theta = 0 ... 1, so that an event is located far better
-than the steps are long.  The functions are compiled and work on the scaled variables of theory (9).
+A vector loop over all lanes (`look`) says in which steps anything can happen; only those are searched, on the
+series of the step, so that an event is located far better than the steps are long.  A piece is the part of a
+step's series that belongs to one lane, (2, TERMS), powers of theta; all quantities are the scaled ones.
 """
 
 from __future__ import annotations
@@ -11,50 +12,57 @@ import math
 import numpy as np
 
 from uqsphere.mechanics.compiled import compiled
+from uqsphere.mechanics.series import INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.vectors import apart
 
-__all__ = ["ANSWERS", "after_step", "begin", "finish", "value"]
+__all__ = ["ANSWERS", "after_step", "begin", "empty_answers", "finish", "look", "passage"]
 
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 
-# trackers of a lane while its row runs
-X_MAX, D_MAX, W_MAX, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED = range(8)
-TRACKS = 8
+# what the caller wants beside the largest approaches and the contact time
+WANT_THRESHOLDS, WANT_DIFFERENCE, WANT_ENERGY = 1, 2, 4
+WANT_ALL = 7
+
+# trackers of a lane while its row runs: the first KINDS are the largest values found so far
+FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED = range(9)
+KINDS = 4
+#: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
+SOMETHING = 1 << KINDS
+TRACKS = 9
 
 # answers of a row, scaled: approach, force difference, energy, times
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
  ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END) = range(10)  # fmt: skip
 ANSWERS = 10
 
-#: what the searches look at: approach of either face, difference of the forces, stored energy
-FACE_A, FACE_B, DIFFERENCE, ENERGY = range(4)
-KINDS = 4
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
-#: points at which a step is scanned before an event is refined
-SCAN = 6
+#: parts into which a step is divided before an event in it is refined
+POINTS = 4
 
 
-@compiled()
-def value(path, lane, n, state, theta):  # type: ignore[no-untyped-def]
-    """State 0, 1 or 2 (x1, x2, u) of a lane inside its step n."""
-    total = path[lane, n, state, 7]
-    for k in range(6, -1, -1):
-        total = total * theta + path[lane, n, state, k]
+@compiled(**INNER)
+def value(piece, face, theta):
+    """Approach of a face inside a step."""
+    total = piece[face, ORDER]
+    for k in range(ORDER - 1, -1, -1):
+        total = total * theta + piece[face, k]
     return total
 
 
-@compiled()
-def slope(path, lane, n, state, theta):  # type: ignore[no-untyped-def]
-    """Its derivative by theta."""
-    total = 7.0 * path[lane, n, state, 7]
-    for k in range(6, 0, -1):
-        total = total * theta + k * path[lane, n, state, k]
-    return total
+@compiled(**INNER)
+def both(piece, face, theta):
+    """Approach of a face inside a step and its derivative by theta."""
+    total, rate = piece[face, ORDER], 0.0
+    for k in range(ORDER - 1, -1, -1):
+        rate = rate * theta + total
+        total = total * theta + piece[face, k]
+    return total, rate
 
 
-@compiled()
-def _combine(kind, mode, x1, x2, d1, d2):  # type: ignore[no-untyped-def]
+@compiled(**INNER)
+def _combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives."""
     if kind == FACE_A:
         return x1, d1
@@ -68,278 +76,334 @@ def _combine(kind, mode, x1, x2, d1, d2):  # type: ignore[no-untyped-def]
         if kind == DIFFERENCE:
             return x1 - x2, d1 - d2
         return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
-    root1 = math.sqrt(x1)
-    root2 = math.sqrt(x2)
+    root1, root2 = math.sqrt(x1), math.sqrt(x2)
     if kind == DIFFERENCE:
         return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
     return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
 
 
-@compiled()
-def look_at_ends(mode, state, new, slopes, step, ends):  # type: ignore[no-untyped-def]
-    """Value and derivative (by theta) of every searched function at both ends of every lane's step.
-
-    ends : (KINDS, 4, lanes), in the order value and derivative at the start, value and derivative at the end.
-    """
-    lanes = len(step)
-    for kind in range(KINDS):
-        for l in range(lanes):
-            k = lanes + l
-            ends[kind, 0, l], ends[kind, 1, l] = _combine(
-                kind, mode, state[l], state[k], step[l] * slopes[0, l], step[l] * slopes[0, k]
-            )
-            ends[kind, 2, l], ends[kind, 3, l] = _combine(
-                kind, mode, new[l], new[k], step[l] * slopes[12, l], step[l] * slopes[12, k]
-            )
-
-
-@compiled()
-def _measure(kind, mode, path, lane, n, theta):  # type: ignore[no-untyped-def]
+@compiled(**INNER)
+def _measure(kind, mode, piece, theta):
     """Value and derivative of one of the searched functions inside a step."""
-    return _combine(
-        kind, mode, value(path, lane, n, 0, theta), value(path, lane, n, 1, theta),
-        slope(path, lane, n, 0, theta), slope(path, lane, n, 1, theta),
-    )  # fmt: skip
+    if kind <= FACE_B:
+        return both(piece, kind, theta)
+    x1, d1 = both(piece, 0, theta)
+    x2, d2 = both(piece, 1, theta)
+    return _combine(kind, mode, x1, x2, d1, d2)
 
 
-@compiled()
-def _largest(kind, mode, path, lane, n, ends, theta_end, known):  # type: ignore[no-untyped-def]
-    """Largest absolute value of a searched function in [0, theta_end], or `known` if that is larger."""
-    left, left_slope, right, right_slope = ends[kind, 0, lane], ends[kind, 1, lane], ends[kind, 2, lane], ends[kind, 3, lane]
-    # a function whose ends and slopes cannot carry it above what is known is not searched
-    top = max(abs(left), abs(right))
-    if top + 0.3 * (abs(left_slope) + abs(right_slope)) <= known:
-        return known
-    if theta_end < 1.0:
-        right, right_slope = _measure(kind, mode, path, lane, n, theta_end)
-        top = max(abs(left), abs(right))
-    best = max(known, top)
-    # nor one whose slope keeps its sign and stays well away from zero
-    _, middle_slope = _measure(kind, mode, path, lane, n, 0.5 * theta_end)
-    steepest = max(abs(left_slope), max(abs(middle_slope), abs(right_slope)))
-    if left_slope * middle_slope > 0.0 and middle_slope * right_slope > 0.0 and (
-        min(abs(left_slope), min(abs(middle_slope), abs(right_slope))) > 0.3 * steepest
-    ):
-        return best
-    a, slope_a = 0.0, left_slope
-    for k in range(1, SCAN + 1):
-        b = theta_end * k / SCAN
-        at_b, slope_b = _measure(kind, mode, path, lane, n, b)
-        best = max(best, abs(at_b))
-        if slope_a * slope_b < 0.0:
-            low, high = a, b
-            for _ in range(26):
-                middle = 0.5 * (low + high)
-                at_middle, s_middle = _measure(kind, mode, path, lane, n, middle)
-                best = max(best, abs(at_middle))
-                if s_middle * slope_a > 0.0:
-                    low = middle
-                else:
-                    high = middle
-        a, slope_a = b, slope_b
-    return best
+@compiled(**INNER)
+def reach(left, left_slope, right, right_slope):
+    """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
+    top = max(left, right)
+    if left_slope > 0.0 and right_slope < 0.0:
+        top += 1.2 * left_slope * right_slope / (right_slope - left_slope)
+    return top
 
 
-@compiled()
-def _upper(path, lane, n, theta):  # type: ignore[no-untyped-def]
-    """The larger approach of the two faces: it carries the larger force."""
-    return max(value(path, lane, n, 0, theta), value(path, lane, n, 1, theta))
+@compiled(**INNER)
+def look(mode, wanted, at, rate, track, theta, low, flags, top, least, crest):
+    """What may have happened in each lane's step, as flags, and a bound of the larger approach in it.
+
+    at, rate (POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
+    low (LANES,): the record may end below this approach.
+    """
+    apart()
+    for m in range(PAIR):
+        top[m] = at[0, m]
+        least[m] = -at[0, m]
+    for i in range(POINTS):
+        for c in range(0, PAIR, LANES):
+            for j in range(LANES):
+                m = c + j
+                width = theta[j] / POINTS
+                left, right = at[i, m], at[i + 1, m]
+                left_slope, right_slope = width * rate[i, m], width * rate[i + 1, m]
+                top[m] = max(top[m], reach(left, left_slope, right, right_slope))
+                least[m] = max(least[m], reach(-left, -left_slope, -right, -right_slope))
+    for j in range(LANES):
+        k = LANES + j
+        crest[j] = max(top[j], top[k])
+        flag = 1 << FACE_A if crest[j] > track[FACE_A, j] else 0
+        # `least` is the negative of what the approach can fall to
+        for m in (j, k):
+            if (at[0, m] > 0.0 and least[m] >= 0.0) or (at[0, m] <= 0.0 and top[m] > 0.0):
+                flag |= SOMETHING
+        if min(least[j], least[k]) > -low[j]:
+            flag |= SOMETHING
+        if track[TOUCHED_A, j] + track[TOUCHED_B, j] < 2.0:
+            flag |= SOMETHING
+        flags[j] = flag
+    for kind in range(DIFFERENCE, KINDS):
+        if (kind == DIFFERENCE and wanted & WANT_DIFFERENCE) or (kind == ENERGY and wanted & WANT_ENERGY):
+            for i in range(POINTS):
+                for j in range(LANES):
+                    k = LANES + j
+                    width = theta[j] / POINTS
+                    left, left_slope = _combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+                    right, right_slope = _combine(
+                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
+                    )
+                    above = reach(left, left_slope, right, right_slope)
+                    below = reach(-left, -left_slope, -right, -right_slope)
+                    if max(above, below) > track[kind, j]:
+                        flags[j] |= 1 << kind
 
 
-@compiled()
-def _crossing(path, lane, n, face, level, a, b):  # type: ignore[no-untyped-def]
-    """Where a face (or the larger of both, face = -1) passes `level` between a and b, which bracket it."""
-    at_a = (_upper(path, lane, n, a) if face < 0 else value(path, lane, n, face, a)) - level
-    at_b = (_upper(path, lane, n, b) if face < 0 else value(path, lane, n, face, b)) - level
-    side = 0
+@compiled(**INNER)
+def _root(piece, face, level, a, b):
+    """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
+    apart()
+    at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
     for _ in range(100):
         if abs(b - a) < 1e-14 or at_b == at_a:
             break
         c = b - at_b * (b - a) / (at_b - at_a)
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        at_c = (_upper(path, lane, n, c) if face < 0 else value(path, lane, n, face, c)) - level
-        if at_c == 0.0:
+        at_c = value(piece, face, c) - level
+        if abs(c - b) < 1e-15 or at_c == 0.0:
             return c
-        # regula falsi with the Illinois rule: the end that stays is halved
-        if at_c * at_b < 0.0:
+        if (at_c < 0.0) != (at_b < 0.0):
             a, at_a = b, at_b
-            side = 0
         else:
-            if side == 1:
-                at_a *= 0.5
-            side = 1
+            at_a *= 0.5
         b, at_b = c, at_c
     return b
 
 
-@compiled()
-def _loss(path, lane, n, face, ends):  # type: ignore[no-untyped-def]
-    """First theta at which a pressed face loses contact, or 2."""
-    left, slope_left, right, slope_right = ends[face, 0, lane], ends[face, 1, lane], ends[face, 2, lane], ends[face, 3, lane]
-    if right > 0.0 and not (
-        slope_left < 0.0 and slope_right > 0.0 and min(left, right) < 0.3 * (abs(slope_left) + abs(slope_right))
-    ):
-        return 2.0
-    a = 0.0
-    for k in range(1, SCAN + 1):
-        b = k / SCAN
-        if value(path, lane, n, face, b) <= 0.0:
-            return _crossing(path, lane, n, face, 0.0, a, b)
-        # a dip below zero between two scanned points: look at its lowest point
-        if slope(path, lane, n, face, a) < 0.0 and slope(path, lane, n, face, b) > 0.0:
-            low, high = a, b
-            for _ in range(50):
-                middle = 0.5 * (low + high)
-                if slope(path, lane, n, face, middle) < 0.0:
-                    low = middle
-                else:
-                    high = middle
-            if value(path, lane, n, face, low) <= 0.0:
-                return _crossing(path, lane, n, face, 0.0, a, low)
-        a = b
-    return 2.0
+@compiled(**INNER)
+def _extremum(kind, mode, piece, a, b, slope_a, slope_b):
+    """theta between a and b at which the slope of a searched function changes sign, as it does at the ends."""
+    apart()
+    for _ in range(40):
+        c = b - slope_b * (b - a) / (slope_b - slope_a)
+        if not min(a, b) < c < max(a, b):
+            c = 0.5 * (a + b)
+        _, slope_c = _measure(kind, mode, piece, c)
+        if abs(c - b) < 1e-6 or slope_c == 0.0:
+            return c
+        if (slope_c < 0.0) != (slope_b < 0.0):
+            a, slope_a = b, slope_b
+        else:
+            slope_a *= 0.5
+        b, slope_b = c, slope_c
+    return b
 
 
-@compiled()
-def begin(track, lane):  # type: ignore[no-untyped-def]
+@compiled(**INNER)
+def passage(piece, face, level, sign, begin, end):
+    """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
+    apart()
+    width = (end - begin) / POINTS
+    a = begin
+    at_a, slope_a = both(piece, face, a)
+    at_a, slope_a = sign * (at_a - level), sign * slope_a
+    if at_a >= 0.0:
+        return begin
+    for k in range(1, POINTS + 1):
+        b = begin + k * width if k < POINTS else end
+        at_b, slope_b = both(piece, face, b)
+        at_b, slope_b = sign * (at_b - level), sign * slope_b
+        if at_b >= 0.0:
+            return _root(piece, face, level, a, b)
+        if slope_a * width > 0.0 > slope_b * width and reach(at_a, slope_a * width, at_b, slope_b * width) >= 0.0:
+            peak = _extremum(face, 0, piece, a, b, slope_a, slope_b)
+            if sign * (value(piece, face, peak) - level) >= 0.0:
+                return _root(piece, face, level, a, peak)
+        a, at_a, slope_a = b, at_b, slope_b
+    return math.nan
+
+
+@compiled(**INNER)
+def _survey(piece, end, grid):
+    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, POINTS + 1)."""
+    apart()
+    for face in range(2):
+        for i in range(POINTS + 1):
+            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / POINTS)
+
+
+@compiled(**INNER)
+def _largest(kind, mode, piece, end, grid, known):
+    """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
+    apart()
+    width = end / POINTS
+    left, left_slope = _combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
+    known = max(known, abs(left))
+    for i in range(1, POINTS + 1):
+        right, right_slope = _combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
+        known = max(known, abs(right))
+        sign = 1.0 if left + right >= 0.0 else -1.0
+        top = reach(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+        if top > max(known, max(abs(left), abs(right))):
+            peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope)
+            at_peak, _ = _measure(kind, mode, piece, peak)
+            known = max(known, abs(at_peak))
+        left, left_slope = right, right_slope
+    return known
+
+
+@compiled(**INNER)
+def _may_pass(grid, face, sign, width):
+    """Whether sign·approach can become positive at all, from its values and slopes at the points of a grid."""
+    apart()
+    for i in range(POINTS):
+        left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
+        right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
+        if reach(left, left_slope, right, right_slope) >= 0.0:
+            return True
+    return False
+
+
+@compiled(**INNER)
+def begin(track, lane):
     """Reset the trackers of a lane."""
+    apart()
     for k in range(TRACKS):
-        track[lane, k] = 0.0
-    track[lane, LOST] = math.nan
-    track[lane, ENDED] = math.nan
+        track[k, lane] = 0.0
+    track[LOST, lane] = math.nan
+    track[ENDED, lane] = math.nan
 
 
-@compiled()
-def after_step(  # type: ignore[no-untyped-def]
-    mode, track, lane, path, n, ends, before, h, echo, pulse_end, open_ended, tiny, stop_at_loss,
+@compiled(**INNER)
+def _both_below(piece, level, theta):
+    """First theta in [0, theta] at which both approaches lie below `level`, or NaN."""
+    apart()
+    at = 0.0
+    for _ in range(8 * POINTS):
+        found = at
+        for face in range(2):
+            found = passage(piece, face, level, -1.0, found, theta)
+            if math.isnan(found):
+                return found
+        if found == at:
+            return found
+        at = found
+    return math.nan
+
+
+@compiled(**INNER)
+def after_step(
+    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, stop_at_loss,
 ):  # fmt: skip
-    """Bring the trackers up to date with an accepted step; True when the record ends inside it.
+    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
-    `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach.
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
+    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
+    `low` > 0 the share of the largest approach below which the record ends.  grid (face, 2, POINTS + 1): values
+    and slopes over [0, theta].
     """
-    theta_end = 1.0
-    done = False
+    apart()
+    ends, why = theta, 0
     for face in range(2):
-        if track[lane, TOUCHED_A + face] > 0.0:
-            theta = _loss(path, lane, n, face, ends)
-            if theta <= 1.0:
-                if math.isnan(track[lane, LOST]) or before + theta * h < track[lane, LOST]:
-                    track[lane, LOST] = before + theta * h
-                if stop_at_loss:
-                    theta_end = min(theta_end, theta)
-                    done = True
-                elif ends[face, 2, lane] <= 0.0:
-                    track[lane, TOUCHED_A + face] = 0.0
-        elif ends[face, 2, lane] > 50.0 * tiny:
-            track[lane, TOUCHED_A + face] = 1.0
-    largest = max(_largest(FACE_A, mode, path, lane, n, ends, theta_end, track[lane, X_MAX]), 0.0)
-    if mode != 2:
-        largest = _largest(FACE_B, mode, path, lane, n, ends, theta_end, largest)
-        track[lane, D_MAX] = _largest(DIFFERENCE, mode, path, lane, n, ends, theta_end, track[lane, D_MAX])
-    track[lane, X_MAX] = largest
-    track[lane, W_MAX] = _largest(ENERGY, mode, path, lane, n, ends, theta_end, track[lane, W_MAX])
+        if flags & SOMETHING == 0:
+            break
+        pressed = piece[face, 0] > 0.0
+        if pressed and track[TOUCHED_A + face, lane] == 0.0:
+            continue
+        if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
+            continue
+        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS):
+            continue
+        # a face that left at the start of this step is clear of zero a little later
+        clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
+        found = passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
+        if math.isnan(found):
+            continue
+        ends, why = found, 2 + face
+    if ends < theta:
+        _survey(piece, ends, grid)
+    if why > 1 and piece[why - 2, 0] > 0.0:
+        if math.isnan(track[LOST, lane]):
+            track[LOST, lane] = before + ends * h
+        if stop_at_loss:
+            why = 1
+    known = track[FACE_A, lane]
+    if flags & (1 << FACE_A):
+        for face in range(2):
+            known = _largest(face, mode, piece, ends, grid, known)
+        track[FACE_A, lane] = known
+    for kind in range(DIFFERENCE, KINDS):
+        if flags & (1 << kind):
+            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane])
+    for face in range(2):
+        if grid[face, 0, POINTS] > 50.0 * tiny:
+            track[TOUCHED_A + face, lane] = 1.0
     if before < echo * (1.0 - 1e-12):
-        track[lane, X_FIRST] = largest
-    if done:
-        track[lane, ENDED] = before + theta_end * h
-        return True
-    if open_ended and before + h > pulse_end * (1.0 + 1e-12):
-        level = largest * (TAIL_SHARE if mode == 1 else TAIL_SHARE ** (2.0 / 3.0))
-        if max(ends[FACE_A, 2, lane], ends[FACE_B, 2, lane]) < level:
-            theta = 0.0
-            if _upper(path, lane, n, 0.0) > level:
-                theta = _crossing(path, lane, n, -1, level, 0.0, 1.0)
-            track[lane, ENDED] = before + theta * h
-            return True
-    return False
+        track[X_FIRST, lane] = known
+    if low > 0.0:
+        found = _both_below(piece, low * known, ends)
+        if not math.isnan(found):
+            ends, why = found, 1
+    if why == 1:
+        track[ENDED, lane] = before + ends * h
+    return ends, why
 
 
-@compiled()
-def _plausible(path, lane, n, theta_end, level):  # type: ignore[no-untyped-def]
-    """Whether the larger approach can reach `level` inside a step at all."""
-    for face in range(2):
-        reach = max(path[lane, n, face, 0], value(path, lane, n, face, theta_end))
-        if reach + 0.3 * theta_end * (abs(path[lane, n, face, 1]) + abs(slope(path, lane, n, face, theta_end))) >= level:
-            return True
-    return False
-
-
-@compiled()
-def _first_above(path, lane, count, last_theta, level, start, length):  # type: ignore[no-untyped-def]
-    """Time at which the larger approach first reaches `level`."""
+@compiled(**INNER)
+def _first_above(path, scale, start, length, crest, count, ended, level):
+    """Time at which the larger approach first reaches `level`; arrays of one lane."""
+    apart()
     for n in range(count):
-        theta_end = last_theta if n == count - 1 else 1.0
-        if not _plausible(path, lane, n, theta_end, level):
+        if crest[n] < level:
             continue
-        a = 0.0
-        for k in range(SCAN + 1):
-            b = theta_end * k / SCAN
-            if _upper(path, lane, n, b) >= level:
-                theta = b if k == 0 else _crossing(path, lane, n, -1, level, a, b)
-                return start[lane, n] + theta * length[lane, n]
-            a = b
+        end = min(length[n], ended - start[n]) / scale[n]
+        first = passage(path[n], 0, level, 1.0, 0.0, end)
+        second = passage(path[n], 1, level, 1.0, 0.0, end)
+        if math.isnan(first) or second < first:
+            first = second
+        if not math.isnan(first):
+            return start[n] + first * scale[n]
     return math.nan
 
 
-@compiled()
-def _last_above(path, lane, count, last_theta, level, start, length):  # type: ignore[no-untyped-def]
-    """Time at which the larger approach is last at `level`."""
+@compiled(**INNER)
+def _last_above(path, scale, start, length, crest, count, ended, level):
+    """Time at which the larger approach is last at `level`; arrays of one lane."""
+    apart()
     for n in range(count - 1, -1, -1):
-        theta_end = last_theta if n == count - 1 else 1.0
-        if not _plausible(path, lane, n, theta_end, level):
+        if crest[n] < level:
             continue
-        b = theta_end
-        for k in range(SCAN, -1, -1):
-            a = theta_end * k / SCAN
-            if _upper(path, lane, n, a) >= level:
-                theta = a if k == SCAN else _crossing(path, lane, n, -1, level, a, b)
-                return start[lane, n] + theta * length[lane, n]
-            b = a
+        end = min(length[n], ended - start[n]) / scale[n]
+        last = passage(path[n], 0, level, 1.0, end, 0.0)
+        second = passage(path[n], 1, level, 1.0, end, 0.0)
+        if math.isnan(last) or second > last:
+            last = second
+        if not math.isnan(last):
+            return start[n] + last * scale[n]
     return math.nan
 
 
-@compiled()
-def finish(mode, track, lane, start, length, path, count, out):  # type: ignore[no-untyped-def]
-    """Answers of a row that has ended, in scaled variables."""
-    n = count - 1
-    ended = track[lane, ENDED]
+@compiled(**INNER)
+def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, out):
+    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane."""
+    apart()
+    ended = track[ENDED, lane]
     if math.isnan(ended):
-        ended = start[lane, n] + length[lane, n]
-    last_theta = min(1.0, (ended - start[lane, n]) / length[lane, n])
-    largest = track[lane, X_MAX]
+        ended = start[count - 1] + length[count - 1]
+    largest = track[FACE_A, lane]
     out[ANSWER_X_MAX] = largest
-    out[ANSWER_X_FIRST] = track[lane, X_FIRST]
-    out[ANSWER_DIFFERENCE] = track[lane, D_MAX]
-    out[ANSWER_ENERGY] = track[lane, W_MAX]
+    out[ANSWER_X_FIRST] = track[X_FIRST, lane]
     out[ANSWER_END] = ended
-    lost = not math.isnan(track[lane, LOST])
-    out[ANSWER_CONTACT] = track[lane, LOST] if lost else ended
+    lost = not math.isnan(track[LOST, lane])
+    out[ANSWER_CONTACT] = track[LOST, lane] if lost else ended
     out[ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
-    power = 1.0 if mode == 1 else 2.0 / 3.0
-    half = largest * 0.5**power
-    above = _first_above(path, lane, count, last_theta, half, start, length)
-    if _upper(path, lane, n, last_theta) >= half:
-        out[ANSWER_WIDTH] = ended - above
-        out[ANSWER_WIDTH_CENSORED] = 1.0
-    else:
-        out[ANSWER_WIDTH] = _last_above(path, lane, count, last_theta, half, start, length) - above
-        out[ANSWER_WIDTH_CENSORED] = 0.0
-    tenth = _first_above(path, lane, count, last_theta, largest * 0.1**power, start, length)
-    nine = _first_above(path, lane, count, last_theta, largest * 0.9**power, start, length)
-    out[ANSWER_RISE] = nine - tenth
-
-
-@compiled()
-def sample(path, start, length, times, out):  # type: ignore[no-untyped-def]
-    """States (x1, x2, u) of kept steps at ascending `times`; out (len(times), 3)."""
-    n = 0
-    for i in range(len(times)):
-        while n < len(start) - 1 and times[i] > start[n] + length[n]:
-            n += 1
-        theta = (times[i] - start[n]) / length[n]
-        for c in range(3):
-            out[i, c] = value(path, 0, n, c, theta)
+    if wanted & WANT_DIFFERENCE:
+        out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
+    if wanted & WANT_ENERGY:
+        out[ANSWER_ENERGY] = track[ENERGY, lane]
+    if wanted & WANT_THRESHOLDS:
+        power = 1.0 if mode == 1 else 2.0 / 3.0
+        half = largest * 0.5**power
+        above = _first_above(path, scale, start, length, crest, count, ended, half)
+        below = _last_above(path, scale, start, length, crest, count, ended, half)
+        # the last crossing is the record's end itself where the force is still above
+        out[ANSWER_WIDTH] = below - above
+        out[ANSWER_WIDTH_CENSORED] = 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
+        tenth = _first_above(path, scale, start, length, crest, count, ended, largest * 0.1**power)
+        nine = _first_above(path, scale, start, length, crest, count, ended, largest * 0.9**power)
+        out[ANSWER_RISE] = nine - tenth
 
 
 def empty_answers(rows: int) -> np.ndarray:

@@ -22,8 +22,27 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "GREEN", "GREY", "INK", "MARKS", "ORANGE", "PAPER", "PURPLE", "RED", "SKY", "Picture", "clean",
-           "inline", "new_figure", "render", "shorten", "spread", "style", "wrap"]  # fmt: skip
+__all__ = [
+    "BLUE",
+    "GREEN",
+    "GREY",
+    "INK",
+    "MARKS",
+    "ORANGE",
+    "PAPER",
+    "PURPLE",
+    "RED",
+    "SKY",
+    "Picture",
+    "clean",
+    "inline",
+    "new_figure",
+    "render",
+    "shorten",
+    "spread",
+    "style",
+    "wrap",
+]
 
 INK: Final = "#1b1f24"
 GREY: Final = "#6b7280"
@@ -45,19 +64,59 @@ _SVG: Final = "{http://www.w3.org/2000/svg}"
 _XLINK: Final = "{http://www.w3.org/1999/xlink}"
 
 _SETTINGS: Final[dict[str, Any]] = {
-    "svg.fonttype": "none", "svg.hashsalt": "uqsphere", "text.parse_math": False, "text.usetex": False,
-    "font.family": ["DejaVu Sans"], "font.size": 10.0, "axes.titlesize": 10.0, "axes.labelsize": 10.0,
-    "xtick.labelsize": 9.0, "ytick.labelsize": 9.0, "legend.fontsize": 9.0, "legend.frameon": False,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": GREY, "axes.labelcolor": INK,
-    "axes.titlelocation": "left", "text.color": INK, "xtick.color": GREY, "ytick.color": GREY,
-    "xtick.labelcolor": INK, "ytick.labelcolor": INK, "axes.linewidth": 0.8, "axes.unicode_minus": True,
-    "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none", "hatch.linewidth": 0.8,
-    "grid.color": FAINT, "grid.linewidth": 0.6, "axes.axisbelow": True, "lines.linewidth": 1.6,
-    "axes.formatter.useoffset": False, "axes.formatter.use_mathtext": False, "path.simplify": True,
-}  # fmt: skip
+    "svg.fonttype": "none",
+    "svg.hashsalt": "uqsphere",
+    "text.parse_math": False,
+    "text.usetex": False,
+    "font.family": ["DejaVu Sans"],
+    "font.size": 10.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 10.0,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.fontsize": 9.0,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlelocation": "left",
+    "text.color": INK,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.unicode_minus": True,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "hatch.linewidth": 0.8,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.6,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.use_mathtext": False,
+    "path.simplify": True,
+}
 #: settings of the machine, not of a picture
-_MACHINE: Final = ("backend", "interactive", "toolbar", "webagg", "tk.", "savefig.directory", "date.", "timezone",
-                   "docstring", "keymap", "animation", "macosx", "figure.hooks", "_internal")  # fmt: skip
+_MACHINE: Final = (
+    "backend",
+    "interactive",
+    "toolbar",
+    "webagg",
+    "tk.",
+    "savefig.directory",
+    "date.",
+    "timezone",
+    "docstring",
+    "keymap",
+    "animation",
+    "macosx",
+    "figure.hooks",
+    "_internal",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +138,12 @@ def clean(text: str) -> str:
     >>> clean("a\\x00b\\nc")
     'ab c'
     """
-    kept = "".join(" " if c in "\t\n\r" else c for c in text
-                   if c in "\t\n\r" or (unicodedata.category(c) not in ("Cc", "Cs", "Cn", "Co") and c not in _BIDI))
-    return " ".join(kept.split())  # fmt: skip
+    kept = "".join(
+        " " if c in "\t\n\r" else c
+        for c in text
+        if c in "\t\n\r" or (unicodedata.category(c) not in ("Cc", "Cs", "Cn", "Co") and c not in _BIDI)
+    )
+    return " ".join(kept.split())
 
 
 def shorten(text: str, length: int) -> str:
@@ -115,8 +177,10 @@ def style() -> Iterator[None]:
         warnings.filterwarnings("ignore", message=r"Glyph \d+ .* missing from")
         warnings.filterwarnings("ignore", message=r".*does not support .* natively")
         warnings.simplefilter("ignore", matplotlib.MatplotlibDeprecationWarning)
-        settings = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_MACHINE)}
-        with matplotlib.rc_context({**settings, **_SETTINGS}):
+        settings: dict[Any, Any] = {
+            key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_MACHINE)
+        }
+        with matplotlib.rc_context(settings | _SETTINGS):
             yield
 
 
@@ -156,10 +220,16 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
     return positions
 
 
-def _tree(picture: Picture) -> ElementTree.Element:
+def render(picture: Picture) -> str:
+    """The picture as the text of an SVG file, the same for the same picture, on white."""
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with style():
+        engine = picture.figure.get_layout_engine()
+        if engine is not None:
+            # laid out once and not again: drawing would do it twice over
+            engine.execute(picture.figure)
+            picture.figure.set_layout_engine("none")
         picture.figure.savefig(buffer, format="svg", metadata=nothing)
     root = ElementTree.fromstring(buffer.getvalue())
     for parent in list(root.iter()):
@@ -169,48 +239,42 @@ def _tree(picture: Picture) -> ElementTree.Element:
                 parent.remove(child)
     for element in root.iter():
         # the reader's machine may lack the font that was measured with; it is wide, so others fit
-        if "font:" in element.get("style", ""):
-            element.set("style", element.get("style", "").replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
-    return _described(root, picture)
-
-
-def _described(root: ElementTree.Element, picture: Picture) -> ElementTree.Element:
-    width, height = root.attrib.pop("width"), root.attrib.pop("height")
-    root.attrib.setdefault("viewBox", f"0 0 {width.removesuffix('pt')} {height.removesuffix('pt')}")
-    root.set("role", "img")
-    root.set("id", "root")
-    root.set("style", "stroke-linejoin: round; stroke-linecap: butt")
-    root.set("aria-labelledby", "title description")
-    for place, (tag, text) in enumerate((("title", picture.title), ("desc", picture.finding))):
-        element = ElementTree.Element(f"{_SVG}{tag}", {"id": "title" if tag == "title" else "description"})
-        element.text = clean(text)
-        root.insert(place, element)
-    return root
-
-
-def render(picture: Picture) -> str:
-    """The picture as the text of an SVG file, the same for the same picture."""
-    root = _tree(picture)
-    box = root.get("viewBox", "0 0 1 1").split()
-    root.set("width", f"{box[2]}pt")
-    root.set("height", f"{box[3]}pt")
+        found = element.get("style", "")
+        if "font:" in found:
+            element.set("style", found.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
+    _describe(root, picture)
     ElementTree.register_namespace("", _SVG[1:-1])
     ElementTree.register_namespace("xlink", _XLINK[1:-1])
-    text = ElementTree.tostring(root, encoding="unicode")
-    # a file of its own stands on white
-    end = text.index(">") + 1
-    return f'<?xml version="1.0" encoding="utf-8"?>\n{text[:end]}<rect width="100%" height="100%" fill="{PAPER}"/>{text[end:]}\n'
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def inline(picture: Picture) -> str:
-    """The picture as an element of an HTML page: names made its own, colours of the page's theme."""
-    root = _tree(picture)
-    prefix = f"{picture.name}-"
+def _describe(root: ElementTree.Element, picture: Picture) -> None:
+    """Words for who does not see the picture, and the paper it stands on."""
+    root.attrib |= {
+        "role": "img",
+        "id": "root",
+        "aria-labelledby": "title description",
+        "style": "stroke-linejoin: round; stroke-linecap: butt",
+    }
+    title = ElementTree.Element(f"{_SVG}title", {"id": "title"})
+    description = ElementTree.Element(f"{_SVG}desc", {"id": "description"})
+    title.text, description.text = clean(picture.title), clean(picture.finding)
+    paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
+    for place, element in enumerate((title, description, paper)):
+        root.insert(place, element)
+
+
+def inline(svg: str, name: str) -> str:
+    """The text of a rendered SVG as an element of an HTML page: ids made its own by `name`, the page's theme."""
+    root = ElementTree.fromstring(svg)
+    root.remove(next(child for child in root if child.get("id") == "paper"))
+    for key in ("width", "height"):
+        del root.attrib[key]
     for element in root.iter():
         element.tag = element.tag.removeprefix(_SVG)
         for key, value in list(element.attrib.items()):
             del element.attrib[key]
-            element.set(key.removeprefix(_XLINK), _own(key.removeprefix(_XLINK), value, prefix))
+            element.set(key.removeprefix(_XLINK), _own(key.removeprefix(_XLINK), value, f"{name}-"))
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -19,8 +19,19 @@ __all__ = ["Contents", "Samples", "law_of", "read_contents"]
 
 Array = npt.NDArray[np.float64]
 
-_NEEDED = ("study", "versions", "inputs", "quantities", "sensitivity", "limits", "margins", "model", "validity",
-           "speed_error", "accuracy")  # fmt: skip
+_NEEDED = (
+    "study",
+    "versions",
+    "inputs",
+    "quantities",
+    "sensitivity",
+    "limits",
+    "margins",
+    "model",
+    "validity",
+    "speed_error",
+    "accuracy",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +82,13 @@ def law_of(resolved: Mapping[str, Any], name: str) -> Law | None:
     if found is None:
         return None
     if found["dist"] == "empirical":
-        return Law(kind="empirical", parameters=found["parameters"], data=tuple(found["data"]),
-                   lower=-np.inf if found["lower"] is None else found["lower"],
-                   upper=np.inf if found["upper"] is None else found["upper"])  # fmt: skip
+        return Law(
+            kind="empirical",
+            parameters=found["parameters"],
+            data=tuple(found["data"]),
+            lower=-np.inf if found["lower"] is None else found["lower"],
+            upper=np.inf if found["upper"] is None else found["upper"],
+        )
     try:
         return make_law(found["dist"], found["parameters"], found["lower"], found["upper"])
     except LawError as error:
@@ -90,9 +105,11 @@ def read_contents(folder: Path) -> Contents:
     """
     files = [read_json(folder / name) for name in ("results.json", "manifest.json", "study.resolved.json")]
     for name, found, needed in zip(
-        ("results.json", "manifest.json", "study.resolved.json"), files,
-        (_NEEDED, (), ("kind", "fixed", "random", "analysis", "limits")), strict=True,
-    ):  # fmt: skip
+        ("results.json", "manifest.json", "study.resolved.json"),
+        files,
+        (_NEEDED, (), ("kind", "fixed", "random", "analysis", "limits")),
+        strict=True,
+    ):
         missing = [key for key in needed if not isinstance(found, dict) or key not in found]
         if missing or not isinstance(found, dict):
             raise FolderError(f"{folder / name} is not what a run writes: it has no {', '.join(missing) or 'table'}")

@@ -13,7 +13,7 @@ from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, RED, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import axis_label, slug
-from uqsphere.report.wording import input_name, limit_name, number_text, plain_percent, rounded, symbol, value_text
+from uqsphere.report.wording import input_name, limit_name, plain_percent, rounded, symbol, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,49 +30,89 @@ _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0
 
 def margin_figure(contents: Contents) -> Picture | None:
     """Strength over demand of every limit: median and 90 % range; None where no limit has a margin."""
-    rows = {name: limit["margin"] for name, limit in contents.results["limits"].items() if _whole(limit["margin"])}
-    if not rows:
+    limits = {name: limit for name, limit in contents.results["limits"].items() if _known(limit["margin"])}
+    if not limits:
         return None
     with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.35 + 0.55 * len(rows))
-        values = [margin[key]["value"] for margin in rows.values() for key in ("0.05", "median", "0.95")]
-        ends = min(1.0, *values), max(1.0, *values)
-        width = 0.12 * (ends[1] - ends[0])
-        axes.set_xlim(ends[0] - width, ends[1] + width)
-        axes.axvspan(axes.get_xlim()[0], 1.0, facecolor=RED, alpha=0.10, linewidth=0.0)
+        figure, (axes,) = canvas.new_figure(1.5 + 0.55 * len(limits))
+        values = [e["value"] for limit in limits.values() for e in _known(limit["margin"]).values()]
+        low, high = min(1.0, *values), max(1.0, *values)
+        width = 0.12 * (high - low) or 0.1
+        axes.set_xlim(low - width, high + width)
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
-        for row, margin in enumerate(rows.values()):
-            low, middle, high = (margin[key] for key in ("0.05", "median", "0.95"))
-            axes.plot([low["value"], high["value"]], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
-            axes.plot(middle["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
-            for estimate in (low, middle, high):
-                axes.annotate(rounded(estimate, digits=3), (estimate["value"], row), xytext=(0, 8),
-                              textcoords="offset points", ha="center", fontsize=9.0)  # fmt: skip
-        axes.set_yticks(range(len(rows)), [canvas.wrap(name, 20) for name in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.7)
+        for row, limit in enumerate(limits.values()):
+            _margin_bar(axes, row, limit)
+        axes.set_yticks(range(len(limits)), [canvas.wrap(name, 20) for name in limits])
+        axes.set_ylim(len(limits) - 0.5, -0.7)
         axes.tick_params(axis="y", length=0)
-        axes.set_xlabel("strength over demand (○ median, bar 5 to 95 %)")
-        axes.annotate("exceeded", (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(-4, 2), ha="right",
-                      textcoords="offset points", color=RED, fontsize=9.0)  # fmt: skip
-        axes.annotate("withstood", (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(4, 2), ha="left",
-                      textcoords="offset points", color=INK, fontsize=9.0)  # fmt: skip
-    finding = " ".join(margin_finding(name, margin) for name, margin in rows.items())
+        axes.set_xlabel("strength over demand\n(○ median, bar 5 to 95 %, shaded: aim missed)")
+        for text, side, shift in (("exceeded", "right", -4), ("withstood", "left", 4)):
+            axes.annotate(
+                text,
+                (1.0, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(shift, 2),
+                ha=side,
+                textcoords="offset points",
+                fontsize=9.0,
+            )
+    finding = " ".join(margin_finding(name, limit["margin"]) for name, limit in limits.items())
     return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
 
 
-def _whole(margin: Mapping[str, Any]) -> bool:
-    return all(key in margin and margin[key]["value"] is not None for key in ("0.05", "median", "0.95"))
+def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
+    """One limit: the side on which its aim is missed, its range (open where an end is unbounded), its median."""
+    left, right = axes.get_xlim()
+    missed = (left, 1.0) if limit["aim"] == "survive" else (1.0, right)
+    axes.fill_between(missed, row - 0.5, row + 0.5, facecolor=RED, alpha=0.10, linewidth=0.0)
+    known = _known(limit["margin"])
+    low = known["0.05"]["value"] if "0.05" in known else left
+    high = known["0.95"]["value"] if "0.95" in known else right
+    axes.plot([low, high], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
+    if "median" in known:
+        axes.plot(known["median"]["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
+    # labels in one line where they stand apart, else around the bar
+    places = {key: e["value"] for key, e in known.items()}
+    near = "median" in places and any(
+        abs(places[key] - places["median"]) < 0.12 * (right - left) for key in ("0.05", "0.95") if key in places
+    )
+    for key, estimate in known.items():
+        below = near and key == "median"
+        side = {"0.05": "right", "0.95": "left"}.get(key, "center") if near else "center"
+        axes.annotate(
+            rounded(estimate, digits=3),
+            (estimate["value"], row),
+            xytext=(0, -9 if below else 8),
+            ha=side,
+            va="top" if below else "bottom",
+            textcoords="offset points",
+            fontsize=9.0,
+        )
+    axes.set_xlim(left, right)
+
+
+def _known(margin: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The quantiles of a margin that have a value, the lowest first."""
+    return {
+        key: margin[key] for key in ("0.05", "median", "0.95") if key in margin and margin[key]["value"] is not None
+    }
 
 
 def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     """The margin of a limit in a sentence, or why there is none."""
-    if not _whole(margin):
-        absent = next((e for e in margin.values() if e["value"] is None), {})
-        reason = absent.get("reason") or "the strength is zero"
-        return f"Limit {limit_name(name)} has no margin: {reason}."
-    low, middle, high = (rounded(margin[key], digits=3) for key in ("0.05", "median", "0.95"))
-    return (f"Limit {limit_name(name)}: the strength is {middle} times the demand in the median case, and between "
-            f"{low} and {high} times it in nine cases of ten.")  # fmt: skip
+    known = {key: rounded(e, digits=3) for key, e in _known(margin).items()}
+    absent = next((e for e in margin.values() if e["value"] is None), None)
+    reason = "" if absent is None else str(absent.get("reason") or "the strength is zero")
+    if not known:
+        return f"Limit {limit_name(name)} has no margin: {reason or 'the strength is zero'}."
+    text = f"Limit {limit_name(name)}: the strength is "
+    if len(known) == 3:
+        return text + (
+            f"{known['median']} times the demand in the median case, and between {known['0.05']} and "
+            f"{known['0.95']} times it in nine cases of ten."
+        )
+    words = {"median": "in the median case", "0.05": "at the 5 % end", "0.95": "at the 95 % end"}
+    return text + "; ".join(f"{value} times the demand {words[key]}" for key, value in known.items()) + f" ({reason})."
 
 
 def _score(p: Any) -> Array:
@@ -109,8 +149,12 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         word = "mean " if solve in contents.resolved["random"] else ""
         axes.set_xlabel(axis_label(solve, word + canvas.shorten(input_name(solve), 50)))
         axes.set_ylabel(f"probability that {symbol(limit['quantity'], 24)}\nexceeds the strength")
-    return Picture(name=slug("fragility", name), title=f"Fragility: {limit_name(name)}",
-                   finding=fragility_finding(contents, name), figure=figure)  # fmt: skip
+    return Picture(
+        name=slug("fragility", name),
+        title=f"Fragility: {limit_name(name)}",
+        finding=fragility_finding(contents, name),
+        figure=figure,
+    )
 
 
 def _interesting(p: Array, x: Array, here: float | None) -> Array:
@@ -141,8 +185,15 @@ def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array,
             continue
         place = estimate["value"] * factor, float(_score(float(p)))
         axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
-        axes.annotate(rounded(estimate, entry["solve"], 3), place, xytext=(7 if rising else -7, -3),
-                      textcoords="offset points", va="top", ha="left" if rising else "right", fontsize=9.0)  # fmt: skip
+        axes.annotate(
+            rounded(estimate, entry["solve"], 3),
+            place,
+            xytext=(7 if rising else -7, -3),
+            textcoords="offset points",
+            va="top",
+            ha="left" if rising else "right",
+            fontsize=9.0,
+        )
 
 
 def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
@@ -153,9 +204,17 @@ def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
     y = float(_score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
     word = "at most" if limit["aim"] == "survive" else "at least"
-    axes.annotate(f"target: {word} {plain_percent(accepted)}", (0.0 if rising else 1.0, y), xytext=(4 if rising else -4, 3),
-                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="left" if rising else "right",
-                  va="bottom", color=RED, fontsize=9.0)  # fmt: skip
+    axes.annotate(
+        f"target: {word} {plain_percent(accepted)}",
+        (0.0 if rising else 1.0, y),
+        xytext=(4 if rising else -4, 3),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        ha="left" if rising else "right",
+        va="bottom",
+        color=RED,
+        fontsize=9.0,
+    )
 
 
 def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising: bool) -> None:
@@ -165,15 +224,24 @@ def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising
         return
     y = float(_score(p))
     if exceedance["low"] is not None and exceedance["high"] is not None:
-        axes.plot([x, x], [float(_score(exceedance["low"])), float(_score(exceedance["high"]))], color=INK, linewidth=1.4)
+        axes.plot(
+            [x, x], [float(_score(exceedance["low"])), float(_score(exceedance["high"]))], color=INK, linewidth=1.4
+        )
     axes.plot(x, y, marker="D", markersize=8, color=ORANGE, markeredgecolor=INK)
     across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
     below = (across if rising else 1.0 - across) <= 0.6
     bottom, top = axes.get_ylim()
     axes.plot([x, x], [y, bottom if below else top], color=INK, linewidth=0.8, linestyle=":")
     right = rising == below
-    axes.annotate(f"as planned: {plain_percent(p)}", (x, bottom if below else top), xytext=(5 if right else -5, 4 if below else -4),
-                  ha="left" if right else "right", va="bottom" if below else "top", textcoords="offset points", fontsize=9.0)
+    axes.annotate(
+        f"as planned: {plain_percent(p)}",
+        (x, bottom if below else top),
+        xytext=(5 if right else -5, 4 if below else -4),
+        ha="left" if right else "right",
+        va="bottom" if below else "top",
+        textcoords="offset points",
+        fontsize=9.0,
+    )
     axes.set_ylim(bottom, top)
 
 
@@ -191,7 +259,7 @@ def _probability_axis(axes: Axes) -> None:
 
 
 def _tick(p: float) -> str:
-    return f"{100.0 * p:.10g} %" if p >= 1e-4 else number_text(f"{p:g}")
+    return f"{100.0 * p:.6f}".rstrip("0").rstrip(".") + " %"
 
 
 def fragility_finding(contents: Contents, name: str) -> str:

@@ -9,13 +9,23 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.quantities import display_unit, lookup
+from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, RED, Picture
 from uqsphere.report.contents import Contents, Samples, law_of
 from uqsphere.report.wording import (
-    call, capital, limit_name, plain_percent, rounded, share_text, short_input, symbol, unit_text, value_text,
-)  # fmt: skip
+    begin,
+    call,
+    limit_name,
+    listed,
+    plain_percent,
+    rounded,
+    share_text,
+    short_input,
+    symbol,
+    unit_text,
+    value_text,
+)
 from uqsphere.uq.laws import Law, pdf, ppf
 
 if TYPE_CHECKING:
@@ -27,8 +37,6 @@ Array = npt.NDArray[np.float64]
 
 #: bars of a sensitivity figure
 MOST_INPUTS: Final = 12
-#: bins of a density
-_BINS: Final = 60
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
 
@@ -113,8 +121,12 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(axis_label(quantity))
-    return Picture(name=slug("distribution", quantity), title=f"Distribution of {symbol(quantity)}",
-                   finding=distribution_finding(contents, quantity), figure=figure)  # fmt: skip
+    return Picture(
+        name=slug("distribution", quantity),
+        title=f"Distribution of {symbol(quantity)}",
+        finding=distribution_finding(contents, quantity),
+        figure=figure,
+    )
 
 
 def _log_ticks(axis: Any) -> None:
@@ -127,28 +139,33 @@ def _log_ticks(axis: Any) -> None:
 
 def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmic: bool, factor: float) -> float:
     """Histogram of what was seen and a hatched bar for what outlasted its record; areas are shares."""
-    edges = np.geomspace(*ends, _BINS + 1) if logarithmic else np.linspace(*ends, _BINS + 1)
     total = len(samples.values)
+    scale = np.log if logarithmic else np.asarray
+    whole = float(scale(np.array(ends[1])) - scale(np.array(ends[0])))
+    low, high = np.quantile(samples.values, [0.0005, 0.9995])
+    bins = 40 if total >= 4000 else 25
+    edges = np.geomspace(low, high, bins + 1) if logarithmic else np.linspace(low, high, bins + 1)
     seen = samples.values[~samples.censored]
     counts, _ = np.histogram(seen, bins=edges)
-    # per step of the axis as drawn, so that areas compare on a logarithmic axis too
-    heights = counts / total * _BINS
+    # per width of the axis as drawn, so that areas compare on a logarithmic axis too
+    heights = counts / total * whole / np.diff(scale(edges))
     axes.stairs(heights, edges * factor, fill=True, color=BLUE, alpha=0.35, linewidth=0.0)
     axes.stairs(heights, edges * factor, color=BLUE, linewidth=1.2)
-    tallest = float(heights.max(initial=0.0))
     late = samples.values[samples.censored]
-    if len(late):
-        middle = float(np.median(late))
-        width = max(1, _BINS // 20)
-        k = int(np.clip(np.searchsorted(edges, middle) - width // 2 - 1, 0, _BINS - width))
-        height = len(late) / total * _BINS / width
-        left, right = float(edges[k] * factor), float(edges[k + width] * factor)
-        axes.bar(left, height, right - left, align="edge", facecolor="none", edgecolor=RED, hatch="///", linewidth=1.0)
-        tallest = max(tallest, height)
-    return tallest or 1.0
+    if len(late) == 0:
+        return float(heights.max())
+    # at the usual end of the record, as wide as can be seen
+    middle, half = float(scale(np.array(np.median(late)))), 0.025 * whole
+    back = np.exp if logarithmic else np.asarray
+    left, right = float(back(np.array(middle - half))) * factor, float(back(np.array(middle + half))) * factor
+    height = len(late) / total * whole / (2.0 * half)
+    axes.bar(left, height, right - left, align="edge", facecolor="none", edgecolor=RED, hatch="///", linewidth=1.0)
+    return max(float(heights.max()), height)
 
 
-def _strength_curve(axes: Axes, strength: _Strength, ends: tuple[float, float], logarithmic: bool, factor: float) -> float:
+def _strength_curve(
+    axes: Axes, strength: _Strength, ends: tuple[float, float], logarithmic: bool, factor: float
+) -> float:
     if strength.law is None:
         assert strength.value is not None
         axes.axvline(strength.value * factor, color=RED, linestyle="--", ymax=0.8)
@@ -168,8 +185,9 @@ def _marks(axes: Axes, entry: Mapping[str, Any], tallest: float, quantity: str) 
     found = {p: entry["quantiles"].get(p, {}).get("value") for p in ("0.05", "0.5", "0.95")}
     y = 1.1 * tallest
     if found["0.05"] is not None and found["0.95"] is not None:
-        axes.plot([found["0.05"] * factor, found["0.95"] * factor], [y, y], color=INK, linewidth=1.2, marker="|",
-                  markersize=8)  # fmt: skip
+        axes.plot(
+            [found["0.05"] * factor, found["0.95"] * factor], [y, y], color=INK, linewidth=1.2, marker="|", markersize=8
+        )
     if found["0.5"] is not None:
         axes.plot([found["0.5"] * factor], [y], marker="o", markersize=6, color=INK, markerfacecolor=PAPER)
 
@@ -182,14 +200,25 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
     share = float(samples.censored.mean())
     handles: list[Any] = []
     if share < 1.0:
-        handles += [Patch(facecolor=BLUE, alpha=0.35, label=symbol(quantity, 30)),
-                    Line2D([], [], color=INK, marker="o", markerfacecolor=PAPER, label="median, 5 to 95 %")]  # fmt: skip
+        handles += [
+            Patch(facecolor=BLUE, alpha=0.35, label=symbol(quantity, 24)),
+            Line2D([], [], color=INK, marker="o", markerfacecolor=PAPER, label="median, 5 to 95 %"),
+        ]
     if share > 0.0:
-        handles.append(Patch(facecolor="none", edgecolor=RED, hatch="///", label=f"{plain_percent(share)} outlast the record"))
+        handles.append(
+            Patch(facecolor="none", edgecolor=RED, hatch="///", label=f"{plain_percent(share)} outlast the record")
+        )
     for strength in strengths[:3]:
-        handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {limit_name(strength.name, 30)}"))
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0,
-                handlelength=1.8)  # fmt: skip
+        handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {limit_name(strength.name, 24)}"))
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=1 if max(len(handle.get_label()) for handle in handles) > 34 else 2,
+        borderaxespad=0.2,
+        borderpad=0.0,
+        handlelength=1.8,
+    )
 
 
 def distribution_finding(contents: Contents, quantity: str) -> str:
@@ -198,15 +227,16 @@ def distribution_finding(contents: Contents, quantity: str) -> str:
     quantiles = entry["quantiles"]
     median, low, high = (quantiles.get(p, {"value": None}) for p in ("0.5", "0.05", "0.95"))
     share = entry["censored_share"]["value"] or 0.0
-    name = call(quantity)
-    name = name[0].upper() + name[1:] if lookup(quantity).meaning != quantity else name
+    name = begin(quantity, call(quantity))
     if share >= 1.0:
         return f"{name}: no sample ends within its record, so that only a lower bound is known."
     if median["value"] is None:
         text = f"{name}: the median is not known ({median.get('reason', 'it was not asked for')})."
     elif low["value"] is not None and high["value"] is not None:
-        text = (f"{name}: half of the cases lie below {rounded(median, quantity)}, and nine in ten between "
-                f"{rounded(low, quantity)} and {rounded(high, quantity)}.")  # fmt: skip
+        text = (
+            f"{name}: half of the cases lie below {rounded(median, quantity)}, and nine in ten between "
+            f"{rounded(low, quantity)} and {rounded(high, quantity)}."
+        )
     else:
         text = f"{name}: half of the cases lie below {rounded(median, quantity)}."
     if share > 0.0:
@@ -236,10 +266,14 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
         axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, top) * 1.22)
         axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
         axes.grid(axis="x")
-        axes.set_xlabel(f"share of the variance of {symbol(quantity, 40)}")
+        axes.set_xlabel(f"share of the variance of {symbol(quantity, 24)}")
         _order_legend(axes)
-    return Picture(name=slug("sensitivity", quantity), title=f"What drives {symbol(quantity)}",
-                   finding=sensitivity_finding(contents, quantity), figure=figure)  # fmt: skip
+    return Picture(
+        name=slug("sensitivity", quantity),
+        title=f"What drives {symbol(quantity)}",
+        finding=sensitivity_finding(contents, quantity),
+        figure=figure,
+    )
 
 
 def _index_bar(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, hatch: str) -> float:
@@ -252,18 +286,33 @@ def _index_bar(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, h
     low, high = max(low, -0.1), min(high, 1.5)
     axes.barh(y, value, 0.34, facecolor=colour if not hatch else "none", edgecolor=colour, hatch=hatch, linewidth=1.0)
     axes.plot([low, high], [y, y], color=INK, linewidth=1.2, marker="|", markersize=6)
-    axes.annotate(share_text(estimate), (max(high, value, 0.0), y), xytext=(5, 0), textcoords="offset points",
-                  va="center", fontsize=8.0)  # fmt: skip
+    axes.annotate(
+        share_text(estimate),
+        (max(high, value, 0.0), y),
+        xytext=(5, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=8.0,
+    )
     return float(max(high, value))
 
 
 def _order_legend(axes: Axes) -> None:
     from matplotlib.patches import Patch
 
-    handles = [Patch(facecolor=BLUE, edgecolor=BLUE, label="alone (first)"),
-               Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="with interactions (total)")]  # fmt: skip
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2,
-                borderpad=0.0, handlelength=1.4)  # fmt: skip
+    handles = [
+        Patch(facecolor=BLUE, edgecolor=BLUE, label="alone (first)"),
+        Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="with interactions (total)"),
+    ]
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+        borderaxespad=0.2,
+        borderpad=0.0,
+        handlelength=1.4,
+    )
 
 
 def ranked(entry: Mapping[str, Any] | None) -> list[str]:
@@ -281,20 +330,32 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     name = symbol(quantity)
     if not rows or entry is None:
         return f"What drives {name} is not known."
-    first, total = entry["first"], entry["total"]
-    text = f"{capital(short_input(rows[0]))} drives {share_text(first[rows[0]])} of the variance of {name}"
-    others = [n for n in rows[1:] if (first[n]["low"] or 0.0) > 0.0 or (total[n]["low"] or 0.0) > 0.0][:2]
-    if others:
-        text += "; next " + " and ".join(f"{short_input(n)} with {share_text(first[n])}" for n in others)
-    text += "."
-    extra = [(n, total[n]["low"] - first[n]["high"]) for n in rows
-             if total[n]["low"] is not None and first[n]["high"] is not None]  # fmt: skip
-    acting = [short_input(n) for n, gap in extra if gap > 0.0]
-    if acting:
-        text += f" Interactions matter for {', '.join(acting[:4])}: the total index is larger than the first."
-    else:
-        text += " Interactions are not seen above the intervals."
-    return text
+    parts = [_driver(entry, n) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
+    text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
+    if len(parts) > 1:
+        text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
+    acting = any(_interacts(entry, n) for n in rows)
+    return text + ("." if acting else ". Interactions are not seen above the intervals.")
+
+
+def _seen(estimate: Mapping[str, Any]) -> bool:
+    return (estimate["low"] or 0.0) > 0.0 and estimate["value"] > 0.005
+
+
+def _interacts(entry: Mapping[str, Any], name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals and by what matters."""
+    first, total = entry["first"][name], entry["total"][name]
+    if first["high"] is None or total["low"] is None:
+        return False
+    return bool(total["low"] > first["high"] and total["value"] - first["value"] > 0.01)
+
+
+def _driver(entry: Mapping[str, Any], name: str) -> tuple[str, str]:
+    """An input in words, and its share of the variance."""
+    first, total = share_text(entry["first"][name]), share_text(entry["total"][name])
+    if _interacts(entry, name):
+        return short_input(name), f"{total} with its interactions ({first} alone)"
+    return short_input(name), first
 
 
 def single_value(contents: Contents, quantity: str) -> str:

@@ -11,13 +11,15 @@ from uqsphere.report import canvas, decision, figures, progress, sections
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, verdicts
-from uqsphere.report.wording import call, capital, limit_name, symbol
+from uqsphere.report.wording import begin, call, capital, limit_name, symbol
 from uqsphere.store import write_atomically
 
 __all__ = ["MOST_BYTES", "Block", "build_report"]
 
 #: a page is never larger than this
 MOST_BYTES: Final = 3_000_000
+#: characters of one text on the page; a study may hold megabytes
+LONGEST: Final = 1500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,29 +54,29 @@ def build_report(folder: Path) -> Path:
     """
     contents = read_contents(folder)
     parts = _parts(contents)
-    pictures = [block.picture for blocks in parts.values() for block in blocks if block.picture is not None]
-    for picture in _named_apart(pictures):
-        write_atomically(folder / "figures" / f"{picture.name}.svg", canvas.render(picture))
+    drawn = {
+        block.picture.name: canvas.render(block.picture)
+        for blocks in parts.values()
+        for block in blocks
+        if block.picture is not None
+    }
+    for name, svg in drawn.items():
+        write_atomically(folder / "figures" / f"{name}.svg", svg)
     page = folder / "report.html"
-    write_atomically(page, _page(contents, parts))
+    write_atomically(page, _page(contents, parts, drawn))
     return page
-
-
-def _named_apart(pictures: list[Picture]) -> list[Picture]:
-    """The pictures; names that fall together are an error of `_parts`."""
-    names = [picture.name for picture in pictures]
-    assert len(set(names)) == len(names), "two pictures share a name"
-    return pictures
 
 
 def _parts(contents: Contents) -> dict[str, list[Block]]:
     """The blocks of every section."""
-    return _distinct({
-        "distributions": [_distribution(contents, name) for name in contents.results["quantities"]],
-        "sensitivity": [_sensitivity(contents, name) for name in contents.results["sensitivity"]],
-        "margins": _margins(contents),
-        "convergence": _convergence(contents),
-    })  # fmt: skip
+    return _distinct(
+        {
+            "distributions": [_distribution(contents, name) for name in contents.results["quantities"]],
+            "sensitivity": [_sensitivity(contents, name) for name in contents.results["sensitivity"]],
+            "margins": _margins(contents),
+            "convergence": _convergence(contents),
+        }
+    )
 
 
 def _distinct(parts: dict[str, list[Block]]) -> dict[str, list[Block]]:
@@ -97,9 +99,18 @@ def _distinct(parts: dict[str, list[Block]]) -> dict[str, list[Block]]:
 
 def _distribution(contents: Contents, name: str) -> Block:
     single = figures.single_value(contents, name)
-    finding = f"One value: {single}." if single else figures.distribution_finding(contents, name)
-    return Block(heading=capital(call(name)), finding=finding, picture=figures.distribution_figure(contents, name),
-                 table=sections.quantity_table(contents, name))  # fmt: skip
+    finding = f"One value: {single}." if single else _without_name(figures.distribution_finding(contents, name))
+    return Block(
+        heading=begin(name, call(name)),
+        finding=finding,
+        picture=figures.distribution_figure(contents, name),
+        table=sections.quantity_table(contents, name),
+    )
+
+
+def _without_name(finding: str) -> str:
+    """A finding under a heading that names its subject."""
+    return capital(finding.partition(": ")[2])
 
 
 def _sensitivity(contents: Contents, name: str) -> Block:
@@ -110,8 +121,13 @@ def _sensitivity(contents: Contents, name: str) -> Block:
     if hidden > 0:
         remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
     finding = figures.sensitivity_finding(contents, name)
-    return Block(heading=symbol(name), finding=finding, picture=picture, table=sections.index_table(contents, name),
-                 remarks=tuple(text for text in remarks if text))  # fmt: skip
+    return Block(
+        heading=symbol(name),
+        finding=finding,
+        picture=picture,
+        table=sections.index_table(contents, name),
+        remarks=tuple(text for text in remarks if text),
+    )
 
 
 def _margins(contents: Contents) -> list[Block]:
@@ -119,12 +135,23 @@ def _margins(contents: Contents) -> list[Block]:
     if not limits:
         return []
     found = " ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items())
-    blocks = [Block(heading="Strength over demand", finding=found, picture=decision.margin_figure(contents),
-                    table=sections.limits_table(contents))]  # fmt: skip
+    blocks = [
+        Block(
+            heading="Strength over demand",
+            finding=found,
+            picture=decision.margin_figure(contents),
+            table=sections.limits_table(contents),
+        )
+    ]
     for name in contents.results["margins"]:
-        blocks.append(Block(heading=f"Fragility of {limit_name(name)}", finding=decision.fragility_finding(contents, name),
-                            picture=decision.fragility_figure(contents, name),
-                            table=sections.margins_table(contents, name)))  # fmt: skip
+        blocks.append(
+            Block(
+                heading=f"Fragility of {limit_name(name)}",
+                finding=decision.fragility_finding(contents, name),
+                picture=decision.fragility_figure(contents, name),
+                table=sections.margins_table(contents, name),
+            )
+        )
     return blocks
 
 
@@ -132,29 +159,50 @@ def _convergence(contents: Contents) -> list[Block]:
     finding = progress.progress_finding(contents)
     return [
         Block(heading="Error against evaluations", finding=finding, picture=progress.convergence_figure(contents)),
-        Block(heading="Speed against error of each method", picture=progress.speed_figure(contents),
-              finding="The same errors over the seconds since the start, the methods running one after the other."),
-    ]  # fmt: skip
+        Block(
+            heading="Speed against error of each method",
+            picture=progress.speed_figure(contents),
+            finding="The same errors over the seconds since the start, the methods running one after the other.",
+        ),
+    ]
 
 
-def _page(contents: Contents, parts: dict[str, list[Block]]) -> str:
+def _plain(value: Any) -> Any:
+    """What a template sets: no control characters, and not endless; drawings pass as they are."""
+    return canvas.shorten(value, LONGEST) if type(value) is str else value
+
+
+def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict[str, str]) -> str:
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     def drawn(picture: Picture) -> Any:
         # the one text that is not escaped: made of escaped parts by the XML writer
-        return Markup(canvas.inline(picture))  # noqa: S704
+        return Markup(canvas.inline(figures_drawn[picture.name], picture.name))
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
+    )
     environment.filters["drawn"] = drawn
     template = environment.from_string(resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8"))
-    return template.render(
-        title=canvas.clean(str(contents.results["study"]["title"])) or "Untitled study",
-        verdicts=verdicts(contents), cautions=[canvas.clean(text) for text in cautions(contents)], parts=parts,
-        checks=sections.checks_table(contents), paper=sections.paper_table(contents),
-        model=sections.model_table(contents), inputs=sections.inputs_table(contents), fixed=sections.fixed_table(contents),
-        dependence=sections.dependence_texts(contents), accuracy=sections.accuracy_table(contents),
-        missed=[canvas.clean(str(text)) for text in contents.results["accuracy"]["missed"]],
-        repeat=sections.repeat_rows(contents), commands=sections.commands(contents),
-        version=contents.results["versions"].get("uqsphere", ""), black_box=contents.black_box,
-    ) + "\n"  # fmt: skip
+    return (
+        template.render(
+            title=canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study",
+            verdicts=verdicts(contents),
+            cautions=cautions(contents),
+            parts=parts,
+            checks=sections.checks_table(contents),
+            paper=sections.paper_table(contents),
+            model=sections.model_table(contents),
+            inputs=sections.inputs_table(contents),
+            fixed=sections.fixed_table(contents),
+            dependence=sections.dependence_texts(contents),
+            accuracy=sections.accuracy_table(contents),
+            missed=[str(text) for text in contents.results["accuracy"]["missed"]][:200],
+            repeat=sections.repeat_rows(contents),
+            commands=sections.commands(contents),
+            version=contents.results["versions"].get("uqsphere", ""),
+            black_box=contents.black_box,
+        )
+        + "\n"
+    )

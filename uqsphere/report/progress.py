@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.wording import limit_name, symbol
+from uqsphere.report.wording import limit_name, number_text, symbol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,9 +83,15 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
         for k, s in enumerate(series):
             where = methods.index(s.method)
             points = [p for p in s.points if p[column] > 0.0]
-            axes.plot([p[column] for p in points], [p[2] for p in points], color=_COLOURS[where % len(_COLOURS)],
-                      marker=canvas.MARKS[where % len(canvas.MARKS)], markersize=4.5,
-                      linestyle=_STYLES[k % len(_STYLES)], linewidth=1.2 if k < _LABELLED else 0.6)  # fmt: skip
+            axes.plot(
+                [p[column] for p in points],
+                [p[2] for p in points],
+                color=_COLOURS[where % len(_COLOURS)],
+                marker=canvas.MARKS[where % len(canvas.MARKS)],
+                markersize=4.5,
+                linestyle=_STYLES[k % len(_STYLES)],
+                linewidth=1.2 if k < _LABELLED else 0.6,
+            )
         axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
         _limits(axes, series, column)
         _end_labels(axes, series[:_LABELLED], column)
@@ -104,15 +110,19 @@ def _limits(axes: Axes, series: list[Series], column: int) -> None:
     ys = [p[2] for s in series for p in s.points] + [1.0]
     low, high = math.log10(min(xs)), math.log10(max(xs))
     width = max(high - low, 0.5)
-    axes.set_xlim(10.0 ** (low - 0.06 * width), 10.0 ** (high + 0.06 * width))
+    axes.set_xlim(10.0 ** (low - 0.1 * width), 10.0 ** (high + 0.1 * width))
     axes.set_ylim(min(ys) / 2.0, max(ys) * 2.0)
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0,) if axis is axes.yaxis or width > 2.0 else (1.0, 2.0, 5.0), numticks=8))
+        axis.set_major_locator(
+            LogLocator(subs=(1.0,) if axis is axes.yaxis or width > 2.0 else (1.0, 2.0, 5.0), numticks=8)
+        )
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter(FuncFormatter(_thousands))
 
 
 def _thousands(value: float, _: int) -> str:
+    if value < 1e-3:
+        return number_text(f"{value:.0e}").removeprefix("1 × ")
     return f"{value:,.0f}".replace(",", "\u202f") if value >= 1000.0 else f"{value:g}"
 
 
@@ -123,19 +133,40 @@ def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
     places = canvas.spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
     for s, place in zip(series, places, strict=True):
         last = s.points[-1]
-        axes.annotate(s.label, (last[column], last[2]), xycoords="data", xytext=(1.06, (place - low) / (high - low)),
-                      textcoords="axes fraction", va="center", fontsize=8.0, annotation_clip=False,
-                      arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 1.0, "shrinkB": 3.0})  # fmt: skip
+        axes.annotate(
+            s.label,
+            (last[column], last[2]),
+            xycoords="data",
+            xytext=(1.06, (place - low) / (high - low)),
+            textcoords="axes fraction",
+            va="center",
+            fontsize=8.0,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": GREY,
+                "linewidth": 0.5,
+                "shrinkA": 1.0,
+                "shrinkB": 3.0,
+                "relpos": (0.0, 0.5),
+            },
+        )
 
 
 def _method_legend(axes: Axes, methods: list[str]) -> None:
     from matplotlib.lines import Line2D
 
     handles: list[Any] = [
-        Line2D([], [], color=_COLOURS[k % len(_COLOURS)], marker=canvas.MARKS[k % len(canvas.MARKS)], markersize=5,
-               label=canvas.shorten(method, 30))
+        Line2D(
+            [],
+            [],
+            color=_COLOURS[k % len(_COLOURS)],
+            marker=canvas.MARKS[k % len(canvas.MARKS)],
+            markersize=5,
+            label=canvas.shorten(method, 30),
+        )
         for k, method in enumerate(methods)
-    ]  # fmt: skip
+    ]
     handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
 
@@ -165,10 +196,13 @@ def _question(series: Series) -> tuple[str, str]:
 
 def convergence_figure(contents: Contents) -> Picture | None:
     """Error over what was asked against the evaluations spent."""
-    return _drawing(contents, 0, "convergence", "Error against evaluations", "model evaluations", progress_finding(contents))
+    return _drawing(
+        contents, 0, "convergence", "Error against evaluations", "model evaluations", progress_finding(contents)
+    )
 
 
 def speed_figure(contents: Contents) -> Picture | None:
     """Error over what was asked against the seconds of this machine."""
-    return _drawing(contents, 1, "speed", "Error against time", "seconds since the start, this machine",
-                    progress_finding(contents))  # fmt: skip
+    return _drawing(
+        contents, 1, "speed", "Error against time", "seconds since the start, this machine", progress_finding(contents)
+    )

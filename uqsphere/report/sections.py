@@ -8,15 +8,40 @@ from typing import Any
 
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.report.contents import Contents
-from uqsphere.report.verdict import check_name
 from uqsphere.report.figures import ranked
+from uqsphere.report.verdict import check_name
 from uqsphere.report.wording import (
-    ABSENT, absent_reason, call, estimate_text, input_name, limit_name, number_text, plain_percent, probability_text,
-    symbol, unit_text, value_text,
-)  # fmt: skip
+    ABSENT,
+    absent_reason,
+    call,
+    estimate_text,
+    input_name,
+    limit_name,
+    number_text,
+    plain_percent,
+    probability_text,
+    symbol,
+    unit_text,
+    value_text,
+)
 
-__all__ = ["Table", "accuracy_table", "checks_table", "fixed_table", "index_table", "inputs_table", "limits_table",
-           "margins_table", "model_table", "paper_table", "quantity_table", "repeat_rows"]  # fmt: skip
+#: quantities that the end of the record can cut short
+_RECORDED = frozenset({"contact_time", "pulse_width"})
+
+__all__ = [
+    "Table",
+    "accuracy_table",
+    "checks_table",
+    "fixed_table",
+    "index_table",
+    "inputs_table",
+    "limits_table",
+    "margins_table",
+    "model_table",
+    "paper_table",
+    "quantity_table",
+    "repeat_rows",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +64,13 @@ def quantity_table(contents: Contents, quantity: str) -> Table:
     entry = contents.results["quantities"][quantity]
     rows = [("mean", _cell(entry["mean"], quantity)), ("standard deviation", _cell(entry["sd"], quantity))]
     rows += [(f"{100.0 * float(p):g} % quantile", _cell(e, quantity)) for p, e in entry["quantiles"].items()]
-    rows.append(("share that outlasts the record", _cell(entry["censored_share"], probability=True)))
-    return Table(caption=f"{symbol(quantity)}: values with 95 % intervals", header=("", "value (95 % interval)"),
-                 rows=tuple(rows))  # fmt: skip
+    if entry["censored_share"]["value"] or quantity in _RECORDED:
+        rows.append(("share that outlasts the record", _cell(entry["censored_share"], probability=True)))
+    return Table(
+        caption=f"{symbol(quantity)}: values with 95 % intervals",
+        header=("", "value (95 % interval)"),
+        rows=tuple(rows),
+    )
 
 
 def index_table(contents: Contents, quantity: str) -> Table | None:
@@ -50,10 +79,13 @@ def index_table(contents: Contents, quantity: str) -> Table | None:
     names = ranked(entry)
     if not names or entry is None:
         return None
-    rows = [(input_name(n), _cell(entry["first"][n]), _cell(entry["total"][n]), str(entry["total"][n]["method"]))
-            for n in names]  # fmt: skip
-    return Table(caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
-                 header=("input", "first (alone)", "total (with interactions)", "method"), rows=tuple(rows))
+    rows = [(input_name(n), _cell(entry["first"][n]), _cell(entry["total"][n])) for n in names]
+    methods = sorted({str(entry["total"][n]["method"]) for n in names})
+    return Table(
+        caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals, by {' and '.join(methods)}",
+        header=("input", "first (alone)", "total (with interactions)"),
+        rows=tuple(rows),
+    )
 
 
 def limits_table(contents: Contents) -> Table:
@@ -65,9 +97,13 @@ def limits_table(contents: Contents) -> Table:
         beta = ABSENT if index is None else _cell({"value": index, "low": low, "high": high})
         rows += [
             (limit_name(name), "probability of exceeding the strength", _cell(limit["exceedance"], probability=True)),
-            (limit_name(name), f"probability of missing the aim ({limit['aim']})", _cell(limit["miss"], probability=True)),
+            (
+                limit_name(name),
+                f"probability of missing the aim ({limit['aim']})",
+                _cell(limit["miss"], probability=True),
+            ),
             (limit_name(name), "reliability index", beta),
-        ]  # fmt: skip
+        ]
         words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
         rows += [(limit_name(name), words.get(k, k), _cell(e)) for k, e in limit["margin"].items()]
     return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
@@ -78,8 +114,11 @@ def margins_table(contents: Contents, name: str) -> Table:
     entry = contents.results["margins"][name]
     solve = entry["solve"]
     rows = tuple((plain_percent(float(p)), _cell(e, solve)) for p, e in entry["values"].items())
-    return Table(caption=f"{input_name(solve)} at which {limit_name(name)} is exceeded with a given probability",
-                 header=("probability", "value (95 % interval)"), rows=rows)  # fmt: skip
+    return Table(
+        caption=f"{input_name(solve)} at which {limit_name(name)} is exceeded with a given probability",
+        header=("probability", "value (95 % interval)"),
+        rows=rows,
+    )
 
 
 def checks_table(contents: Contents) -> Table:
@@ -92,8 +131,11 @@ def checks_table(contents: Contents) -> Table:
         if check["worst"] is None and grade == "ok":
             grade = "not checked"
         rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", str(check["text"])))
-    return Table(caption="Assumptions of the model, checked on a pilot sample", rows=tuple(rows),
-                 header=("assumption", "grade", "share of samples", "finding"))  # fmt: skip
+    return Table(
+        caption="Assumptions of the model, checked on a pilot sample",
+        rows=tuple(rows),
+        header=("assumption", "grade", "share of samples", "finding"),
+    )
 
 
 def paper_table(contents: Contents) -> Table | None:
@@ -109,8 +151,11 @@ def paper_table(contents: Contents) -> Table | None:
         rows.append((str(row["quantity"]).replace("_", " ") if not name else call(name), *texts, off, str(row["note"])))
     if not rows:
         return None
-    return Table(caption="At the means of the inputs", rows=tuple(rows),
-                 header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"))
+    return Table(
+        caption="At the means of the inputs",
+        rows=tuple(rows),
+        header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
+    )
 
 
 #: SI unit -> a named quantity with that unit's display, for rows that are no quantity of interest
@@ -124,8 +169,13 @@ def _paper_number(value: float | None, name: str, unit: str) -> str:
 # --- inputs ---------------------------------------------------------------------------------------
 
 _BARE = frozenset({"cov", "modulus", "shape", "alpha", "beta", "dof", "log_mean", "log_sd", "bandwidth"})
-_WORDS = {"sd": "standard deviation", "cov": "coefficient of variation", "dof": "degrees of freedom",
-          "log_mean": "mean of the logarithm (SI)", "log_sd": "standard deviation of the logarithm"}  # fmt: skip
+_WORDS = {
+    "sd": "standard deviation",
+    "cov": "coefficient of variation",
+    "dof": "degrees of freedom",
+    "log_mean": "mean of the logarithm (SI)",
+    "log_sd": "standard deviation of the logarithm",
+}
 
 
 def _law_text(contents: Contents, name: str) -> str:
@@ -138,9 +188,14 @@ def _law_text(contents: Contents, name: str) -> str:
             unit = unit_text(lookup(subject).unit)
             parts.append(f"rate {value:.6g}" + (f" per {unit}" if unit else ""))
         elif isinstance(value, (int, float)):
-            parts.append(f"{_WORDS.get(key, key)} " + (f"{value:.6g}" if key in _BARE else value_text(value, subject, 6)))
+            parts.append(
+                f"{_WORDS.get(key, key)} " + (f"{value:.6g}" if key in _BARE else value_text(value, subject, 6))
+            )
     bounded = law["dist"] in ("uniform", "loguniform", "triangular", "beta")
-    for key, word in (("lower", "from" if bounded else "cut off below"), ("upper", "to" if bounded else "cut off above")):
+    for key, word in (
+        ("lower", "from" if bounded else "cut off below"),
+        ("upper", "to" if bounded else "cut off above"),
+    ):
         if law[key] is not None:
             parts.append(f"{word} {value_text(law[key], subject, 6)}")
     if law["data"]:
@@ -160,21 +215,39 @@ def inputs_table(contents: Contents) -> Table:
     rows = []
     for name, entry in contents.results["inputs"].items():
         subject = contents.subject(name)
-        rows.append((f"{input_name(name)}", _law_text(contents, name), value_text(entry["mean"], subject, 5),
-                     value_text(entry["sd"], subject, 4), _source(contents, name)))  # fmt: skip
-    return Table(caption="Random inputs", header=("input", "law", "mean in force", "sd in force", "source"),
-                 rows=tuple(rows))  # fmt: skip
+        rows.append(
+            (
+                f"{input_name(name)}",
+                _law_text(contents, name),
+                value_text(entry["mean"], subject, 5),
+                value_text(entry["sd"], subject, 4),
+                _source(contents, name),
+            )
+        )
+    return Table(
+        caption="Random inputs", header=("input", "law", "mean in force", "sd in force", "source"), rows=tuple(rows)
+    )
 
 
 def fixed_table(contents: Contents) -> Table | None:
     """Fixed numbers and choices of the scene with their sources."""
-    rows = [(input_name(name), value_text(value, name, 6), _source(contents, name))
-            for name, value in contents.resolved["fixed"].items()]  # fmt: skip
+    rows = [
+        (input_name(name), value_text(value, name, 6), _source(contents, name))
+        for name, value in contents.resolved["fixed"].items()
+    ]
     for name, value in contents.resolved.get("options", {}).items():
         text = {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
-        rows.append((name.replace(".", ": ").replace("_", " "), text.replace("_", " "), "stated in the study or default"))
-    rows += [(f"material of the {'sphere' if part == 'sphere' else 'bars'}", str(material).replace("_", " "), "material library")
-             for part, material in contents.resolved.get("materials", {}).items()]  # fmt: skip
+        rows.append(
+            (name.replace(".", ": ").replace("_", " "), text.replace("_", " "), "stated in the study or default")
+        )
+    rows += [
+        (
+            f"material of the {'sphere' if part == 'sphere' else 'bars'}",
+            str(material).replace("_", " "),
+            "material library",
+        )
+        for part, material in contents.resolved.get("materials", {}).items()
+    ]
     if not rows:
         return None
     return Table(caption="Fixed numbers", header=("input", "value", "source"), rows=tuple(rows))
@@ -182,8 +255,11 @@ def fixed_table(contents: Contents) -> Table | None:
 
 def dependence_texts(contents: Contents) -> list[str]:
     """The rank correlations in sentences."""
-    return [f"{' and '.join(input_name(n) for n in group['of'])}: Spearman rank correlation {group['spearman']:g}, "
-            f"{group['copula']} copula." for group in contents.resolved.get("dependence", [])]  # fmt: skip
+    return [
+        f"{' and '.join(input_name(n) for n in group['of'])}: Spearman rank correlation {group['spearman']:g}, "
+        f"{str(group['copula']).capitalize()} copula."
+        for group in contents.resolved.get("dependence", [])
+    ]
 
 
 # --- what was asked, the model, how to repeat ---------------------------------------------------------
@@ -209,18 +285,31 @@ def accuracy_table(contents: Contents) -> Table:
         sd = entry["sd"]["value"]
         widths = [w for w in map(_half, entry["quantiles"].values()) if w is not None]
         mean = _half(entry["mean"])
-        add(f"mean of {symbol(name)}, over its standard deviation", mean / sd if sd and mean is not None else None, asked["mean"])
-        add(f"worst quantile of {symbol(name)}, over its standard deviation", max(widths) / sd if sd and widths else None,
-            asked["quantile"])  # fmt: skip
+        add(
+            f"mean of {symbol(name)}, over its standard deviation",
+            mean / sd if sd and mean is not None else None,
+            asked["mean"],
+        )
+        add(
+            f"worst quantile of {symbol(name)}, over its standard deviation",
+            max(widths) / sd if sd and widths else None,
+            asked["quantile"],
+        )
     for name, entry in contents.results["sensitivity"].items():
         widths = [w for order in ("first", "total") for w in map(_half, entry[order].values()) if w is not None]
         add(f"worst Sobol’ index of {symbol(name)}", max(widths, default=None), asked["sobol"])
     for name, limit in contents.results["limits"].items():
         width, value = _half(limit["miss"]), limit["miss"]["value"]
-        add(f"probability of missing {limit_name(name)}, over itself", width / value if width is not None and value else None,
-            asked["probability"])  # fmt: skip
-    return Table(caption="Half-widths of the 95 % intervals, asked and reached", rows=tuple(rows),
-                 header=("question", "asked", "reached", ""))  # fmt: skip
+        add(
+            f"probability of missing {limit_name(name)}, over itself",
+            width / value if width is not None and value else None,
+            asked["probability"],
+        )
+    return Table(
+        caption="Half-widths of the 95 % intervals, asked and reached",
+        rows=tuple(rows),
+        header=("question", "asked", "reached", ""),
+    )
 
 
 def model_table(contents: Contents) -> Table:
@@ -228,13 +317,20 @@ def model_table(contents: Contents) -> Table:
     model = contents.results["model"]
     rows = [("model", str(model["chosen"])), ("why", str(model["why"]))]
     for name, error in model["measured_error"].items():
-        text = ABSENT + " (could not be measured)" if error is None else number_text(f"{error:.2g}") + " standard deviations"
+        text = (
+            ABSENT + " (could not be measured)"
+            if error is None
+            else number_text(f"{error:.2g}") + " standard deviations"
+        )
         rows.append((f"measured error of {symbol(name)}", text))
     rows += [(f"evaluations, {name}", _thousands(number)) for name, number in model["evaluations"].items()]
     rows.append(("failed evaluations", _thousands(model["failures"])))
-    for key, label, like in (("mu_median", "mass number μ, median", ""), ("theta_median", "pulse number θ = t_i/t_c, median", ""),
-                             ("P_0_median", "force scale P_0 = Z v_0/2, median", "P_max"),
-                             ("t_c_median", "time scale t_c, median", "contact_time")):  # fmt: skip
+    for key, label, like in (
+        ("mu_median", "mass number μ, median", ""),
+        ("theta_median", "pulse number θ = t_i/t_c, median", ""),
+        ("P_0_median", "force scale P_0 = Z v_0/2, median", "P_max"),
+        ("t_c_median", "time scale t_c, median", "contact_time"),
+    ):
         if key in model.get("numbers", {}):
             rows.append((label, value_text(model["numbers"][key], like)))
     return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows))
@@ -247,13 +343,21 @@ def _thousands(number: float) -> str:
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
     """What another must know to get the same numbers."""
     results, manifest = contents.results, contents.manifest
-    rows = [("study", str(results["study"]["hash"])), ("seed", str(results["study"]["seed"])),
-            ("versions", ", ".join(f"{k} {v}" for k, v in results["versions"].items()))]  # fmt: skip
+    rows = [
+        ("study", str(results["study"]["hash"])),
+        ("seed", str(results["study"]["seed"])),
+        ("versions", ", ".join(f"{k} {v}" for k, v in results["versions"].items())),
+    ]
     if "platform" in manifest:
         rows.append(("machine", " ".join(str(v) for v in manifest["platform"].values())))
     if "evaluations" in manifest:
         again = manifest.get("evaluations_reused", 0)
-        rows.append(("evaluations", _thousands(manifest["evaluations"]) + (f", {_thousands(again)} of them stored before" if again else "")))
+        rows.append(
+            (
+                "evaluations",
+                _thousands(manifest["evaluations"]) + (f", {_thousands(again)} of them stored before" if again else ""),
+            )
+        )
     total = manifest.get("seconds", {}).get("total")
     if total is not None:
         rows.append(("time", f"{total:.3g} s"))

@@ -65,14 +65,28 @@ def draw_history(history: History) -> Picture:
     keep = _thinned(history)
     t = history.time[keep] * factor
     panels: list[tuple[str, list[tuple[str, Array, str, str]]]] = [
-        ("contact force [kN]", [("incident face A", 1e-3 * history.force_a, BLUE, "-"),
-                                ("receiving face B", 1e-3 * history.force_b, ORANGE, "--")]),
-        ("contact pressure\n[GPa]", [("A", 1e-9 * history.pressure_a, BLUE, "-"),
-                                     ("B", 1e-9 * history.pressure_b, ORANGE, "--")]),
+        (
+            "contact force [kN]",
+            [
+                ("incident face A", 1e-3 * history.force_a, BLUE, "-"),
+                ("receiving face B", 1e-3 * history.force_b, ORANGE, "--"),
+            ],
+        ),
+        (
+            "contact pressure\n[GPa]",
+            [("A", 1e-9 * history.pressure_a, BLUE, "-"), ("B", 1e-9 * history.pressure_b, ORANGE, "--")],
+        ),
         ("sphere velocity\n[m/s]", [("sphere", history.velocity, GREEN, "-")]),
-        ("waves in the bars\n[m/s]", [("towards A", history.incident, BLUE, "-"), ("from A", history.leaving_a, PURPLE, ":"),
-                                      ("from B", history.leaving_b, ORANGE, "--"), ("towards B", history.returning, GREEN, "-.")]),
-    ]  # fmt: skip
+        (
+            "waves in the bars\n[m/s]",
+            [
+                ("towards A", history.incident, BLUE, "-"),
+                ("from A", history.leaving_a, PURPLE, ":"),
+                ("from B", history.leaving_b, ORANGE, "--"),
+                ("towards B", history.returning, GREEN, "-."),
+            ],
+        ),
+    ]
     with canvas.style():
         figure, axes = canvas.new_figure(8.4, rows=len(panels), sharex=True)
         for place, (label, courses) in zip(axes, panels, strict=True):
@@ -83,8 +97,15 @@ def draw_history(history: History) -> Picture:
             place.grid()
             _events(place, history, factor)
             if len(courses) > 1 and label[:9] != "contact p":
-                place.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(courses), borderaxespad=0.1,
-                             borderpad=0.0, columnspacing=1.2, handlelength=2.2)  # fmt: skip
+                place.legend(
+                    loc="lower left",
+                    bbox_to_anchor=(0.0, 1.0),
+                    ncols=len(courses),
+                    borderaxespad=0.1,
+                    borderpad=0.0,
+                    columnspacing=1.2,
+                    handlelength=2.2,
+                )
         _peaks(axes[1], history, factor)
         axes[-1].set_xlim(0.0, history.horizon * factor)
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
@@ -118,8 +139,14 @@ def _peaks(axes: Axes, history: History, factor: float) -> None:
         x, y = peak.time * factor, peak.pressure * 1e-9
         axes.plot(x, y, marker="o", color=INK, markerfacecolor=PAPER, markersize=5)
         right = peak.time > 0.7 * history.horizon
-        axes.annotate(f"{y:.4g} GPa at {peak.face}", (x, y), xytext=(-6 if right else 6, 5), textcoords="offset points",
-                      ha="right" if right else "left", fontsize=8.5)  # fmt: skip
+        axes.annotate(
+            f"{y:.4g} GPa at {peak.face}",
+            (x, y),
+            xytext=(-6 if right else 6, 5),
+            textcoords="offset points",
+            ha="right" if right else "left",
+            fontsize=8.5,
+        )
 
 
 def history_finding(history: History) -> str:
@@ -128,8 +155,10 @@ def history_finding(history: History) -> str:
     if history.first_peak is None:
         return "The sphere is never pressed."
     first = history.first_peak
-    text = (f"The contact pressure is largest at face {first.face}, {first.pressure * 1e-9:.4g} GPa after "
-            f"{first.time * factor:.4g} {unit}.")  # fmt: skip
+    text = (
+        f"The contact pressure is largest at face {first.face}, {first.pressure * 1e-9:.4g} GPa after "
+        f"{first.time * factor:.4g} {unit}."
+    )
     lost = next((change for change in history.changes if change.kind == "lost"), None)
     if lost is None:
         text += f" Contact lasts to the end of the history at {history.horizon * factor:.4g} {unit}."
@@ -137,8 +166,10 @@ def history_finding(history: History) -> str:
         text += f" Face {lost.face} is the first to lose contact, at {lost.time * factor:.4g} {unit}."
     if history.later_peak is not None and history.later_peak_is_larger:
         later = history.later_peak
-        text += (f" The sphere is pressed harder later, {later.pressure * 1e-9:.4g} GPa at face {later.face} after "
-                 f"{later.time * factor:.4g} {unit}, which no quantity of the record sees.")  # fmt: skip
+        text += (
+            f" The sphere is pressed harder later, {later.pressure * 1e-9:.4g} GPa at face {later.face} after "
+            f"{later.time * factor:.4g} {unit}, which no quantity of the record sees."
+        )
     return text
 
 
@@ -159,7 +190,9 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
         for delay, line in ((0.0, "-"), (pulse, "--")):
             if math.isfinite(delay):
                 _fronts(axes, c0, lengths, trips, ends, last, delay, factor, line)
-        axes.plot([0.0, 0.0], [0.0, min(history.record_end, last) * factor], color=RED, linewidth=3.5, solid_capstyle="butt")
+        axes.plot(
+            [0.0, 0.0], [0.0, min(history.record_end, last) * factor], color=RED, linewidth=3.5, solid_capstyle="butt"
+        )
         _bars(axes, scene, lengths, ends)
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
@@ -167,11 +200,21 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
         axes.grid()
         _xt_legend(axes, math.isfinite(pulse))
         if history.record_end < last:
-            axes.annotate(f"contact lost at {history.record_end * factor:.4g} {unit}", (0.0, history.record_end * factor),
-                          xytext=(6, 3), textcoords="offset points", fontsize=9.0, color=INK,
-                          bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85})  # fmt: skip
-    return Picture(name="xt", title="Wave fronts in both bars over place and time",
-                   finding=_xt_finding(history, trips, ends, pulse), figure=figure)  # fmt: skip
+            axes.annotate(
+                f"contact lost at {history.record_end * factor:.4g} {unit}",
+                (0.0, history.record_end * factor),
+                xytext=(6, 3),
+                textcoords="offset points",
+                fontsize=9.0,
+                color=INK,
+                bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0, "alpha": 0.85},
+            )
+    return Picture(
+        name="xt",
+        title="Wave fronts in both bars over place and time",
+        finding=_xt_finding(history, trips, ends, pulse),
+        figure=figure,
+    )
 
 
 def _last_time(history: History, trips: list[float], ends: list[float]) -> float:
@@ -181,9 +224,18 @@ def _last_time(history: History, trips: list[float], ends: list[float]) -> float
     return max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * longest)
 
 
-def _fronts(axes: Axes, c0: float, lengths: list[float], trips: list[float], ends: list[float], last: float,
-            delay: float, factor: float, line: str) -> None:  # fmt: skip
-    """The fronts that leave the sphere's faces and come back, and the one that arrives first."""
+def _fronts(
+    axes: Axes,
+    c0: float,
+    lengths: list[float],
+    trips: list[float],
+    ends: list[float],
+    last: float,
+    delay: float,
+    factor: float,
+    line: str,
+) -> None:
+    """The fronts that leave the sphere's faces and come back, the one that arrives first, and what passes through."""
     run = lengths[0] / c0
     axes.plot([-lengths[0], 0.0], [(delay - run) * factor, delay * factor], color=INK, linestyle=line, linewidth=1.6)
     for side, colour in ((0, BLUE), (1, ORANGE)):
@@ -194,24 +246,57 @@ def _fronts(axes: Axes, c0: float, lengths: list[float], trips: list[float], end
                 break
             time = lengths[side] / c0
             faint = max(0.25, strength)
-            axes.plot([0.0, sign * lengths[side]], [start * factor, (start + time) * factor], color=colour, linestyle=line,
-                      linewidth=1.4, alpha=faint)  # fmt: skip
+            axes.plot(
+                [0.0, sign * lengths[side]],
+                [start * factor, (start + time) * factor],
+                color=colour,
+                linestyle=line,
+                linewidth=1.4,
+                alpha=faint,
+            )
             strength *= abs(ends[side])
             if strength < _FAINT or not math.isfinite(trips[side]):
                 break
-            axes.plot([sign * lengths[side], 0.0], [(start + time) * factor, (start + 2.0 * time) * factor], color=colour,
-                      linestyle=line, linewidth=1.4, alpha=max(0.25, strength))  # fmt: skip
+            axes.plot(
+                [sign * lengths[side], 0.0],
+                [(start + time) * factor, (start + 2.0 * time) * factor],
+                color=colour,
+                linestyle=line,
+                linewidth=1.4,
+                alpha=max(0.25, strength),
+            )
             start += trips[side]
+            if strength >= _FAINT and start < last:
+                # each wave that comes back sends a part of itself through the sphere
+                other = 1 - side
+                axes.plot(
+                    [0.0, -sign * lengths[other]],
+                    [start * factor, (start + lengths[other] / c0) * factor],
+                    color=GREY,
+                    linestyle=line,
+                    linewidth=0.9,
+                    alpha=max(0.25, 0.6 * strength),
+                )
 
 
 def _bars(axes: Axes, scene: Scene, lengths: list[float], ends: list[float]) -> None:
     words = {1.0: "free", -1.0: "fixed", 0.0: "absorbing"}
     axes.set_xlim(-1.04 * lengths[0], 1.04 * lengths[1])
-    for x, end, side, name in ((-lengths[0], ends[0], "left", "incident bar"), (lengths[1], ends[1], "right", "receiving bar")):
+    for x, end, side, name in (
+        (-lengths[0], ends[0], "left", "incident bar"),
+        (lengths[1], ends[1], "right", "receiving bar"),
+    ):
         text = "no end" if scene.infinite else words.get(end, number_text(f"R = {end:.3g}")) + " end"
         axes.axvline(x, color=GREY, linewidth=2.0 if not scene.infinite else 0.0)
-        axes.annotate(f"{name}, {text}", (0.0 if side == "left" else 1.0, 1.0), xycoords="axes fraction", xytext=(0, 4),
-                      textcoords="offset points", ha=side, fontsize=9.0)  # fmt: skip
+        axes.annotate(
+            f"{name}, {text}",
+            (0.0 if side == "left" else 1.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha=side,
+            fontsize=9.0,
+        )
 
 
 def _xt_legend(axes: Axes, finite: bool) -> None:

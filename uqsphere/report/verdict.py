@@ -7,12 +7,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from uqsphere.model import status_text
+from uqsphere.report import canvas
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
-    absent_reason, call, capital, input_name, limit_name, listed, plain_percent, probability_text, rounded, symbol, value_text,
-)  # fmt: skip
+    absent_reason,
+    begin,
+    call,
+    input_name,
+    limit_name,
+    listed,
+    plain_percent,
+    probability_text,
+    rounded,
+    symbol,
+    value_text,
+)
 
 __all__ = ["Verdict", "cautions", "verdicts"]
 
@@ -29,7 +40,7 @@ class Verdict:
     @property
     def mark(self) -> str:
         """A sign beside the colour."""
-        return {"met": "✓", "not met": "✗", "undecided": "?"}.get(self.word, "•")
+        return {"met": "✓", "not met": "✗", "undecided": "?"}.get(self.word, "")
 
 
 def verdicts(contents: Contents) -> list[Verdict]:
@@ -64,13 +75,17 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
         note = note.replace("that the ", "that ", 1)
     if word == "undecided":
         note += " The interval reaches across the target: more evaluations would decide it."
-    return Verdict(word=word, heading=name, note=note,
-                   lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)))  # fmt: skip
+    return Verdict(
+        word=word,
+        heading=canvas.shorten(name, 80),
+        note=note,
+        lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)),
+    )
 
 
 def lookup_is_plain(name: str) -> bool:
     """Whether a quantity has no other words than its name."""
-    return call(name) == symbol(name, 10_000) or "(" not in call(name)
+    return "(" not in call(name)
 
 
 def _strength(contents: Contents, name: str) -> str:
@@ -87,11 +102,15 @@ def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str
     if values:
         # the value that the target allows if it was asked for, else the smallest probability asked for
         known = {float(p): e for p, e in values["values"].items() if e["value"] is not None}
-        accepted = limit["target"] if limit["aim"] == "survive" else (1.0 - limit["target"] if limit["target"] else None)
+        accepted = (
+            limit["target"] if limit["aim"] == "survive" else (1.0 - limit["target"] if limit["target"] else None)
+        )
         if known:
             p = min(known, key=lambda q: abs(q - accepted)) if accepted is not None else min(known)
-            text += (f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
-                     f"{rounded(known[p], values['solve'])}.")  # fmt: skip
+            text += (
+                f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
+                f"{rounded(known[p], values['solve'])}."
+            )
     return text
 
 
@@ -111,10 +130,13 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
 def _quantity_verdict(contents: Contents, name: str) -> Verdict:
     single = single_value(contents, name)
     if single:
-        text = f"{capital(call(name))}: {single}, in the one scene of a study without scatter."
+        text = f"{begin(name, call(name))}: {single}, in the one scene of a study without scatter."
         return Verdict(word="answer", heading=symbol(name), lines=(text,))
-    return Verdict(word="answer", heading=symbol(name),
-                   lines=(distribution_finding(contents, name), sensitivity_finding(contents, name)))  # fmt: skip
+    return Verdict(
+        word="answer",
+        heading=symbol(name),
+        lines=(distribution_finding(contents, name), sensitivity_finding(contents, name)),
+    )
 
 
 def cautions(contents: Contents) -> list[str]:
@@ -123,35 +145,60 @@ def cautions(contents: Contents) -> list[str]:
     found = _failures(contents)
     grave = [c for c in results["validity"] if c.get("share_failure", 0.0) > 0.0]
     if grave:
-        found.append("Outside the model's validity: " + listed(
-            [f"{check_name(c['check'])} in {plain_percent(c['share_failure'])} of the samples" for c in grave]) + ".")
+        found.append(
+            "Outside the model's validity: "
+            + listed([f"{check_name(c['check'])} in {plain_percent(c['share_failure'])} of the samples" for c in grave])
+            + "."
+        )
     warned = [c for c in results["validity"] if c not in grave and c.get("share_warning", 0.0) > 0.0]
     if warned:
-        found.append("Validity warnings: " + listed(
-            [f"{check_name(c['check'])} in {plain_percent(c['share_warning'])} of the samples" for c in warned]) + ".")
+        found.append(
+            "Validity warnings: "
+            + listed(
+                [f"{check_name(c['check'])} in {plain_percent(c['share_warning'])} of the samples" for c in warned]
+            )
+            + "."
+        )
     for name, entry in results["quantities"].items():
         share = entry["censored_share"]
         if share["value"]:
-            found.append(f"{probability_text(share)} of the samples of {symbol(name)} outlast their record: they are lower "
-                         "bounds, mean and standard deviation are those restricted to the record.")  # fmt: skip
+            found.append(
+                f"{probability_text(share)} of the samples of {symbol(name)} outlast their record: they are lower "
+                "bounds, mean and standard deviation are those restricted to the record."
+            )
     if contents.manifest.get("stopped_by_time"):
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
     elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
         found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")
-    missed = results["accuracy"]["missed"]
-    if missed:
-        found.append(f"Accuracy asked for but not reached in {len(missed)} place{'s' if len(missed) > 1 else ''}: "
-                     + "; ".join(missed[:6]) + ("; …" if len(missed) > 6 else "") + ".")  # fmt: skip
+    found += _missed([str(text) for text in results["accuracy"]["missed"]])
     found += [str(text) for text in results.get("warnings", [])]
     return found
+
+
+def _missed(texts: list[str]) -> list[str]:
+    """What was not as accurate as asked, in full if it is short; the full list stands further down."""
+    if len(texts) <= 4:
+        return ["Accuracy asked for but not reached: " + "; ".join(texts) + "."] if texts else []
+    counts: dict[str, int] = {}
+    for text in texts:
+        subject = text.partition(": ")[0]
+        counts[subject] = counts.get(subject, 0) + 1
+    named = [f"{canvas.shorten(subject, 40)} ({count})" for subject, count in list(counts.items())[:8]]
+    more = "" if len(counts) <= 8 else " and others"
+    return [
+        f"Accuracy asked for but not reached in {len(texts)} places: {', '.join(named)}{more}; see what was asked, "
+        "what was reached."
+    ]
 
 
 def _failures(contents: Contents) -> list[str]:
     model = contents.results["model"]
     if not model["failures"]:
         return []
-    reasons = [f"{number} because {status_text(int(code), contents.black_box)}"
-               for code, number in model.get("failure_reasons", {}).items()]  # fmt: skip
+    reasons = [
+        f"{number} because {status_text(int(code), contents.black_box)}"
+        for code, number in model.get("failure_reasons", {}).items()
+    ]
     policy = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
     how = policy[contents.resolved["analysis"]["on_failure"]]
     text = f"{model['failures']} evaluations failed ({how})"

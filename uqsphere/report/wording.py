@@ -7,17 +7,36 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from uqsphere.quantities import format_estimate, format_value, lookup
+from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
 from uqsphere.report.canvas import clean, shorten
 
-__all__ = ["ABSENT", "Estimate", "absent_reason", "call", "capital", "estimate_text", "input_name", "limit_name", "listed",
-           "number_text", "probability_text", "rounded", "share_text", "short_input", "symbol", "unit_text",
-           "value_text"]  # fmt: skip
+__all__ = [
+    "ABSENT",
+    "Estimate",
+    "absent_reason",
+    "begin",
+    "call",
+    "capital",
+    "estimate_text",
+    "input_name",
+    "limit_name",
+    "listed",
+    "number_text",
+    "probability_text",
+    "rounded",
+    "share_text",
+    "short_input",
+    "symbol",
+    "unit_text",
+    "value_text",
+]
 
 #: an EST of results.json
 Estimate = Mapping[str, Any]
 
 ABSENT: Final = "–"
+#: a width of 0.1 is not to count as 0.0999999
+_ROUND: Final = 1e-9
 _UNITS: Final = {"um": "µm", "us": "µs", "uJ": "µJ", "kg/m3": "kg/m³"}
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POWER: Final = re.compile(r"(?<=\d)e([+-]?\d+)")
@@ -49,10 +68,15 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def begin(name: str, words: str) -> str:
+    """The words of a name at the start of a sentence; a name of the user's own keeps its letters."""
+    return words if words == shorten(name, 80) else capital(words)
+
+
 def call(name: str) -> str:
     """How a quantity is called in a sentence: its meaning and its name."""
     meaning = lookup(name).meaning
-    return clean(name) if meaning == name else f"{meaning} ({symbol(name)})"
+    return shorten(name, 80) if meaning == name else f"{meaning} ({symbol(name)})"
 
 
 def symbol(name: str, length: int = 60) -> str:
@@ -71,7 +95,7 @@ def input_name(name: str) -> str:
     if parts[0] == "limits" and len(parts) > 2:
         return f"{parts[-1].replace('_', ' ')} of {limit_name('.'.join(parts[1:-1]))}"
     meaning = lookup(name).meaning
-    return clean(meaning)
+    return shorten(meaning, 80)
 
 
 def short_input(name: str) -> str:
@@ -128,7 +152,8 @@ def _percent(value: float) -> str:
     """Four digits at most, and never 100 % for less than all."""
     if value > 0.99 and value < 1.0:
         digits = max(0, 1 - math.floor(math.log10(100.0 * (1.0 - value))))
-        return f"{math.floor(100.0 * value * 10.0**digits) / 10.0**digits:.{digits}f} %"
+        text = f"{math.floor(100.0 * value * 10.0**digits + _ROUND) / 10.0**digits:.{digits}f}"
+        return text.rstrip("0").rstrip(".") + " %"
     if 0.0 < value < 1e-4:
         return number_text(f"{value:.2g}")
     return number_text(f"{100.0 * value:.3g}") + " %"
@@ -140,14 +165,25 @@ def plain_percent(value: float) -> str:
 
 
 def rounded(estimate: Estimate, name: str = "", digits: int = 4) -> str:
-    """The value alone, to what its interval supports and at most `digits` digits."""
+    """The value alone, to what its interval supports and at most `digits` digits.
+
+    >>> rounded({"value": 4.0004e9, "low": 3.9986e9, "high": 4.0021e9}, "p_max")
+    '4.000 GPa'
+    """
     value, low, high = estimate["value"], estimate["low"], estimate["high"]
     if value is None:
         return ABSENT
     if low is not None and high is not None and low < high and value != 0.0:
-        supported = 1 + math.floor(math.log10(abs(value))) - math.floor(math.log10(0.5 * (high - low)))
+        supported = 1 + math.floor(math.log10(abs(value))) - math.floor(math.log10(0.5 * (high - low)) + _ROUND)
         digits = max(1, min(digits, supported))
-    return value_text(value, name, digits) if digits > 0 else ABSENT
+    unit, factor = display_unit(name) if name else ("", 1.0)
+    scaled = value * factor
+    if abs(scaled) >= 10.0**digits and abs(scaled) < 1e6:
+        # zeros before the point are no digits that the interval must support
+        text = f"{round(scaled, digits - 1 - math.floor(math.log10(abs(scaled)))):.0f}"
+    else:
+        text = f"{scaled:#.{digits}g}".removesuffix(".").replace(".e", "e")
+    return number_text(f"{text} {unit}".rstrip())
 
 
 def share_text(estimate: Estimate) -> str:
@@ -166,7 +202,9 @@ def share_text(estimate: Estimate) -> str:
     if low is None or high is None:
         return f"{100.0 * value:.2g} %"
     half = 50.0 * (high - low)
-    decimals = min(3, max(0, -math.floor(math.log10(half)))) if half > 0.0 else 2
+    decimals = min(1, max(0, -math.floor(math.log10(half) + _ROUND))) if half > 0.0 else 1
+    if abs(value) < 0.005 * 10.0**-decimals:
+        return "less than 0.1 %" if decimals else "less than 1 %"
     return number_text(f"{100.0 * value:.{decimals}f}") + " %"
 
 

@@ -57,11 +57,6 @@ class Run:
         return self._table("margins")
 
 
-#: parts of results.json that everything reads
-_PARTS = {"study": dict, "inputs": dict, "quantities": dict, "sensitivity": dict, "limits": dict, "margins": dict,
-          "model": dict, "validity": list, "speed_error": list, "accuracy": dict}  # fmt: skip
-
-
 def open_run(folder: str | Path) -> Run:
     """A finished run from its folder.
 
@@ -70,14 +65,17 @@ def open_run(folder: str | Path) -> Run:
     FolderError
         When the folder is no result folder, or its run has not finished.
     """
+    from uqsphere.runner.results import damage_of
+
     path = Path(folder)
     if not path.is_dir():
         raise FolderError(f"{path} is not a result folder")
     if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
         raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
     results = read_json(path / "results.json")
-    if not isinstance(results, dict) or not all(isinstance(results.get(key), kind) for key, kind in _PARTS.items()):
-        raise FolderError(f"{path / 'results.json'} is not what a run writes")
+    damage = damage_of(results)
+    if damage:
+        raise FolderError(f"{path / 'results.json'} is not what a run writes: {damage}")
     manifest = read_json(path / "manifest.json")
     if not isinstance(manifest, dict):
         raise FolderError(f"{path / 'manifest.json'} is not what a run writes")

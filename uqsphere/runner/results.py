@@ -22,7 +22,7 @@ from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.laws import mean, sd
 
-__all__ = ["Findings", "build_manifest", "build_results", "csv_text", "tables", "versions", "write_results"]
+__all__ = ["Findings", "build_manifest", "build_results", "csv_text", "damage_of", "tables", "versions", "write_results"]
 
 SCHEMA_VERSION = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
@@ -243,6 +243,45 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
                           [[p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
                            for p in results["paper"]])  # fmt: skip
     return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
+
+
+def _unlike_estimates(node: Any) -> bool:
+    """Whether anything below `node` that should be an estimate is none."""
+    if isinstance(node, list):
+        return any(_unlike_estimates(entry) for entry in node)
+    if not isinstance(node, dict):
+        return False
+    if "std_error" not in node:
+        return any(_unlike_estimates(entry) for entry in node.values())
+    return not all(
+        node[key] is None or (isinstance(node[key], (int, float)) and not isinstance(node[key], bool))
+        for key in ("value", "low", "high", "std_error")
+    )
+
+
+def damage_of(results: Any) -> str:
+    """What is wrong with the content of a results.json, or an empty text.
+
+    >>> damage_of([])
+    'it holds a list'
+    """
+    if not isinstance(results, dict):
+        return f"it holds a {type(results).__name__}"
+    lacking = [key for key, kind in _PARTS.items() if not isinstance(results.get(key), kind)]
+    if lacking:
+        return f"it lacks {', '.join(lacking)}"
+    try:
+        tables(results)
+        if _unlike_estimates(results):
+            return "an estimate holds no numbers"
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+#: parts of results.json that everything reads
+_PARTS = {"study": dict, "inputs": dict, "quantities": dict, "sensitivity": dict, "limits": dict, "margins": dict,
+          "model": dict, "validity": list, "speed_error": list, "accuracy": dict}  # fmt: skip
 
 
 def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:

@@ -29,7 +29,7 @@ def save_points(work: Work, store: Store, sampled: Sampled) -> None:
     each = min(n, max(1, KEPT // replicates))
     d, q = len(work.drawn.names), len(work.quantities)
     parts = [
-        sampled.points.physical[:, :each].reshape(-1, d),
+        sampled.points.physical[:, :each].reshape(replicates * each, d),
         sampled.sample.values[:, :each].reshape(-1, q),
         sampled.sample.censored[:, :each].reshape(-1, q).astype(float),
         sampled.sample.status[:, :each].reshape(-1, 1).astype(float),

@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 FIRST = 64
 #: base points of each replicate from which on an accuracy may be given up
 JUDGED = 128
+#: indices above this are read off pairs of runs
+LARGE = 0.5
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
@@ -127,6 +129,24 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     return 64 * max(1, int(round(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0)))
 
 
+def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
+    """Indices off the design: SALib's estimators for small indices, those of pairs of runs for large ones.
+
+    The size decides and not the interval, so that nothing is chosen for having come out narrow.
+    """
+    from uqsphere.uq.sensitivity import paired_indices, sobol_indices
+
+    plain = sobol_indices(outputs)
+    if plain["first"][0].value is None:
+        return plain
+    paired = paired_indices(outputs)
+    return {
+        order: [p if p.value is not None and p.value > LARGE else s
+                for s, p in zip(plain[order], paired[order], strict=True)]
+        for order in ("first", "total")
+    }  # fmt: skip
+
+
 def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
     """The same number of base points without a failure from every replicate, (R, N', d + 2, q)."""
     if not failed.any():
@@ -137,8 +157,6 @@ def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
 
 def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str]:
     """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped."""
-    from uqsphere.uq.sensitivity import sobol_indices
-
     names = work.scene_names
     if not names:
         return {q: _refused(work, "no input of the model is random") for q in work.quantities}, [], [], "accuracy"
@@ -171,7 +189,7 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
     failed: npt.NDArray[np.bool_] | None = None
     while "sobol" in methods or "auto" in methods:
         count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
-        if start and work.ledger.total + REPLICATES * count * (len(names) + 2) > budget.evaluations:
+        if work.ledger.total + REPLICATES * count * (len(names) + 2) > budget.evaluations:
             stopped = "evaluations"
             break
         try:
@@ -184,7 +202,7 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
         start += count
         clean = _clean(values, failed)
         for k, quantity in enumerate(work.quantities):
-            found[quantity] = sobol_indices(clean[:, :, :, k])
+            found[quantity] = _sampled(clean[:, :, :, k])
             widths = [e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None]
             widest[quantity] = max(widths, default=0.0)
             done[quantity] = _accurate(found[quantity], expanded[quantity], asked)
@@ -249,7 +267,7 @@ def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expand
 
     given = expanded if _preferred(sampled, expanded) else sampled
     if not given:
-        reason = about.get("reason") or "no method that was asked for gives indices"
+        reason = about.get("reason") or "no method that was asked for gives indices within the budget"
         nothing = {name: absent(reason, METHOD, 0) for name in names}
         return Sensitivity(first=nothing, total=dict(nothing), surrogate=about, sampled=sampled, expanded=expanded,
                            agree=None, text=reason, missed=[f"indices: {reason}"])  # fmt: skip

@@ -154,7 +154,7 @@ def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replic
         for replicate in range(replicates)
     ])  # fmt: skip
     normals = np.asarray(ndtri(uniforms))
-    physical = physical_from_normal(inputs, normals.reshape(-1, dimension)).reshape(normals.shape)
+    physical = physical_from_normal(inputs, normals.reshape(replicates * count, dimension)).reshape(normals.shape)
     return Draw(normals=normals, physical=physical)
 
 
@@ -263,10 +263,12 @@ def evaluate_draw(work: Work, key: str, drawn: Draw) -> Sample:
     """Answers at the points of a draw; columns beyond the model's own inputs are left out of the rows."""
     replicates, n, _ = drawn.physical.shape
     d = len(work.scene_names)
-    answered = evaluate_points(work, key, work.scene_names, drawn.physical[:, :, :d].reshape(replicates * n, d))
+    rows = drawn.physical[:, :, :d].reshape(replicates * n, d)
+    # without scatter in the scene all rows are one: it is evaluated once, and its answer repeated
+    answered = evaluate_points(work, key, work.scene_names, rows if d else rows[:1])
     shape = (replicates, n, len(work.quantities))
     return Sample(
-        values=answered.values.reshape(shape),
-        censored=answered.censored.reshape(shape),
-        status=answered.status.reshape(replicates, n),
+        values=np.resize(answered.values, shape),
+        censored=np.resize(answered.censored, shape),
+        status=np.resize(answered.status, (replicates, n)),
     )

@@ -1,0 +1,237 @@
+"""The figures: well-formed, without numbers that are none, and without labels that overlap, whatever the names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.text import Text
+from report_folders import estimate, limit, write_folder
+
+from uqsphere.report import canvas, decision, figures, history_figure, progress, xt_figure
+from uqsphere.report.canvas import Picture
+from uqsphere.report.contents import read_contents
+
+LONG = "Schwingungsdämpferhalterungsverschraubungsvorspannkraft"
+SMALL_FIGURE = 300_000
+#: side of a numeral that browsers and measuring fonts may differ by [px]
+SLACK = 1.0
+
+DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
+    "distribution": lambda c: figures.distribution_figure(c, next(iter(c.results["quantities"]))),
+    "sensitivity": lambda c: figures.sensitivity_figure(c, next(iter(c.results["quantities"]))),
+    "margin": decision.margin_figure,
+    "fragility": lambda c: decision.fragility_figure(c, next(iter(c.results["limits"]))),
+    "convergence": progress.convergence_figure,
+    "speed": progress.speed_figure,
+}
+
+
+def check_svg(text: str) -> ElementTree.Element:
+    """The root of an SVG that is small, well-formed and free of numbers that are none."""
+    root = ElementTree.fromstring(text)
+    assert len(text) < SMALL_FIGURE
+    for element in root.iter():
+        for key, value in element.attrib.items():
+            if key in ("d", "x", "y", "transform", "points", "width", "height", "viewBox"):
+                assert not re.search(r"(?i)nan|inf", value), (element.tag, key, value[:80])
+    assert any(element.tag.endswith("desc") and element.text for element in root)
+    return root
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Picture], list[tuple[str, Any]]]]:
+    """Draws a picture and gives the texts with the boxes [px] in which they were drawn."""
+    texts: list[Text] = []
+    original = Text.draw
+
+    def record(self: Text, renderer: Any) -> None:
+        if self.get_visible() and self.get_text().strip():
+            texts.append(self)
+        original(self, renderer)
+
+    def draw(picture: Picture) -> list[tuple[str, Any]]:
+        texts.clear()
+        with canvas.style(), monkeypatch.context() as patch:
+            patch.setattr(Text, "draw", record)
+            renderer: Any = picture.figure.canvas.get_renderer()  # type: ignore[attr-defined]
+            picture.figure.draw(renderer)
+            # the box of an annotation takes in its arrow, so the text's own is asked for
+            boxes = {id(t): (t.get_text(), Text.get_window_extent(t, renderer)) for t in texts}
+        whole = picture.figure.bbox
+        for words, box in boxes.values():
+            assert box.x0 >= whole.x0 - SLACK, words
+            assert box.x1 <= whole.x1 + SLACK, words
+            assert box.y0 >= whole.y0 - SLACK, words
+            assert box.y1 <= whole.y1 + SLACK, words
+        return list(boxes.values())
+
+    yield draw
+
+
+def assert_apart(boxes: list[tuple[str, Any]]) -> None:
+    for k, (words, box) in enumerate(boxes):
+        for others, other in boxes[k + 1 :]:
+            across = min(box.x1, other.x1) - max(box.x0, other.x0)
+            up = min(box.y1, other.y1) - max(box.y0, other.y0)
+            assert across <= SLACK or up <= SLACK, f"{words!r} overlaps {others!r}"
+
+
+@pytest.mark.parametrize("kind", list(DRAWINGS))
+@pytest.mark.parametrize("length", [1, 30, 300])
+def test_labels_stand_apart_and_inside_at_any_length(
+    tmp_path: Path, drawn: Callable[[Picture], list[tuple[str, Any]]], kind: str, length: int
+) -> None:
+    word = (LONG * 6)[:length]
+    inputs = ("striker.speed", *(f"{word} {k}" for k in range(19)))
+    names = (f"{word}q", f"{word}r", f"{word}s")
+    limits = {f"{word}{k}": limit(0.0075, 0.01, True, quantity=names[0]) for k in range(3)}
+    contents = read_contents(write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=0.2))
+    picture = DRAWINGS[kind](contents)
+    assert picture is not None
+    boxes = drawn(picture)
+    assert len(boxes) > 3
+    assert_apart(boxes)
+    svg = canvas.render(picture)
+    check_svg(svg)
+    check_svg(canvas.inline(svg, picture.name))
+
+
+@pytest.mark.parametrize("aim", ["survive", "break"])
+@pytest.mark.parametrize("miss", [1e-5, 0.0099, 0.5, 0.97])
+def test_fragility_keeps_its_labels_apart(
+    tmp_path: Path, drawn: Callable[[Picture], list[tuple[str, Any]]], aim: str, miss: float
+) -> None:
+    limits = {"x": limit(miss, 0.01, None, aim=aim, half=1e-6)}
+    picture = decision.fragility_figure(read_contents(write_folder(tmp_path, limits=limits)), "x")
+    assert picture is not None
+    assert_apart(drawn(picture))
+
+
+@pytest.mark.parametrize("margin", [(1.2, 1.21, 1.22), (0.5, 0.99, 1.01), (0.3, 4.0, 40.0), (2.0, 2.0, 2.0), (1.1, 2.0, None)])
+def test_margin_keeps_its_labels_apart(
+    tmp_path: Path, drawn: Callable[[Picture], list[tuple[str, Any]]], margin: tuple[float | None, ...]
+) -> None:
+    entry = limit(0.01, 0.02, True)
+    entry["margin"] = {k: estimate(v, 1e-4, "unbounded") for k, v in zip(("0.05", "median", "0.95"), margin, strict=True)}
+    contents = read_contents(write_folder(tmp_path, limits={"x": entry}))
+    picture = decision.margin_figure(contents)
+    assert picture is not None
+    assert_apart(drawn(picture))
+    assert ("unbounded" in picture.finding) == (margin[2] is None)
+
+
+def test_dollars_and_markup_are_drawn_as_they_stand(tmp_path: Path) -> None:
+    name = "<b>$\\frac{1}{$ & \x00"
+    contents = read_contents(write_folder(tmp_path, quantities=(name,), limits={name: limit(0.01, 0.02, True, quantity=name)}))
+    for draw in DRAWINGS.values():
+        picture = draw(contents)
+        assert picture is not None
+        root = check_svg(canvas.render(picture))
+        assert "<b>$\\frac{1}{$ &" in "".join(root.itertext())
+
+
+def test_settings_of_the_user_neither_matter_nor_change(tmp_path: Path) -> None:
+    import matplotlib
+
+    contents = read_contents(write_folder(tmp_path, limits={"x": limit(0.01, 0.02, True)}))
+
+    def text() -> str:
+        picture = figures.distribution_figure(contents, "p_max")
+        assert picture is not None
+        return canvas.render(picture)
+
+    plain = text()
+    with matplotlib.rc_context({"font.size": 30.0, "svg.fonttype": "path", "axes.grid": True}):
+        before = dict(matplotlib.rcParams)
+        assert text() == plain
+        assert dict(matplotlib.rcParams) == before
+
+
+def test_bars_are_sorted_and_the_largest_is_named(tmp_path: Path) -> None:
+    inputs = ("sphere.nu", "sphere.E", "striker.speed")
+    folder = write_folder(tmp_path, inputs=inputs)
+    contents = read_contents(folder)
+    assert figures.ranked(contents.results["sensitivity"]["p_max"]) == list(inputs)
+    entry = contents.results["sensitivity"]["p_max"]
+    entry["first"]["striker.speed"], entry["total"]["striker.speed"] = estimate(0.7), estimate(0.9)
+    assert figures.ranked(entry)[0] == "striker.speed"
+    finding = figures.sensitivity_finding(contents, "p_max")
+    assert finding.startswith("Speed of the striker drives 90 % with its interactions (70 % alone) of the variance")
+
+
+def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
+    contents = read_contents(write_folder(tmp_path, quantities=("contact_time",), censored=0.25))
+    picture = figures.distribution_figure(contents, "contact_time")
+    assert picture is not None
+    axes = picture.figure.axes[0]
+    width = float(np.diff(axes.get_xlim())[0])
+    (bar,) = [p for p in axes.patches if p.get_hatch()]
+    assert bar.get_width() * bar.get_height() / width == pytest.approx(0.25)
+    heights, edges, _ = axes.patches[0].get_data()
+    # the last thousandth on either side lies outside the drawing
+    assert np.sum(heights * np.diff(edges)) / width == pytest.approx(0.75, abs=0.01)
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=10))
+@settings(max_examples=50, deadline=None)
+def test_spread_keeps_a_gap_order_and_the_ends(wanted: list[float]) -> None:
+    places = canvas.spread(wanted, 1.0, 0.0, 10.0)
+    order = np.argsort(wanted, kind="stable")
+    steps = np.diff(np.array(places)[order])
+    assert np.all(steps >= 1.0 - 1e-9)
+    assert min(places) >= -1e-9
+    assert max(places) <= 10.0 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def scene_and_history() -> tuple[Any, Any]:
+    from uqsphere.mechanics.history import trace
+    from uqsphere.mechanics.scene import Scene
+
+    numbers = {
+        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 210e9, "bars.nu": 0.3,
+        "bars.density": 7850.0, "bars.diameter": 0.04, "bars.incident_length": 1.5, "bars.receiving_length": 1.5,
+        "bars.incident_end": 1.0, "bars.receiving_end": 1.0, "striker.speed": 1.0, "striker.length": 0.4,
+    }  # fmt: skip
+    scene = Scene(columns={name: np.array([value]) for name, value in numbers.items()})
+    return scene, trace(scene, tolerance=1e-6)
+
+
+def test_history_shows_the_peak_and_the_end_of_contact(
+    scene_and_history: tuple[Any, Any], drawn: Callable[[Picture], list[tuple[str, Any]]]
+) -> None:
+    from uqsphere.report.timelines import draw_history
+
+    _, history = scene_and_history
+    root = check_svg(history_figure(history))
+    text = "".join(root.itertext())
+    # the worked example of docs/theory.md: 3.0208635 GPa, 1.52195874 ms
+    assert "3.021 GPa" in text
+    assert "at 1.522 ms" in text
+    assert history_figure(history) == history_figure(history)
+    assert_apart(drawn(draw_history(history)))
+
+
+def test_xt_diagram_shows_arrival_and_reflections(
+    scene_and_history: tuple[Any, Any], drawn: Callable[[Picture], list[tuple[str, Any]]]
+) -> None:
+    from uqsphere.report.timelines import draw_xt
+
+    scene, history = scene_and_history
+    text = "".join(check_svg(xt_figure(scene, history)).itertext())
+    trip = 3.0 / np.sqrt(210e9 / 7850.0) * 1e3
+    assert f"back after {trip:.4g} ms" in text
+    assert "incident bar, free end" in text
+    picture = draw_xt(scene, history)
+    assert_apart(drawn(picture))
+    first = picture.figure.axes[0].lines[0]
+    assert first.get_xdata()[-1] == 0.0
+    assert first.get_ydata()[-1] == 0.0

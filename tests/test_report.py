@@ -1,0 +1,256 @@
+"""The page: order, words of the verdict, escaping, nothing that leaves the page, the same bytes every time."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from report_folders import estimate, limit, write_folder
+
+from uqsphere.errors import FolderError
+from uqsphere.report import build_report
+from uqsphere.report.html import MOST_BYTES
+from uqsphere.report.wording import probability_text, rounded, share_text
+
+NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
+
+
+def page_of(folder: Path) -> str:
+    return build_report(folder).read_text(encoding="utf-8")
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, the text that a reader sees, and whether every element is closed."""
+
+    VOID = frozenset({"meta", "br", "link", "img", "input"})
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.open: list[str] = []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.text += data
+
+
+def test_sections_stand_in_the_order_of_a_decision(tmp_path: Path) -> None:
+    reader = Reader(page_of(write_folder(tmp_path, limits={"crushing": limit(0.0075, 0.01, True)})))
+    found = [attributes["id"] for tag, attributes in reader.tags if tag == "section"]
+    assert found == ["verdict", "distributions", "sensitivity", "margins", "convergence", "validity", "model", "inputs",
+                     "asked", "repeat"]  # fmt: skip
+    assert reader.open == []
+
+
+@pytest.mark.parametrize(
+    ("met", "target", "words"),
+    [
+        (True, 0.01, "0.750 (0.700 to 0.800) %, target at most 1 %: met."),
+        (False, 0.005, "0.750 (0.700 to 0.800) %, target at most 0.5 %: not met."),
+        (None, 0.0075, "0.750 (0.700 to 0.800) %, target at most 0.75 %: undecided."),
+        (None, None, "0.750 (0.700 to 0.800) %; no target was set."),
+    ],
+)
+def test_verdict_says_whether_the_target_is_met(tmp_path: Path, met: bool | None, target: float | None, words: str) -> None:
+    page = page_of(write_folder(tmp_path, limits={"crushing": limit(0.0075, target, met)}))
+    text = Reader(page).text
+    assert f"Probability of “crushing”: {words}" in text
+    assert ("reaches across the target" in text) == (met is None and target is not None)
+
+
+def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
+    text = Reader(page_of(write_folder(tmp_path, limits={"x": limit(0.1, 0.25, True, aim="break", half=0.02)}))).text
+    assert "Probability of missing “x”: 10.0 (8.0 to 12.0) %, target at most 25 %: met." in text
+    assert "stays below the strength; the aim is to break it" in text
+
+
+def test_verdict_names_margin_and_what_it_hangs_on(tmp_path: Path) -> None:
+    text = Reader(page_of(write_folder(tmp_path, limits={"x": limit(0.0075, 0.01, True)}))).text
+    assert "the strength is 1.50 times the demand in the median case, and between 1.20 and 1.80 times it" in text
+    assert "It hangs on: strength of “x” (70 %) and Young's modulus of the sphere (30 %)" in text
+    assert "Young's modulus of the sphere drives 50 % of the variance of p_max" in text
+    assert "reaches 10 % at a speed of the striker of 0.98 m/s" in text
+
+
+def test_study_without_limits_states_its_distributions(tmp_path: Path) -> None:
+    reader = Reader(page_of(write_folder(tmp_path)))
+    assert "Largest contact pressure at either face (p_max): half of the cases lie below 2.8" in reader.text
+    assert "margins" not in [attributes.get("id") for _, attributes in reader.tags]
+
+
+def test_study_without_scatter_has_values_and_no_figures(tmp_path: Path) -> None:
+    text = Reader(page_of(write_folder(tmp_path, scatter=False, margins=False))).text
+    assert "2.8 GPa, in the one scene of a study without scatter" in text
+    assert "– (the record ends before it)" in text
+    assert not (tmp_path / "figures" / "distribution-p_max.svg").exists()
+
+
+def test_wholly_censored_quantity_is_said_to_be_unknown(tmp_path: Path) -> None:
+    text = Reader(page_of(write_folder(tmp_path, quantities=("contact_time",), censored=1.0))).text
+    assert "no sample ends within its record, so that only a lower bound is known" in text
+    assert (tmp_path / "figures" / "distribution-contact_time.svg").exists()
+
+
+def test_everything_that_weakens_the_answer_is_said(tmp_path: Path) -> None:
+    folder = write_folder(
+        tmp_path,
+        quantities=("contact_time",),
+        censored=0.25,
+        model={"chosen": "full", "why": "w", "measured_error": {"contact_time": None}, "evaluations": {"full": 9},
+               "failures": 3, "failure_reasons": {"2": 3}, "numbers": {}},
+        accuracy={"met": False, "missed": ["contact_time: mean: half-width 0.1"], "stopped_by": {"sampling": "evaluations"}},
+        validity=[{"check": "force_balance", "share": 1.0, "share_information": 0.0, "share_warning": 0.75,
+                   "share_failure": 0.25, "worst": 0.2, "text": "forces differ"}],
+        warnings=["a warning of the study"],
+    )  # fmt: skip
+    text = Reader(page_of(folder)).text
+    for words in (
+        "3 evaluations failed",
+        "3 because the pulse is longer than the round trip",
+        "force balance in 25 % of the samples",
+        "of the samples of contact_time outlast their record",
+        "The budget of evaluations stopped the run",
+        "Accuracy asked for but not reached: contact_time: mean: half-width 0.1.",
+        "a warning of the study",
+    ):
+        assert words in text.split("How the quantities are distributed")[0]
+
+
+def test_texts_of_the_study_are_data(tmp_path: Path) -> None:
+    name = NASTY + "y" * 200
+    folder = write_folder(
+        tmp_path, title=NASTY, quantities=(name,), inputs=(name + "1", name + "2"), limits={name: limit(0.01, 0.02, True, quantity=name)},
+        warnings=[NASTY],
+    )  # fmt: skip
+    page = page_of(folder)
+    reader = Reader(page)
+    assert reader.open == []
+    assert "script" not in {tag for tag, _ in reader.tags}
+    assert "<script>alert(1)</script> $x^2$" in reader.text
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\u202e]", page)
+    for path in (folder / "figures").iterdir():
+        assert re.fullmatch(r"[a-z0-9_-]{1,70}\.svg", path.name)
+
+
+def test_page_is_one_file_without_script_or_reference(tmp_path: Path) -> None:
+    page = page_of(write_folder(tmp_path, limits={"crushing": limit(0.0075, 0.01, True)}))
+    reader = Reader(page)
+    assert "https:" not in page
+    assert "http:" not in page
+    assert "@import" not in page
+    for tag, attributes in reader.tags:
+        assert tag not in ("script", "link", "iframe", "object", "embed", "base", "form")
+        assert not any(key.startswith("on") or key == "src" for key in attributes)
+        assert (attributes.get("href") or "#").startswith("#")
+    policy = [a["content"] for t, a in reader.tags if t == "meta" and a.get("http-equiv") == "Content-Security-Policy"]
+    assert policy == ["default-src 'none'; style-src 'unsafe-inline'; img-src data:"]
+
+
+def test_anchors_and_references_find_their_element_once(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, quantities=("a" * 80 + "1", "a" * 80 + "2"), limits={"x": limit(0.01, 0.02, True)})
+    reader = Reader(page_of(folder))
+    ids = [attributes["id"] for _, attributes in reader.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    for _, attributes in reader.tags:
+        wanted = [attributes["href"][1:]] if attributes.get("href") else []
+        wanted += (attributes.get("aria-labelledby") or "").split()
+        wanted += re.findall(r"url\(#([^)]*)\)", " ".join(v or "" for v in attributes.values()))
+        assert set(wanted) <= set(ids)
+
+
+def test_every_figure_has_words(tmp_path: Path) -> None:
+    reader = Reader(page_of(write_folder(tmp_path, limits={"crushing": limit(0.0075, 0.01, True)})))
+    drawings = [attributes for tag, attributes in reader.tags if tag == "svg"]
+    assert len(drawings) == 6
+    assert all(a["role"] == "img" and a["aria-labelledby"] for a in drawings)
+    assert [tag for tag, _ in reader.tags].count("desc") == 6
+
+
+def test_same_folder_gives_the_same_bytes(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, limits={"crushing": limit(0.0075, 0.01, True)})
+    first = {p.name: p.read_bytes() for p in (build_report(folder), *(folder / "figures").iterdir())}
+    second = {p.name: p.read_bytes() for p in (build_report(folder), *(folder / "figures").iterdir())}
+    assert first == second
+    assert len(first) == 7
+
+
+def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> None:
+    inputs = tuple(f"input_{k}" for k in range(20))
+    folder = write_folder(tmp_path, quantities=tuple(f"output_{k}" for k in range(14)), inputs=inputs)
+    page = build_report(folder)
+    assert page.stat().st_size < MOST_BYTES
+    assert "8 more are in the table" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["results.json", "study.resolved.json", "samples.npy", "manifest.json"])
+def test_damaged_folder_is_refused_and_left_as_it_was(tmp_path: Path, name: str) -> None:
+    folder = write_folder(tmp_path)
+    (folder / name).write_text("{}" if name != "manifest.json" else "[", encoding="utf-8")
+    with pytest.raises(FolderError):
+        build_report(folder)
+    assert not (folder / "report.html").exists()
+
+
+def test_paper_comparison_says_how_far_off_each_formula_is(tmp_path: Path) -> None:
+    rows = [{"quantity": "p_max", "unit": "Pa", "as_printed": 3e9, "corrected": 2.6e9, "full": 2.5e9, "note": "(5.4)"},
+            {"quantity": "linear_plateau", "unit": "m", "as_printed": None, "corrected": 1e-5, "full": None, "note": "n"}]  # fmt: skip
+    text = Reader(page_of(write_folder(tmp_path, paper=rows))).text
+    assert re.search(r"\(p_max\)\s*3 GPa\s*2.6 GPa\s*2.5 GPa\s*\+20 %", text)
+    assert re.search(r"linear plateau\s*–\s*10 µm\s*–\s*–", text)
+
+
+def test_sources_that_were_not_seen_are_marked(tmp_path: Path) -> None:
+    text = Reader(page_of(write_folder(tmp_path))).text
+    assert "a handbook [source not seen" in text
+
+
+def test_seconds_come_in_the_order_of_the_rows(tmp_path: Path) -> None:
+    from uqsphere.report.contents import read_contents
+    from uqsphere.report.progress import error_series
+
+    folder = write_folder(tmp_path)
+    rows = json.loads((folder / "results.json").read_text())["speed_error"]
+    series = {(s.method, s.quantity): s for s in error_series(read_contents(folder))}
+    found = series["pick and freeze", "p_max"].points
+    assert [p[0] for p in found] == [r["evaluations"] for r in rows[3:]]
+    assert [p[1] for p in found] == pytest.approx([0.4, 0.5, 0.6])
+    assert [p[2] for p in found] == pytest.approx([r["error"] / 0.01 for r in rows[3:]])
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "words"),
+    [(0.0, 0.0, "0 %"), (1e-7, 1e-8, "1.00 × 10⁻⁷ (9.00 × 10⁻⁸ to 1.10 × 10⁻⁷)"), (0.5, 0.05, "50.0 (45.0 to 55.0) %")],
+)
+def test_probabilities_keep_what_their_interval_supports(value: float, half: float, words: str) -> None:
+    assert words in probability_text(estimate(value, half)).replace("none seen, at most ", "")
+
+
+def test_unseen_failures_are_a_bound() -> None:
+    assert probability_text({"value": 0.0, "low": 0.0, "high": 0.003}) == "none seen, at most 0.3 %"
+    assert probability_text({"value": 1.0, "low": 0.997, "high": 1.0}) == "all seen, at least 99.7 %"
+    assert probability_text(estimate(None)) == "–"
+
+
+def test_single_values_are_rounded_to_their_interval() -> None:
+    assert rounded(estimate(2.5541e9, 4e6), "p_max") == "2.554 GPa"
+    assert rounded(estimate(2.5541e9, 4e8), "p_max") == "2.6 GPa"
+    assert rounded(estimate(2.3474e-3, 1e-4), "contact_time") == "2300 µs"
+    assert share_text(estimate(-0.001, 0.02)) == "less than 1 %"

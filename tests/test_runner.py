@@ -1,0 +1,371 @@
+"""A run from study to results.json: its shape, its determinism, and what it does where a study is awkward."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.errors import FolderError, TooManyFailures, UsageError
+from uqsphere.runner import Run
+from uqsphere.study import Study
+
+NUMBER = {"type": ["number", "null"]}
+ESTIMATE = {
+    "type": "object",
+    "required": ["value", "low", "high", "std_error", "method", "evaluations"],
+    "properties": {
+        "value": NUMBER, "low": NUMBER, "high": NUMBER, "std_error": NUMBER, "method": {"type": "string"},
+        "evaluations": {"type": "integer", "minimum": 0}, "reason": {"type": "string", "minLength": 1},
+    },
+    "additionalProperties": False,
+    "if": {"properties": {"value": {"type": "null"}}},
+    "then": {"required": ["reason"]},
+}  # fmt: skip
+
+
+def table_of(entry: Any) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": entry}
+
+
+def record(properties: dict[str, Any], *, more: bool = True) -> dict[str, Any]:
+    return {"type": "object", "required": list(properties), "properties": properties, "additionalProperties": more}
+
+
+TEXT = {"type": "string"}
+COUNT = {"type": "integer", "minimum": 0}
+#: the shape that the contract fixes; more keys are allowed
+SCHEMA = record({
+    "schema_version": {"const": 1},
+    "study": record({"title": TEXT, "hash": {"type": "string", "pattern": "^[0-9a-f]{64}$"}, "seed": COUNT}),
+    "versions": table_of(TEXT),
+    "inputs": table_of(record({"dist": TEXT, "mean": NUMBER, "sd": NUMBER, "unit": TEXT}, more=False)),
+    "quantities": table_of(record({
+        "unit": TEXT, "mean": ESTIMATE, "sd": ESTIMATE, "quantiles": table_of(ESTIMATE), "censored_share": ESTIMATE})),
+    "sensitivity": table_of(record({
+        "first": table_of(ESTIMATE), "total": table_of(ESTIMATE),
+        "surrogate": record({"kind": {"type": ["string", "null"]}, "error": NUMBER, "evaluations": COUNT})})),
+    "limits": table_of(record({
+        "exceedance": ESTIMATE, "miss": ESTIMATE, "reliability_index": NUMBER, "margin": table_of(ESTIMATE),
+        "design_point": {"type": ["object", "null"]}, "governing_inputs": {"type": ["object", "null"]},
+        "met": {"type": ["boolean", "null"]}})),
+    "margins": table_of(record({
+        "solve": TEXT, "values": table_of(ESTIMATE),
+        "curve": {"type": "array", "items": {"type": "array", "items": {"type": "number"},
+                                             "minItems": 4, "maxItems": 4}}})),
+    "model": record({
+        "chosen": TEXT, "why": TEXT, "measured_error": table_of(NUMBER), "evaluations": table_of(COUNT),
+        "failures": COUNT}),
+    "validity": {"type": "array", "items": record({
+        "check": TEXT, "share": {"type": "number", "minimum": 0, "maximum": 1}, "worst": NUMBER, "text": TEXT})},
+    "speed_error": {"type": "array", "items": record({
+        "method": TEXT, "quantity": TEXT, "evaluations": COUNT, "error": {"type": "number"}, "error_kind": TEXT})},
+    "accuracy": record({"met": {"type": "boolean"}, "missed": {"type": "array", "items": TEXT}}),
+})  # fmt: skip
+
+
+def refuse_constant(name: str) -> None:
+    raise AssertionError(f"{name} in the results")
+
+
+def stored(folder: Path) -> dict[str, bytes]:
+    """Everything that must not depend on how a run came about."""
+    paths = [folder / "results.json", folder / "samples.npy", *sorted((folder / "tables").iterdir())]
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def checked(run: Run) -> dict[str, Any]:
+    """The results as they were written, after a look at their shape."""
+    text = (run.folder / "results.json").read_text(encoding="utf-8")
+    results: dict[str, Any] = json.loads(text, parse_constant=refuse_constant)
+    jsonschema.validate(results, SCHEMA)
+    assert results == json.loads(json.dumps(run.results))
+    return results
+
+
+# --- shape and sense ------------------------------------------------------------------------------
+
+
+def test_results_have_the_shape_of_the_contract(finished: Path) -> None:
+    run = uqsphere.open_run(finished)
+    results = checked(run)
+    assert set(results["quantities"]) == set(results["sensitivity"]) == {"p_max", "contact_time"}
+    assert set(results["inputs"]) == {"sphere.E", "sphere.radius", "striker.speed", "limits.crushing.strength"}
+    assert set(results["limits"]["crushing"]["margin"]) == {"median", "0.05", "0.95"}
+    assert list(results["margins"]["crushing"]["values"]) == ["0.1", "0.5", "0.9"]
+    manifest = json.loads((finished / "manifest.json").read_text())
+    assert len(manifest["speed_error_seconds"]) == len(results["speed_error"])
+    assert manifest["evaluations"] == sum(results["model"]["evaluations"].values())
+    assert "seconds" not in json.dumps(results)
+
+
+def test_the_schema_can_refuse(finished: Path) -> None:
+    results = uqsphere.open_run(finished).results
+    for spoil in (
+        lambda r: r["quantities"]["p_max"]["mean"].update(value=None),
+        lambda r: r["limits"]["crushing"].pop("miss"),
+        lambda r: r["quantities"]["p_max"]["mean"].update(value="1"),
+    ):
+        copy = json.loads(json.dumps(results))
+        spoil(copy)
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(copy, SCHEMA)
+
+
+def test_answers_are_in_order(finished: Path) -> None:
+    results = uqsphere.open_run(finished).results
+    for entry in results["quantities"].values():
+        values = [e["value"] for e in entry["quantiles"].values()]
+        assert values == sorted(values)
+        assert values[0] < entry["mean"]["value"] < values[-1]
+    limit = results["limits"]["crushing"]
+    assert limit["miss"] == limit["exceedance"]
+    assert limit["reliability_index"] > 0.0
+    assert sum(limit["governing_inputs"].values()) == pytest.approx(1.0)
+    margin = results["margins"]["crushing"]
+    speeds = [margin["values"][p]["value"] for p in ("0.1", "0.5", "0.9")]
+    assert speeds == sorted(speeds)
+    curve = np.array(margin["curve"])
+    assert (np.diff(curve[:, 0]) > 0.0).all()
+    assert (curve[:, 2] <= curve[:, 1]).all()
+    assert (curve[:, 1] <= curve[:, 3]).all()
+
+
+def test_frames_of_a_run(finished: Path) -> None:
+    run = uqsphere.open_run(finished)
+    samples = run.samples()
+    assert {"sphere.E", "p_max", "contact_time", "status", "censored_contact_time"} <= set(samples.columns)
+    assert samples["p_max"].mean() == pytest.approx(run.results["quantities"]["p_max"]["mean"]["value"], rel=1e-3)
+    assert set(run.indices()["order"]) == {"first", "total"}
+    assert set(run.limits()["limit"]) == {"crushing"}
+    assert run.margins()["exceedance"].tolist() == [0.1, 0.5, 0.9]
+
+
+def test_damaged_tables_and_samples_are_told(finished_copy: Path) -> None:
+    run = uqsphere.open_run(finished_copy)
+    (finished_copy / "tables" / "sensitivity.csv").unlink()
+    (finished_copy / "tables" / "limits.csv").write_bytes(b"")
+    for damage in (b"", b"junk", (finished_copy / "samples.npy").read_bytes()[:-9]):
+        (finished_copy / "samples.npy").write_bytes(damage)
+        with pytest.raises(FolderError):
+            run.samples()
+    for read in (run.indices, run.limits):
+        with pytest.raises(FolderError):
+            read()
+
+
+# --- determinism ----------------------------------------------------------------------------------
+
+
+def test_threads_do_not_change_a_byte(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from('analysis.methods=["sobol"]')
+    first = uqsphere.run(study, out=tmp_path / "one", threads=1)
+    second = uqsphere.run(study, out=tmp_path / "two", threads=2)
+    checked(first)
+    assert stored(first.folder) == stored(second.folder)
+
+
+def test_an_executor_does_not_change_a_byte(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from("analysis.accuracy.quantile=0.005", "analysis.budget.evaluations=90_000", quick=True)
+    alone = uqsphere.run(study, out=tmp_path / "alone")
+    with ThreadPoolExecutor(2) as pool:
+        shared = uqsphere.run(study, out=tmp_path / "shared", executor=pool)
+    assert stored(alone.folder) == stored(shared.folder)
+    assert alone.results["quantities"]["p_max"]["mean"]["evaluations"] > 16_384  # more than one chunk
+
+
+@pytest.mark.parametrize("calls", [1, 3])
+def test_an_interruption_does_not_change_a_byte(
+    study_from: Callable[..., Study], tmp_path: Path, calls: int
+) -> None:
+    study = study_from("analysis.accuracy.quantile=0.05", quick=True)
+    whole = uqsphere.run(study, out=tmp_path / "whole")
+    count = 0
+
+    def interrupt(stage: str, done: int, total: int) -> None:
+        nonlocal count
+        count += 1
+        if count == calls:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        uqsphere.run(study, out=tmp_path / "torn", progress=interrupt)
+    with pytest.raises(FolderError, match="not finished"):
+        uqsphere.open_run(tmp_path / "torn")
+    resumed = uqsphere.run(study, out=tmp_path / "torn")
+    assert resumed.manifest["evaluations_reused"] > 0
+    assert stored(whole.folder) == stored(resumed.folder)
+
+
+def test_the_seed_changes_points_and_not_answers(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    one = uqsphere.run(study_from("seed=1", quick=True), out=tmp_path / "one").results["quantities"]["p_max"]["mean"]
+    two = uqsphere.run(study_from("seed=2", quick=True), out=tmp_path / "two").results["quantities"]["p_max"]["mean"]
+    assert one["value"] != two["value"]
+    assert abs(one["value"] - two["value"]) <= 4.0 * np.hypot(one["std_error"], two["std_error"])
+
+
+def test_another_study_does_not_get_the_folder(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    uqsphere.run(study_from(quick=True), out=tmp_path / "r")
+    with pytest.raises(FolderError, match="another study"):
+        uqsphere.run(study_from("seed=6", quick=True), out=tmp_path / "r")
+
+
+# --- awkward studies ------------------------------------------------------------------------------
+
+
+def test_contacts_that_outlast_the_record_are_censored(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from('bars.incident_end="absorbing"', 'bars.receiving_end="absorbing"', 'model.horizon="60 us"',
+                       'analysis.methods=["sobol"]')  # fmt: skip
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    entry = results["quantities"]["contact_time"]
+    assert entry["censored_share"]["value"] == 1.0
+    for estimate in entry["quantiles"].values():
+        assert estimate["value"] is None
+        assert "cens" in estimate["reason"] or "record" in estimate["reason"]
+    assert not any("contact_time: quantile" in text for text in results["accuracy"]["missed"])
+    assert all(e["value"] is None for e in results["sensitivity"]["contact_time"]["total"].values())
+    assert results["quantities"]["p_max"]["censored_share"]["value"] == 0.0
+    assert results["quantities"]["p_max"]["quantiles"]["0.5"]["value"] > 0.0
+
+
+#: a sphere that is wider than its bar in a few per cent of the rows
+WIDE = ('sphere.radius={dist="normal", mean="5 mm", sd="0.5 mm", lower="3 mm", upper="7 mm"}',)
+
+
+def test_abort_ends_at_the_first_failure(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    with pytest.raises(TooManyFailures, match=r"failed.*outside the domain") as caught:
+        uqsphere.run(study_from(*WIDE, quick=True), out=tmp_path / "r")
+    assert caught.value.exit_code == 4
+    with pytest.raises(TooManyFailures):  # nor does a second attempt pass
+        uqsphere.run(study_from(*WIDE, quick=True), out=tmp_path / "r")
+
+
+def test_bound_counts_failures_both_ways(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from(*WIDE, 'analysis.on_failure="bound"', quick=True)
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    samples = uqsphere.open_run(tmp_path / "r").samples()
+    failed = float((samples["status"] != 0).mean())
+    assert 0.01 < failed < 0.05
+    assert results["model"]["failures"] > 0
+    limit = results["limits"]["crushing"]["exceedance"]
+    assert limit["high"] - limit["low"] >= 0.9 * failed
+    assert samples.loc[samples["status"] != 0, "p_max"].isna().all()
+
+
+def test_drop_gives_up_above_one_per_cent(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    with pytest.raises(TooManyFailures, match="more than 1%"):
+        uqsphere.run(study_from(*WIDE, 'analysis.on_failure="drop"', quick=True), out=tmp_path / "r")
+    rare = 'sphere.radius={dist="normal", mean="5 mm", sd="0.4 mm", lower="3 mm", upper="7 mm"}'
+    results = checked(uqsphere.run(study_from(rare, 'analysis.on_failure="drop"', quick=True), out=tmp_path / "few"))
+    share = results["model"]["failures"] / sum(results["model"]["evaluations"].values())
+    assert 0.0 < share < 0.01
+    limit = results["limits"]["crushing"]["exceedance"]
+    assert limit["low"] < limit["value"] < limit["high"]
+
+
+FIXED = ('sphere.E="60 GPa"', 'sphere.radius="5 mm"', 'striker.speed="5 m/s"', 'limits.crushing.strength="6 GPa"')
+
+
+def test_a_study_without_scatter_is_evaluated_once(small_text: str, study_from: Callable[..., Study], tmp_path: Path) -> None:
+    start, end = small_text.index("[[dependence]]"), small_text.index("[analysis]")
+    study = study_from(*FIXED, text=small_text[:start] + small_text[end:])
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    direct = uqsphere.evaluate(study, {}, ("p_max",), tolerance=1e-4)["p_max"][0]
+    assert results["quantities"]["p_max"]["mean"]["value"] == pytest.approx(direct, rel=1e-12)
+    assert results["sensitivity"]["p_max"]["first"] == {}
+    assert results["limits"]["crushing"]["exceedance"]["value"] == float(direct > 6e9)
+    assert results["model"]["evaluations"]["full"] <= 4
+
+
+def test_break_and_survive_are_complements(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    survive = uqsphere.run(study_from(quick=True), out=tmp_path / "s").results["limits"]["crushing"]
+    broken = uqsphere.run(study_from('limits.crushing.aim="break"', quick=True), out=tmp_path / "b")
+    limit = broken.results["limits"]["crushing"]
+    assert limit["exceedance"]["value"] == survive["exceedance"]["value"] == survive["miss"]["value"]
+    assert limit["miss"]["value"] == pytest.approx(1.0 - survive["miss"]["value"], rel=1e-12)
+    assert limit["margin"] == survive["margin"]
+    assert (survive["met"], limit["met"]) == (True, False)
+    assert not broken.met
+
+
+def test_dependent_inputs_get_no_classical_indices(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from('dependence=[{of=["sphere.E", "striker.speed"], spearman=0.4}]', quick=True)
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    for order in ("first", "total"):
+        for estimate in results["sensitivity"]["p_max"][order].values():
+            assert estimate["value"] is None
+            assert "sphere.E" in estimate["reason"]
+    independent = checked(uqsphere.run(study_from(quick=True), out=tmp_path / "i"))
+    # dependence between an input and a strength is no obstacle
+    assert all(e["value"] is not None for e in independent["sensitivity"]["p_max"]["first"].values())
+
+
+@pytest.mark.parametrize("budget", [3_000, 9_000])
+def test_the_budget_of_evaluations_is_kept_and_told(
+    study_from: Callable[..., Study], tmp_path: Path, budget: int
+) -> None:
+    study = study_from(f"analysis.budget.evaluations={budget}", "analysis.accuracy.quantile=0.001", quick=True)
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    assert sum(results["model"]["evaluations"].values()) <= budget
+    assert results["accuracy"]["met"] is False
+    assert "evaluations" in results["accuracy"]["stopped_by"].values()
+    assert any("quantile" in text for text in results["accuracy"]["missed"])
+
+
+def test_a_time_budget_is_recorded(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from("analysis.accuracy.quantile=0.0001", "analysis.budget.evaluations=2_000_000", quick=True)
+    run = uqsphere.run(study, out=tmp_path / "r", seconds=1e-3)
+    assert run.manifest["stopped_by_time"] is True
+    assert "time" in checked(run)["accuracy"]["stopped_by"].values()
+
+
+@pytest.mark.parametrize(("target", "met"), [(0.5, True), (1e-4, False)])
+def test_the_verdict_follows_the_interval(
+    study_from: Callable[..., Study], tmp_path: Path, target: float, met: bool
+) -> None:
+    run = uqsphere.run(study_from(f"limits.crushing.target={target}", quick=True), out=tmp_path / "r")
+    miss = run.results["limits"]["crushing"]["miss"]
+    assert (miss["high"] < target) is met
+    assert (miss["low"] > target) is not met
+    assert run.results["limits"]["crushing"]["met"] is met
+    assert run.met is met
+
+
+def test_a_target_inside_the_interval_is_undecided(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    first = uqsphere.run(study_from(quick=True), out=tmp_path / "a").results["limits"]["crushing"]["miss"]
+    run = uqsphere.run(study_from(f"limits.crushing.target={first['value']!r}", quick=True), out=tmp_path / "b")
+    assert run.results["limits"]["crushing"]["met"] is None
+    assert not run.met
+
+
+@pytest.mark.parametrize(("density", "chosen"), [("1 kg/m3", "massless"), ("8000 kg/m3", "full")])
+def test_auto_measures_and_says_why(
+    study_from: Callable[..., Study], tmp_path: Path, density: str, chosen: str
+) -> None:
+    study = study_from(f'sphere.density="{density}"', 'model.fidelity="auto"', "bars.infinite=true",
+                       'striker.length="0.6 m"', 'analysis.quantities=["p_max"]', 'analysis.methods=["sobol"]',
+                       "model.tolerance=1e-5", *(f"analysis.accuracy.{k}=0.2" for k in ("mean", "quantile", "sobol",
+                       "probability")))  # fmt: skip
+    model = checked(uqsphere.run(study, out=tmp_path / "r"))["model"]
+    assert model["chosen"] == chosen
+    assert "standard deviation" in model["why"]
+    assert model["measured_error"]["p_max"] < 0.04
+
+
+def test_questions_that_do_not_fit_are_refused(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="impact scene"):
+        uqsphere.run(study_from(), out=tmp_path / "r", model=lambda inputs: inputs)
+    assert not (tmp_path / "r").exists()
+
+
+def test_probabilities_close_to_one_keep_their_own_key(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from("analysis.quantiles=[0.5, 0.9999999, 0.99999999]", quick=True)
+    results = checked(uqsphere.run(study, out=tmp_path / "r"))
+    assert list(results["quantities"]["p_max"]["quantiles"]) == ["0.5", "0.9999999", "0.99999999"]

@@ -1,0 +1,112 @@
+"""The shipped studies, each run at smoke size to its report: sane numbers, and those that are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import uqsphere
+from uqsphere.report import build_report
+
+STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
+SMOKE = (
+    "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.9}", 'analysis.methods=["pce"]',
+    "analysis.budget.evaluations=8_000", "analysis.quantiles=[0.05, 0.5, 0.95]",
+)  # fmt: skip
+ROUGH = ("model.tolerance=1e-3",)
+
+#: study -> overrides, range of the mean of its first quantity (SI)
+CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
+    "granite": ((*ROUGH, 'analysis.quantities=["p_max", "contact_time"]'), (2.74e9, 2.80e9)),
+    "limestone_ball_slow": (ROUGH, (1e9, 4e9)),
+    "glass_bead_small_bar": ((*ROUGH, 'model.fidelity="massless"'), (1e9, 12e9)),
+    "as_printed": ((*ROUGH, 'model.fidelity="massless"'), (3e9, 8e9)),
+    "ishigami": ((), (3.4, 3.6)),
+}
+
+
+def small_run(name: str, folder: Path) -> dict[str, Any]:
+    overrides, _ = CASES[name]
+    study = uqsphere.load_study(STUDIES / f"{name}.toml", [*SMOKE, *overrides])
+    model = f"{STUDIES / 'ishigami.py'}:ishigami" if study.black_box else None
+    run = uqsphere.run(study, out=folder, model=model)
+    page = build_report(run.folder)
+    assert page.stat().st_size < 3_000_000
+    return run.results
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Results of the studies that have been run so far."""
+    return {}
+
+
+@pytest.fixture(params=CASES)
+def study_results(
+    request: pytest.FixtureRequest, results: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, dict[str, Any]]:
+    name = request.param
+    if name not in results:
+        results[name] = small_run(name, tmp_path_factory.mktemp(name) / "r")
+    return name, results[name]
+
+
+def test_every_shipped_study_is_tried() -> None:
+    assert {path.stem for path in STUDIES.glob("*.toml")} == set(CASES)
+
+
+def test_numbers_are_sane(study_results: tuple[str, dict[str, Any]]) -> None:
+    name, found = study_results
+    first = next(iter(found["quantities"].values()))
+    low, high = CASES[name][1]
+    assert low < first["mean"]["value"] < high
+    for entry in found["quantities"].values():
+        values = [e["value"] for e in entry["quantiles"].values() if e["value"] is not None]
+        assert values == sorted(values)
+        assert entry["sd"]["value"] > 0.0
+        assert 0.0 <= entry["censored_share"]["value"] <= 1.0
+    for limit in found["limits"].values():
+        for which in ("exceedance", "miss"):
+            assert 0.0 <= limit[which]["low"] <= limit[which]["value"] <= limit[which]["high"] <= 1.0
+        shares = limit["governing_inputs"]
+        assert shares is None or sum(shares.values()) == pytest.approx(1.0)
+    for margin in found["margins"].values():
+        assert all(0.0 <= low <= p <= high <= 1.0 for _, p, low, high in margin["curve"])
+    assert all(0.0 <= check["share"] <= 1.0 for check in found["validity"])
+    assert found["model"]["failures"] == 0
+    json.dumps(found, allow_nan=False)
+
+
+def test_indices_share_out_the_variance(study_results: tuple[str, dict[str, Any]]) -> None:
+    _, found = study_results
+    for entry in found["sensitivity"].values():
+        first = [e for e in entry["first"].values() if e["value"] is not None]
+        total = [e for e in entry["total"].values() if e["value"] is not None]
+        if not first:
+            assert all(e["reason"] for e in entry["first"].values())
+            continue
+        slack = 4.0 * sum(e["std_error"] for e in (*first, *total))
+        assert sum(e["value"] for e in first) <= 1.0 + slack
+        assert sum(e["value"] for e in total) >= 1.0 - slack
+        assert all(a["value"] <= b["value"] + slack for a, b in zip(first, total, strict=True))
+
+
+def test_the_paper_stands_beside_the_corrected_model(
+    results: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    if "as_printed" not in results:
+        results["as_printed"] = small_run("as_printed", tmp_path_factory.mktemp("as_printed") / "r")
+    rows = results["as_printed"]["paper"]
+    assert {"as_printed", "corrected", "full"} <= set(rows[0])
+    assert any(row["as_printed"] != row["corrected"] for row in rows)
+
+
+def test_the_bead_is_meant_to_break(study_results: tuple[str, dict[str, Any]]) -> None:
+    name, found = study_results
+    for limit in found["limits"].values():
+        assert limit["aim"] == ("break" if name == "glass_bead_small_bar" else "survive")
+        if limit["aim"] == "break":
+            assert limit["miss"]["value"] == pytest.approx(1.0 - limit["exceedance"]["value"], rel=1e-9)

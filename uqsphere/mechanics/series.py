@@ -1,0 +1,190 @@
+"""One step of the equations of motion as a power series in time, for all lanes of the integrator at once.
+
+The motion between two jumps of the waves is analytic as long as a pressed face stays pressed, so its Taylor
+series about the start of a step follows from recurrences for products and square roots (R. Barrio, Appl. Math.
+Comput. 163, 2005, 525; A. Jorba, M. Zou, Experimental Mathematics 14, 2005, 99).  With theta = 0 ... 1 over the
+length h of the step, theory (9) reads for the coefficients
+
+    (k+1) x_1[k+1] = h (2 f[k] - q_1[k] - u[k])          q = x y,  y² = x:
+    (k+1) x_2[k+1] = h (u[k] - q_2[k] - 2 h_B[k])        2 y[0] y[k] = x[k] - sum of y[j] y[k-j], 0 < j < k
+    (k+1) u[k+1]   = h (q_1[k] - q_2[k])/mu              q[k] = sum of x[j] y[k-j], 0 <= j <= k
+
+The series serves three ends at once: it makes the step, it says how long the step may be, and it is the motion
+inside the step.  Arrays are (coefficient, lane); what exists at both faces has the lanes of face A first, then
+those of face B.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uqsphere.mechanics.compiled import compiled
+from uqsphere.mechanics.vectors import apart, derivatives_at, products
+
+__all__ = ["INNER", "LANES", "ORDER", "PAIR", "TERMS", "evaluate", "expand", "longest", "touch_off"]
+
+#: for functions that only compiled code calls: no way in from Python needs to be compiled
+INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+#: highest power of a series; four square roots take the 16th root
+ORDER = 16
+TERMS = ORDER + 1
+#: rows that advance together, and columns of what exists at both faces
+LANES = 16
+PAIR = 2 * LANES
+#: Runge-Kutta steps over a touch
+_TOUCH_STEPS = 4
+
+
+@compiled(**INNER)
+def expand(mode, h, inverse_mu, push, x, u, root, force, half):
+    """Fill the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x) from their first terms.
+
+    push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.
+    """
+    apart()
+    for m in range(PAIR):
+        pressed = x[0, m] > 0.0
+        start = math.sqrt(max(x[0, m], 0.0))
+        root[0, m] = start
+        half[m] = 0.5 / start if pressed else 0.0
+    for k in range(TERMS):
+        force_k = force[k]
+        if mode == 1:
+            for m in range(PAIR):
+                force_k[m] = x[k, m] if x[0, m] > 0.0 else 0.0
+        else:
+            if k > 0:
+                root_k = root[k]
+                products(root, root, k, 1, (k + 1) // 2, root_k)
+                if k % 2 == 0:
+                    for m in range(PAIR):
+                        middle = root[k // 2, m]
+                        root_k[m] = (x[k, m] - 2.0 * root_k[m] - middle * middle) * half[m]
+                else:
+                    for m in range(PAIR):
+                        root_k[m] = (x[k, m] - 2.0 * root_k[m]) * half[m]
+            products(x, root, k, 0, k + 1, force_k)
+        if k == ORDER:
+            break
+        share = 1.0 / (k + 1.0)
+        if mode == 2:
+            for j in range(LANES):
+                rate = h[j] * share * (0.5 * (push[k, j] + push[k, LANES + j]) - force_k[j])
+                x[k + 1, j] = rate
+                x[k + 1, LANES + j] = rate
+                u[k + 1, j] = 0.0
+        else:
+            for j in range(LANES):
+                part = h[j] * share
+                x[k + 1, j] = part * (push[k, j] - force_k[j] - u[k, j])
+                x[k + 1, LANES + j] = part * (push[k, LANES + j] - force_k[LANES + j] + u[k, j])
+                u[k + 1, j] = part * inverse_mu[j] * (force_k[j] - force_k[LANES + j])
+
+
+@compiled(**INNER)
+def longest(x, u, scale, local, theta):
+    """theta (LANES,) up to which the last two terms of every series stay below `local` times its scale (2, LANES)."""
+    apart()
+    for j in range(LANES):
+        before = max(
+            max(abs(x[ORDER - 1, j]), abs(x[ORDER - 1, LANES + j])) / scale[0, j], abs(u[ORDER - 1, j]) / scale[1, j]
+        )
+        last = max(max(abs(x[ORDER, j]), abs(x[ORDER, LANES + j])) / scale[0, j], abs(u[ORDER, j]) / scale[1, j])
+        # theta^15 before + theta^16 last = local, by one step of a fixed-point iteration
+        guess = math.sqrt(math.sqrt(math.sqrt(math.sqrt(local / (before + last + 1e-300)))))
+        guess = min(guess, 8.0)
+        two = guess * guess
+        four = two * two
+        eight = four * four
+        reached = eight * four * two * guess * (before + guess * last)
+        root = guess * math.sqrt(math.sqrt(math.sqrt(math.sqrt(local / (reached + 1e-300)))))
+        # a series that has overflowed says nothing, except that the step was far too long
+        theta[j] = root if before + last < 1e200 else 0.0
+
+
+@compiled(**INNER)
+def evaluate(x, theta, share, place, at, rate):
+    """Series x (TERMS, columns) and its derivative by theta at share·theta, every lane at its own theta."""
+    apart()
+    for j in range(LANES):
+        place[j] = share * theta[j]
+    for c in range(0, x.shape[1], LANES):
+        derivatives_at(x, ORDER, x.shape[1], c, place, at, rate)
+
+
+@compiled(**INNER)
+def _slopes(mode, inverse_mu, push_a, push_b, x1, x2, u):
+    """Right-hand side of theory (9) for one lane."""
+    apart()
+    pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
+    if mode == 1:
+        force_a, force_b = pressed_a, pressed_b
+    else:
+        force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
+    if mode == 2:
+        rate = 0.5 * (push_a + push_b) - force_a
+        return rate, rate, 0.0
+    return push_a - force_a - u, push_b - force_b + u, (force_a - force_b) * inverse_mu
+
+
+@compiled(**INNER)
+def _at(series, m, theta):
+    total = 0.0
+    for k in range(TERMS - 1, -1, -1):
+        total = total * theta + series[k, m]
+    return total
+
+
+@compiled(**INNER)
+def _join(series, m, theta, left, left_slope, right, right_slope):
+    """Put the cubic through values and slopes (by theta) at 0 and theta into a column of a series."""
+    rise = (right - left) / theta
+    series[0, m] = left
+    series[1, m] = left_slope
+    series[2, m] = (3.0 * rise - 2.0 * left_slope - right_slope) / theta
+    series[3, m] = (left_slope + right_slope - 2.0 * rise) / (theta * theta)
+    for k in range(4, TERMS):
+        series[k, m] = 0.0
+
+
+@compiled(**INNER)
+def touch_off(mode, j, theta, h, inverse_mu, push, x, u, force):
+    """A first short step of one lane from a touch, where the force x^(3/2) has no power series in time.
+
+    Runge-Kutta steps of order 4 over theta·h; the series of the lane are replaced by cubics that join both ends.
+    """
+    apart()
+    a, b, w = x[0, j], x[0, LANES + j], u[0, j]
+    x1, x2, v = a, b, w
+    begin = _slopes(mode, inverse_mu, push[0, j], push[0, LANES + j], x1, x2, v)
+    d = theta * h / _TOUCH_STEPS
+    last = begin
+    for i in range(_TOUCH_STEPS):
+        t = theta * i / _TOUCH_STEPS
+        half, full = t + 0.5 * theta / _TOUCH_STEPS, t + theta / _TOUCH_STEPS
+        first = last
+        mid_a, mid_b = _at(push, j, half), _at(push, LANES + j, half)
+        second = _slopes(mode, inverse_mu, mid_a, mid_b,
+                         x1 + 0.5 * d * first[0], x2 + 0.5 * d * first[1], v + 0.5 * d * first[2])  # fmt: skip
+        third = _slopes(mode, inverse_mu, mid_a, mid_b,
+                        x1 + 0.5 * d * second[0], x2 + 0.5 * d * second[1], v + 0.5 * d * second[2])  # fmt: skip
+        end_a, end_b = _at(push, j, full), _at(push, LANES + j, full)
+        fourth = _slopes(mode, inverse_mu, end_a, end_b, x1 + d * third[0], x2 + d * third[1], v + d * third[2])
+        x1 += d / 6.0 * (first[0] + 2.0 * (second[0] + third[0]) + fourth[0])
+        x2 += d / 6.0 * (first[1] + 2.0 * (second[1] + third[1]) + fourth[1])
+        v += d / 6.0 * (first[2] + 2.0 * (second[2] + third[2]) + fourth[2])
+        last = _slopes(mode, inverse_mu, end_a, end_b, x1, x2, v)
+    _join(x, j, theta, a, h * begin[0], x1, h * last[0])
+    _join(x, LANES + j, theta, b, h * begin[1], x2, h * last[1])
+    _join(u, j, theta, w, h * begin[2], v, h * last[2])
+    for face in range(2):
+        m = face * LANES + j
+        left, right = (a, x1) if face == 0 else (b, x2)
+        left_slope, right_slope = x[1, m], h * last[face]
+        left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
+        right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
+        if mode == 1:
+            _join(force, m, theta, left, left_slope, right, right_slope)
+        else:
+            _join(force, m, theta, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
+                  right * math.sqrt(right), 1.5 * math.sqrt(right) * right_slope)  # fmt: skip

@@ -1,0 +1,209 @@
+"""Sums over power series that keep their totals in vector registers: numba alone keeps them in memory.
+
+Each function is a loop over terms with one multiplication and one addition per column, written down in LLVM's
+own terms.  Every column goes through the same instructions, so that the bits of a row do not depend on its lane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba.core import types
+from numba.extending import intrinsic
+
+__all__ = ["apart", "derivatives_at", "mix", "products", "values_at"]
+
+
+_INDEX = ir.IntType(64)
+#: numbers in one vector of the code; the compiler splits them as the processor needs
+_WIDTH = 4
+_Body = Callable[[Any, list[Any]], list[Any]]
+_VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _place(builder: Any, data: Any, index: Any) -> Any:
+    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+
+
+def _load(builder: Any, data: Any, index: Any) -> Any:
+    return builder.load(_place(builder, data, index), align=8, typ=_VECTOR)
+
+
+def _spread(builder: Any, number: Any) -> Any:
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), _WIDTH), [0] * _WIDTH)
+    return builder.shuffle_vector(one, one, mask)
+
+
+def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+
+def _number(value: int) -> Any:
+    return ir.Constant(_INDEX, value)
+
+
+def _loop(builder: Any, low: Any, high: Any, totals: list[Any], body: _Body) -> list[Any]:
+    """totals = body(j, totals) for j from low to high - 1, the totals in registers."""
+    before = builder.block
+    head, inside, after = (builder.append_basic_block(name) for name in ("head", "inside", "after"))
+    builder.branch(head)
+    builder.position_at_end(head)
+    j = builder.phi(_INDEX)
+    held = [builder.phi(_VECTOR) for _ in totals]
+    builder.cbranch(builder.icmp_signed("<", j, high), inside, after)
+    builder.position_at_end(inside)
+    results = body(j, held)
+    following = builder.add(j, _number(1))
+    end = builder.block
+    builder.branch(head)
+    j.add_incoming(low, before)
+    j.add_incoming(following, end)
+    for phi, first, result in zip(held, totals, results, strict=True):
+        phi.add_incoming(first, before)
+        phi.add_incoming(result, end)
+    builder.position_at_end(after)
+    return held
+
+
+def _zeros(count: int) -> list[Any]:
+    return [ir.Constant(_VECTOR, [0.0] * _WIDTH)] * count
+
+
+def _products_of(columns: int) -> Any:
+    """The function out[m] = sum of a[j, m] b[k-j, m], low <= j < high, over `columns` columns."""
+    count = columns // _WIDTH
+
+    @intrinsic
+    def products(typing: Any, a: Any, b: Any, k: Any, low: Any, high: Any, out: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kinds = signature.args
+            data_a, data_b, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5))
+            k, low, high = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4))
+
+            def body(j: Any, totals: list[Any]) -> list[Any]:
+                row_a = builder.mul(j, _number(columns))
+                row_b = builder.mul(builder.sub(k, j), _number(columns))
+                results = []
+                for i, total in enumerate(totals):
+                    place = _number(i * _WIDTH)
+                    left = _load(builder, data_a, builder.add(row_a, place))
+                    right = _load(builder, data_b, builder.add(row_b, place))
+                    results.append(_multiply_add(builder, left, right, total))
+                return results
+
+            for i, total in enumerate(_loop(builder, low, high, _zeros(count), body)):
+                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
+            return context.get_dummy_value()
+
+        return types.void(a, b, k, low, high, out), generate
+
+    return products
+
+
+def _values_of(points: int) -> Any:
+    """The function out[i] = sum of series[k] x[i]^k, k = 0 ... order, over `points` points."""
+    count = points // _WIDTH
+
+    @intrinsic
+    def values_at(typing: Any, series: Any, order: Any, x: Any, out: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kinds = signature.args
+            data, data_x, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3))
+            order = context.cast(builder, arguments[1], kinds[1], types.int64)
+            at = [_load(builder, data_x, _number(i * _WIDTH)) for i in range(count)]
+
+            def body(j: Any, totals: list[Any]) -> list[Any]:
+                term = _spread(builder, builder.load(builder.gep(data, [builder.sub(order, j)])))
+                return [_multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)]
+
+            high = builder.add(order, _number(1))
+            for i, total in enumerate(_loop(builder, _number(0), high, _zeros(count), body)):
+                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
+            return context.get_dummy_value()
+
+        return types.void(series, order, x, out), generate
+
+    return values_at
+
+
+def _mix_of(columns: int) -> Any:
+    """The function out[m] = sum of weights[i] rows[i, m], 0 <= i < columns, over `columns` columns."""
+    count = columns // _WIDTH
+
+    @intrinsic
+    def mix(typing: Any, weights: Any, rows: Any, out: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            data, data_rows, data_out = (_data(context, builder, signature.args[i], arguments[i]) for i in range(3))
+
+            def body(j: Any, totals: list[Any]) -> list[Any]:
+                weight = _spread(builder, builder.load(builder.gep(data, [j])))
+                row = builder.mul(j, _number(columns))
+                parts = [_load(builder, data_rows, builder.add(row, _number(i * _WIDTH))) for i in range(count)]
+                return [_multiply_add(builder, weight, part, total) for part, total in zip(parts, totals, strict=True)]
+
+            for i, total in enumerate(_loop(builder, _number(0), _number(columns), _zeros(count), body)):
+                builder.store(total, _place(builder, data_out, _number(i * _WIDTH)), align=8)
+            return context.get_dummy_value()
+
+        return types.void(weights, rows, out), generate
+
+    return mix
+
+
+def _derivatives_of(columns: int) -> Any:
+    """The function at[m] = sum of x[k, m] t[m]^k and its derivative by t, over `columns` columns from `first`."""
+    count = columns // _WIDTH
+
+    @intrinsic
+    def derivatives_at(typing: Any, x: Any, order: Any, width: Any, first: Any, t: Any, at: Any, rate: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kinds = signature.args
+            data, data_t, data_at, data_rate = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 4, 5, 6))
+            order, width, first = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (1, 2, 3))
+            shares = [_load(builder, data_t, _number(i * _WIDTH)) for i in range(count)]
+
+            def body(j: Any, totals: list[Any]) -> list[Any]:
+                row = builder.add(builder.mul(builder.sub(order, j), width), first)
+                values, rates = [], []
+                for i, z in enumerate(shares):
+                    term = _load(builder, data, builder.add(row, _number(i * _WIDTH)))
+                    rates.append(_multiply_add(builder, totals[count + i], z, totals[i]))
+                    values.append(_multiply_add(builder, totals[i], z, term))
+                return values + rates
+
+            high = builder.add(order, _number(1))
+            totals = _loop(builder, _number(0), high, _zeros(2 * count), body)
+            for i in range(count):
+                place = builder.add(first, _number(i * _WIDTH))
+                builder.store(totals[i], _place(builder, data_at, place), align=8)
+                builder.store(totals[count + i], _place(builder, data_rate, place), align=8)
+            return context.get_dummy_value()
+
+        return types.void(x, order, width, first, t, at, rate), generate
+
+    return derivatives_at
+
+
+@intrinsic
+def _apart(typing: Any) -> Any:
+    """Keep the function that calls this out of its callers: a copy at every place of use costs seconds to compile."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+apart: Any = _apart
+products: Any = _products_of(32)
+values_at: Any = _values_of(12)
+mix: Any = _mix_of(12)
+derivatives_at: Any = _derivatives_of(16)
