@@ -15,10 +15,23 @@ ROWS = 400
 def estimate(value: float | None, half: float = 0.01, reason: str = "not asked for") -> dict[str, Any]:
     """An EST of results.json."""
     if value is None:
-        return {"value": None, "low": None, "high": None, "std_error": None, "method": "by hand", "evaluations": 0,
-                "reason": reason}  # fmt: skip
-    return {"value": value, "low": value - half, "high": value + half, "std_error": half / 2.0, "method": "by hand",
-            "evaluations": ROWS}  # fmt: skip
+        return {
+            "value": None,
+            "low": None,
+            "high": None,
+            "std_error": None,
+            "method": "by hand",
+            "evaluations": 0,
+            "reason": reason,
+        }
+    return {
+        "value": value,
+        "low": value - half,
+        "high": value + half,
+        "std_error": half / 2.0,
+        "method": "by hand",
+        "evaluations": ROWS,
+    }
 
 
 def _quantity(values: np.ndarray, censored: np.ndarray) -> dict[str, Any]:
@@ -30,17 +43,30 @@ def _quantity(values: np.ndarray, censored: np.ndarray) -> dict[str, Any]:
         "unit": "Pa",
         "mean": estimate(float(values.mean()) if known else None, 0.01 * sd, reason),
         "sd": estimate(sd if known else None, 0.02 * sd, reason),
-        "quantiles": {p: estimate(float(np.quantile(values, float(p))) if known else None, 0.03 * sd, reason)
-                      for p in ("0.05", "0.5", "0.95")},
-        "censored_share": {"value": share, "low": share, "high": min(1.0, share + 0.01), "std_error": 0.001,
-                           "method": "share", "evaluations": ROWS},
-    }  # fmt: skip
+        "quantiles": {
+            p: estimate(float(np.quantile(values, float(p))) if known else None, 0.03 * sd, reason)
+            for p in ("0.05", "0.5", "0.95")
+        },
+        "censored_share": {
+            "value": share,
+            "low": share,
+            "high": min(1.0, share + 0.01),
+            "std_error": 0.001,
+            "method": "share",
+            "evaluations": ROWS,
+        },
+    }
 
 
 def _sensitivity(inputs: list[str], scatter: bool) -> dict[str, Any]:
     if not scatter:
         nothing = {name: estimate(None, reason="no input of the model is random") for name in inputs}
-        return {"first": nothing, "total": nothing, "surrogate": {"kind": None}, "check": {"text": "no input is random"}}
+        return {
+            "first": nothing,
+            "total": nothing,
+            "surrogate": {"kind": None},
+            "check": {"text": "no input is random"},
+        }
     shares = 2.0 ** -np.arange(1.0, len(inputs) + 1.0)
     return {
         "first": {n: estimate(float(s)) for n, s in zip(inputs, shares, strict=True)},
@@ -50,16 +76,30 @@ def _sensitivity(inputs: list[str], scatter: bool) -> dict[str, Any]:
     }
 
 
-def limit(miss: float, target: float | None, met: bool | None, *, quantity: str = "p_max", aim: str = "survive",
-          half: float = 0.0005) -> dict[str, Any]:  # fmt: skip
+def limit(
+    miss: float,
+    target: float | None,
+    met: bool | None,
+    *,
+    quantity: str = "p_max",
+    aim: str = "survive",
+    half: float = 0.0005,
+) -> dict[str, Any]:
     """An entry of results["limits"]."""
     exceedance = miss if aim == "survive" else 1.0 - miss
     return {
-        "quantity": quantity, "aim": aim, "target": target, "exceedance": estimate(exceedance, half),
-        "miss": estimate(miss, half), "reliability_index": 2.4, "reliability_index_interval": [2.38, 2.42],
-        "margin": {"0.05": estimate(1.2), "median": estimate(1.5), "0.95": estimate(1.8)}, "design_point": None,
-        "governing_inputs": {"sphere.E": 0.3, "limits.x.strength": 0.7}, "met": met,
-    }  # fmt: skip
+        "quantity": quantity,
+        "aim": aim,
+        "target": target,
+        "exceedance": estimate(exceedance, half),
+        "miss": estimate(miss, half),
+        "reliability_index": 2.4,
+        "reliability_index_interval": [2.38, 2.42],
+        "margin": {"0.05": estimate(1.2), "median": estimate(1.5), "0.95": estimate(1.8)},
+        "design_point": None,
+        "governing_inputs": {"sphere.E": 0.3, "limits.x.strength": 0.7},
+        "met": met,
+    }
 
 
 def _margins(names: list[str]) -> dict[str, Any]:
@@ -68,22 +108,53 @@ def _margins(names: list[str]) -> dict[str, Any]:
     speeds = np.geomspace(0.1, 5.0, 15)
     p = ndtr(3.0 * np.log(speeds / 1.5))
     curve = [[float(v), float(q), 0.9 * float(q), min(1.0, 1.1 * float(q))] for v, q in zip(speeds, p, strict=True)]
-    entry = {"solve": "striker.speed", "unit": "m/s", "curve": curve,
-             "values": {"0.1": estimate(0.978), "0.5": estimate(1.5), "0.9": estimate(None, reason="not reached")}}  # fmt: skip
+    entry = {
+        "solve": "striker.speed",
+        "unit": "m/s",
+        "curve": curve,
+        "values": {"0.1": estimate(0.978), "0.5": estimate(1.5), "0.9": estimate(None, reason="not reached")},
+    }
     return dict.fromkeys(names, entry)
 
 
-_LAW = {"dist": "lognormal", "parameters": {"log_mean": 24.67, "log_sd": 0.12}, "given": {"mean": 52e9, "cov": 0.12},
-        "lower": None, "upper": None, "data": []}  # fmt: skip
-_SPEED = {"dist": "normal", "parameters": {"mean": 0.5, "sd": 0.01}, "given": {"mean": 0.5, "cov": 0.02}, "lower": None,
-          "upper": None, "data": []}  # fmt: skip
-_STRENGTH = {"dist": "weibull", "parameters": {"modulus": 12.0, "scale": 4.17e9, "threshold": 0.0},
-             "given": {"modulus": 12.0, "mean": 4e9}, "lower": None, "upper": None, "data": []}  # fmt: skip
+_LAW = {
+    "dist": "lognormal",
+    "parameters": {"log_mean": 24.67, "log_sd": 0.12},
+    "given": {"mean": 52e9, "cov": 0.12},
+    "lower": None,
+    "upper": None,
+    "data": [],
+}
+_SPEED = {
+    "dist": "normal",
+    "parameters": {"mean": 0.5, "sd": 0.01},
+    "given": {"mean": 0.5, "cov": 0.02},
+    "lower": None,
+    "upper": None,
+    "data": [],
+}
+_STRENGTH = {
+    "dist": "weibull",
+    "parameters": {"modulus": 12.0, "scale": 4.17e9, "threshold": 0.0},
+    "given": {"modulus": 12.0, "mean": 4e9},
+    "lower": None,
+    "upper": None,
+    "data": [],
+}
 
 
-def write_folder(folder: Path, *, title: str = "A study", quantities: tuple[str, ...] = ("p_max",),
-                 inputs: tuple[str, ...] = ("sphere.E", "striker.speed"), limits: dict[str, Any] | None = None,
-                 censored: float = 0.0, scatter: bool = True, margins: bool = True, **more: Any) -> Path:  # fmt: skip
+def write_folder(
+    folder: Path,
+    *,
+    title: str = "A study",
+    quantities: tuple[str, ...] = ("p_max",),
+    inputs: tuple[str, ...] = ("sphere.E", "striker.speed"),
+    limits: dict[str, Any] | None = None,
+    censored: float = 0.0,
+    scatter: bool = True,
+    margins: bool = True,
+    **more: Any,
+) -> Path:
     """A finished run's folder; `more` replaces entries of results.json."""
     limits = {} if limits is None else limits
     rng = np.random.default_rng(RNG_SEED)
@@ -97,40 +168,91 @@ def write_folder(folder: Path, *, title: str = "A study", quantities: tuple[str,
     kinds = ("half-width of the mean over the standard deviation", "largest half-width of an index")
     history = [
         {"method": method, "quantity": name, "evaluations": n, "error": 2.0 / n, "error_kind": kind}
-        for name in quantities for method, kind in zip(("sampling", "pick and freeze"), kinds, strict=True)
+        for name in quantities
+        for method, kind in zip(("sampling", "pick and freeze"), kinds, strict=True)
         for n in (100, 200, 400)
-    ]  # fmt: skip
+    ]
     random = {name: (_SPEED if name == "striker.speed" else _LAW) for name in inputs} if scatter else {}
     random |= {f"limits.{name}.strength": _STRENGTH for name in limits}
     results = {
-        "schema_version": 1, "study": {"title": title, "hash": "0" * 64, "seed": 1},
+        "schema_version": 1,
+        "study": {"title": title, "hash": "0" * 64, "seed": 1},
         "versions": {"uqsphere": "0.1.0", "python": "3.11.0"},
         "inputs": {name: {"dist": law["dist"], "mean": 1.0, "sd": 0.1, "unit": ""} for name, law in random.items()},
         "quantities": {name: _quantity(rows[:, d + k], rows[:, d + q + k]) for k, name in enumerate(quantities)},
         "sensitivity": {name: _sensitivity(list(inputs), scatter) for name in quantities},
-        "limits": limits, "margins": _margins(list(limits)) if margins else {},
-        "model": {"chosen": "full", "why": "asked for", "measured_error": {}, "evaluations": {"full": ROWS}, "failures": 0,
-                  "failure_reasons": {}, "numbers": {"mu_median": 3.4e-4}},
-        "validity": [{"check": "small_contact", "share": 0.0, "share_information": 0.0, "share_warning": 0.0,
-                      "share_failure": 0.0, "worst": 0.1, "text": "contact small against the sphere"}],
-        "speed_error": history, "accuracy": {"met": True, "missed": [], "stopped_by": {"sampling": "accuracy"}},
-        "warnings": [], "paper": [],
-    }  # fmt: skip
+        "limits": limits,
+        "margins": _margins(list(limits)) if margins else {},
+        "model": {
+            "chosen": "full",
+            "why": "asked for",
+            "measured_error": {},
+            "evaluations": {"full": ROWS},
+            "failures": 0,
+            "failure_reasons": {},
+            "numbers": {"mu_median": 3.4e-4},
+        },
+        "validity": [
+            {
+                "check": "small_contact",
+                "share": 0.0,
+                "share_information": 0.0,
+                "share_warning": 0.0,
+                "share_failure": 0.0,
+                "worst": 0.1,
+                "text": "contact small against the sphere",
+            }
+        ],
+        "speed_error": history,
+        "accuracy": {"met": True, "missed": [], "stopped_by": {"sampling": "accuracy"}},
+        "warnings": [],
+        "paper": [],
+    }
     results |= more
     resolved = {
-        "hash": "0" * 64, "title": title, "seed": 1, "kind": "scene", "random": random, "fixed": {"sphere.density": 2650.0},
-        "limits": {name: {"quantity": entry["quantity"], "strength": "random", "aim": entry["aim"], "model_factor": 1.0,
-                          "target": entry["target"]} for name, entry in limits.items()},
-        "sources": {"sphere.density": {"text": "a handbook", "seen": False}}, "options": {"bars.infinite": False},
-        "materials": {}, "dependence": [], "margins": None,
-        "analysis": {"quantities": list(quantities), "on_failure": "abort", "methods": ["auto"],
-                     "accuracy": {"mean": 0.002, "quantile": 0.01, "sobol": 0.01, "probability": 0.05},
-                     "budget": {"evaluations": 1000, "time": 60.0}},
-    }  # fmt: skip
-    manifest = {"seconds": {"total": 1.5}, "speed_error_seconds": [0.1 * (k + 1) for k in range(len(history))],
-                "evaluations": ROWS, "evaluations_reused": 0, "stopped_by_time": False, "platform": {"system": "any"}}  # fmt: skip
-    documents = {"results": results, "manifest": manifest, "study.resolved": resolved,
-                 "samples": {"inputs": list(inputs), "quantities": list(quantities)}}  # fmt: skip
+        "hash": "0" * 64,
+        "title": title,
+        "seed": 1,
+        "kind": "scene",
+        "random": random,
+        "fixed": {"sphere.density": 2650.0},
+        "limits": {
+            name: {
+                "quantity": entry["quantity"],
+                "strength": "random",
+                "aim": entry["aim"],
+                "model_factor": 1.0,
+                "target": entry["target"],
+            }
+            for name, entry in limits.items()
+        },
+        "sources": {"sphere.density": {"text": "a handbook", "seen": False}},
+        "options": {"bars.infinite": False},
+        "materials": {},
+        "dependence": [],
+        "margins": None,
+        "analysis": {
+            "quantities": list(quantities),
+            "on_failure": "abort",
+            "methods": ["auto"],
+            "accuracy": {"mean": 0.002, "quantile": 0.01, "sobol": 0.01, "probability": 0.05},
+            "budget": {"evaluations": 1000, "time": 60.0},
+        },
+    }
+    manifest = {
+        "seconds": {"total": 1.5},
+        "speed_error_seconds": [0.1 * (k + 1) for k in range(len(history))],
+        "evaluations": ROWS,
+        "evaluations_reused": 0,
+        "stopped_by_time": False,
+        "platform": {"system": "any"},
+    }
+    documents = {
+        "results": results,
+        "manifest": manifest,
+        "study.resolved": resolved,
+        "samples": {"inputs": list(inputs), "quantities": list(quantities)},
+    }
     for name, document in documents.items():
         (folder / f"{name}.json").write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
     return folder

@@ -1,7 +1,8 @@
 """A study whose every answer is known: rigid contact, infinite bars, a step, no mass, lognormal inputs.
 
 p_max = (3 Z v0 E*²/(pi³ r²))^(1/3) with E* = E/(1 - nu²) is a product of powers, and so lognormal itself:
-its mean, standard deviation, quantiles, probabilities and Sobol' indices follow from the logarithm, which is normal and additive.
+its mean, standard deviation, quantiles, probabilities and Sobol' indices follow from the logarithm, which
+is normal and additive.
 
 ``pytest -s`` prints the answers beside the exact ones.
 """

@@ -22,31 +22,41 @@ def observed_order(sizes: list[float], errors: list[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
 
 
-@pytest.mark.parametrize(("name", "least"), [("p_max", 0.35), ("contact_time", 0.35), ("energy", 0.35)])
-def test_full_becomes_massless_as_the_mass_vanishes(study_from: Build, name: str, least: float) -> None:
-    """A step in the pulse excites the sphere's oscillation: errors fall with about mu^0.5, those of smooth parts faster."""
-    densities = [1000.0 / 4.0**k for k in range(6)]
-    study = study_from(*INFINITE, 'striker.length="0.6 m"', 'model.horizon="600 us"')
-    frame = evaluate(study, {"sphere.density": densities}, (name,), tolerance=1e-8)
-    limit = column(study, name, "massless")
-    errors = [abs(value - limit) / limit for value in frame[name]]
+#: from mu = 3e-3 down to 3e-6
+DENSITIES = [1000.0 / 4.0**k for k in range(6)]
+RECTANGLE = (*INFINITE, 'striker.length="0.6 m"')
+HALF_SINE = (*INFINITE, 'pulse={shape="half_sine", duration="300 us"}')
+
+
+def distances(study: Study, name: str) -> list[float]:
+    """Relative distance of the full from the massless model as the density falls."""
+    frame = evaluate(study, {"sphere.density": DENSITIES}, (name,), tolerance=1e-9)
     assert (frame["status"] == 0).all()
-    assert errors[-1] < 0.03
-    assert observed_order(densities, [max(e, 1e-12) for e in errors]) > least or max(errors) < 1e-6
+    return [abs(value / column(study, name, "massless") - 1.0) for value in frame[name]]
 
 
-def test_a_smooth_pulse_meets_the_massless_model_faster(study_from: Build) -> None:
-    """Without jumps in the pulse nothing excites the oscillation: first order in mu at least."""
-    study = study_from(*INFINITE, 'pulse={shape="half_sine", duration="300 us"}')
-    densities = [500.0 / 4.0**k for k in range(4)]
-    found = evaluate(study, {"sphere.density": densities}, ("p_max",), tolerance=1e-9)["p_max"]
-    limit = column(study, "p_max", "massless")
-    errors = [abs(value - limit) / limit for value in found]
-    assert observed_order(densities, errors) > 0.8
-    jumps = study_from(*INFINITE, 'striker.length="0.6 m"')
-    rough = abs(evaluate(jumps, {"sphere.density": densities[-1:]}, ("p_max",), tolerance=1e-9)["p_max"][0]
-                / column(jumps, "p_max", "massless") - 1.0)  # fmt: skip
-    assert errors[-1] < rough
+@pytest.mark.parametrize(
+    ("pulse", "name", "order"),
+    [
+        # a jump of the pulse sets the sphere swinging: amplitudes fall like mu^0.45, theory section 9
+        (RECTANGLE, "p_max", (0.35, 0.55)),
+        (RECTANGLE, "energy", (0.6, 1.1)),
+        # a kink at the start leaves less to swing, and the energy sees it squared
+        (HALF_SINE, "p_max", (0.65, 1.0)),
+        (HALF_SINE, "energy", (1.15, 1.6)),
+    ],
+)
+def test_full_becomes_massless_as_the_mass_vanishes(
+    study_from: Build, pulse: tuple[str, ...], name: str, order: tuple[float, float]
+) -> None:
+    errors = distances(study_from(*pulse), name)
+    assert order[0] < observed_order(DENSITIES, errors) < order[1], errors
+    assert errors[-1] < 0.1 * errors[0]
+
+
+def test_a_smooth_pulse_is_closer_to_massless(study_from: Build) -> None:
+    jump, smooth = distances(study_from(*RECTANGLE), "p_max"), distances(study_from(*HALF_SINE), "p_max")
+    assert all(b < a for a, b in zip(jump, smooth, strict=True))
 
 
 def test_linear_is_the_secant_of_full(study_from: Build) -> None:

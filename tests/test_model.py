@@ -259,7 +259,7 @@ def test_load_black_box_loads_the_function(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.parametrize("reference", ["model.py", "model.txt:f", "model.py:", "model.py:not a name", ":f", ""])
 def test_malformed_references_are_refused(reference: str) -> None:
-    with pytest.raises(UsageError, match="FILE.py:FUNCTION"):
+    with pytest.raises(UsageError, match=r"FILE\.py:FUNCTION"):
         load_black_box(reference)
 
 

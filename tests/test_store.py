@@ -100,7 +100,7 @@ def test_damaged_json_is_a_damaged_folder(tmp_path: Path, content: bytes) -> Non
 
 
 def test_json_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FolderError, match="no x.json"):
+    with pytest.raises(FolderError, match=r"no x\.json"):
         read_json(tmp_path / "x.json")
 
 

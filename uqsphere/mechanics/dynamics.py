@@ -124,7 +124,7 @@ def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, t
 
     share = _LOCAL_DIFFERENCE if wanted & 2 else _LOCAL
     share = _LOCAL_TAIL if not np.isfinite(arguments["horizon"]).all() else share
-    # without the velocity of the sphere, or with a force that has no limit of smoothness, less holds back a step
+    # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     motion = None
     for capacity in _CAPACITIES:

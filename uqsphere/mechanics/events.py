@@ -208,7 +208,7 @@ def passage(piece, face, level, sign, begin, end):
         if at_b >= 0.0:
             return _root(piece, face, level, a, b)
         if slope_a * width > 0.0 > slope_b * width and reach(at_a, slope_a * width, at_b, slope_b * width) >= 0.0:
-            peak = _extremum(face, 0, piece, a, b, slope_a, slope_b)
+            peak = _extremum(face, face, piece, a, b, slope_a, slope_b)  # at a face no mode matters
             if sign * (value(piece, face, peak) - level) >= 0.0:
                 return _root(piece, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
@@ -342,36 +342,22 @@ def after_step(
 
 
 @compiled(**INNER)
-def _first_above(path, scale, start, length, crest, count, ended, level):
-    """Time at which the larger approach first reaches `level`; arrays of one lane."""
+def _outermost(path, scale, start, length, crest, count, ended, level, backward):
+    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane."""
     apart()
-    for n in range(count):
+    for i in range(count):
+        n = count - 1 - i if backward else i
         if crest[n] < level:
             continue
         end = min(length[n], ended - start[n]) / scale[n]
-        first = passage(path[n], 0, level, 1.0, 0.0, end)
-        second = passage(path[n], 1, level, 1.0, 0.0, end)
-        if math.isnan(first) or second < first:
-            first = second
-        if not math.isnan(first):
-            return start[n] + first * scale[n]
-    return math.nan
-
-
-@compiled(**INNER)
-def _last_above(path, scale, start, length, crest, count, ended, level):
-    """Time at which the larger approach is last at `level`; arrays of one lane."""
-    apart()
-    for n in range(count - 1, -1, -1):
-        if crest[n] < level:
-            continue
-        end = min(length[n], ended - start[n]) / scale[n]
-        last = passage(path[n], 0, level, 1.0, end, 0.0)
-        second = passage(path[n], 1, level, 1.0, end, 0.0)
-        if math.isnan(last) or second > last:
-            last = second
-        if not math.isnan(last):
-            return start[n] + last * scale[n]
+        a, b = (end, 0.0) if backward else (0.0, end)
+        best = math.nan
+        for face in range(2):
+            found = passage(path[n], face, level, 1.0, a, b)
+            if math.isnan(best) or (found > best if backward else found < best):
+                best = found
+        if not math.isnan(best):
+            return start[n] + best * scale[n]
     return math.nan
 
 
@@ -396,13 +382,13 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     if wanted & WANT_THRESHOLDS:
         power = 1.0 if mode == 1 else 2.0 / 3.0
         half = largest * 0.5**power
-        above = _first_above(path, scale, start, length, crest, count, ended, half)
-        below = _last_above(path, scale, start, length, crest, count, ended, half)
+        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
+        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
         # the last crossing is the record's end itself where the force is still above
         out[ANSWER_WIDTH] = below - above
         out[ANSWER_WIDTH_CENSORED] = 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
-        tenth = _first_above(path, scale, start, length, crest, count, ended, largest * 0.1**power)
-        nine = _first_above(path, scale, start, length, crest, count, ended, largest * 0.9**power)
+        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power, False)
+        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power, False)
         out[ANSWER_RISE] = nine - tenth
 
 

@@ -361,6 +361,8 @@ def march(
                 touching[j] = 1 if x[0, (why - 2) * LANES + j] <= 0.0 else 0
                 new[j], new[LANES + j], at_u[j] = a, b, w
                 new[(why - 2) * LANES + j] = 0.0
+                if mode == 2:  # both faces move alike
+                    new[j], new[LANES + j] = 0.0, 0.0
             time[j] = stop[j] if at_stop else before + ending * h[j]
             x[0, j], x[0, LANES + j], u[0, j] = new[j], new[LANES + j], at_u[j]
             size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))

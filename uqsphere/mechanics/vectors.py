@@ -9,13 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba.core import types
-from numba.extending import intrinsic
-
 __all__ = ["apart", "derivatives_at", "mix", "products", "values_at"]
 
 
+def _tools() -> tuple[Any, Any, Any]:
+    """LLVM's instructions, numba's types, and the decorator that joins them."""
+    from llvmlite import ir  # type: ignore[import-untyped]
+    from numba.core import types
+    from numba.extending import intrinsic
+
+    return ir, types, intrinsic
+
+
+ir, types, intrinsic = _tools()
 _INDEX = ir.IntType(64)
 #: numbers in one vector of the code; the compiler splits them as the processor needs
 _WIDTH = 4

@@ -71,18 +71,21 @@ def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
     axes.plot([low, high], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
     if "median" in known:
         axes.plot(known["median"]["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
-    # labels in one line where they stand apart, else around the bar
+    # labels in one line where they stand apart, else around the bar; one label where all is one point
     places = {key: e["value"] for key, e in known.items()}
+    point = max(places.values()) - min(places.values()) < 0.01 * (right - left)
     near = "median" in places and any(
         abs(places[key] - places["median"]) < 0.12 * (right - left) for key in ("0.05", "0.95") if key in places
     )
     for key, estimate in known.items():
+        if point and key != next(iter(known)):
+            continue
         below = near and key == "median"
-        side = {"0.05": "right", "0.95": "left"}.get(key, "center") if near else "center"
+        side = {"0.05": "right", "0.95": "left"}.get(key, "center") if near and not point else "center"
         axes.annotate(
             rounded(estimate, digits=3),
             (estimate["value"], row),
-            xytext=(0, -9 if below else 8),
+            xytext=({"right": -2, "left": 2, "center": 0}[side], -9 if below else 8),
             ha=side,
             va="top" if below else "bottom",
             textcoords="offset points",
@@ -106,6 +109,8 @@ def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     if not known:
         return f"Limit {limit_name(name)} has no margin: {reason or 'the strength is zero'}."
     text = f"Limit {limit_name(name)}: the strength is "
+    if len(known) == 3 and len(set(known.values())) == 1:
+        return text + f"{known['median']} times the demand."
     if len(known) == 3:
         return text + (
             f"{known['median']} times the demand in the median case, and between {known['0.05']} and "
@@ -267,8 +272,8 @@ def fragility_finding(contents: Contents, name: str) -> str:
     entry = contents.results["margins"][name]
     known = {p: e for p, e in entry["values"].items() if e["value"] is not None}
     if not known:
-        reasons = sorted({str(e.get("reason")) for e in entry["values"].values()})
-        return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({'; '.join(reasons) or 'no curve'})."
+        reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
+        return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
     parts = [f"{plain_percent(float(p))} at {rounded(e, entry['solve'])}" for p, e in known.items()]
     here = contents.at_mean(entry["solve"])
     text = f"Over {input_name(entry['solve'])}, the probability of exceeding {limit_name(name)} is {', '.join(parts)}"

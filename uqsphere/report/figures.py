@@ -329,7 +329,8 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     rows = ranked(entry)
     name = symbol(quantity)
     if not rows or entry is None:
-        return f"What drives {name} is not known."
+        reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
+        return f"What drives {name} is not known: {reason}."
     parts = [_driver(entry, n) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
     text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
     if len(parts) > 1:
@@ -359,9 +360,9 @@ def _driver(entry: Mapping[str, Any], name: str) -> tuple[str, str]:
 
 
 def single_value(contents: Contents, quantity: str) -> str:
-    """The one value of a quantity without scatter, or an empty text."""
+    """The one value of a quantity without scatter, or an empty text; a lower bound is no value."""
     samples = contents.samples.get(quantity)
-    if samples is None or len(samples.values) == 0:
+    if samples is None or len(samples.values) == 0 or samples.censored.any():
         return ""
     if float(np.ptp(samples.values)) > 1e-9 * float(np.abs(samples.values).max()):
         return ""

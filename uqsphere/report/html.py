@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -18,8 +19,13 @@ __all__ = ["MOST_BYTES", "Block", "build_report"]
 
 #: a page is never larger than this
 MOST_BYTES: Final = 3_000_000
+#: of which the figures take up this much; what is beyond stays a file of its own
+MOST_INLINED: Final = 2_200_000
 #: characters of one text on the page; a study may hold megabytes
 LONGEST: Final = 1500
+
+
+_UNIT: Final = re.compile(r"(?<=\d) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +122,7 @@ def _without_name(finding: str) -> str:
 def _sensitivity(contents: Contents, name: str) -> Block:
     entry = contents.results["sensitivity"][name]
     picture = figures.sensitivity_figure(contents, name)
-    remarks = [str(entry.get("check", {}).get("text") or "")]
+    remarks = [str(entry.get("check", {}).get("text") or "")] if picture is not None else []
     hidden = len(figures.ranked(entry)) - figures.MOST_INPUTS
     if hidden > 0:
         remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
@@ -156,29 +162,40 @@ def _margins(contents: Contents) -> list[Block]:
 
 
 def _convergence(contents: Contents) -> list[Block]:
-    finding = progress.progress_finding(contents)
-    return [
-        Block(heading="Error against evaluations", finding=finding, picture=progress.convergence_figure(contents)),
+    steps, speed = progress.convergence_figure(contents), progress.speed_figure(contents)
+    blocks = [
+        Block(heading="Error against evaluations", finding=progress.progress_finding(contents), picture=steps),
         Block(
             heading="Speed against error of each method",
-            picture=progress.speed_figure(contents),
             finding="The same errors over the seconds since the start, the methods running one after the other.",
+            picture=speed,
         ),
     ]
+    return [block for block in blocks if block.picture is not None] or blocks[:1]
 
 
 def _plain(value: Any) -> Any:
     """What a template sets: no control characters, and not endless; drawings pass as they are."""
-    return canvas.shorten(value, LONGEST) if type(value) is str else value
+    if type(value) is not str:
+        return value
+    # a number stays with its unit at the end of a line
+    return _UNIT.sub("\u00a0", canvas.shorten(value, LONGEST))
 
 
 def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict[str, str]) -> str:
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
+    room = MOST_INLINED
+
     def drawn(picture: Picture) -> Any:
+        nonlocal room
+        element = canvas.inline(figures_drawn[picture.name], picture.name)
+        room -= len(element.encode())
+        if room < 0:
+            return f"The figure is in figures/{picture.name}.svg: the page would become too large with it."
         # the one text that is not escaped: made of escaped parts by the XML writer
-        return Markup(canvas.inline(figures_drawn[picture.name], picture.name))
+        return Markup(element)
 
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain

@@ -62,8 +62,13 @@ def _cell(estimate: Mapping[str, Any], name: str = "", *, probability: bool = Fa
 def quantity_table(contents: Contents, quantity: str) -> Table:
     """Mean, standard deviation, quantiles and censored share with their intervals."""
     entry = contents.results["quantities"][quantity]
-    rows = [("mean", _cell(entry["mean"], quantity)), ("standard deviation", _cell(entry["sd"], quantity))]
-    rows += [(f"{100.0 * float(p):g} % quantile", _cell(e, quantity)) for p, e in entry["quantiles"].items()]
+    mean, sd = entry["mean"]["value"], entry["sd"]["value"]
+    spread = _cell(entry["sd"], quantity)
+    if mean is not None and sd is not None and sd < 1e-9 * abs(mean):
+        spread = "none seen"
+    rows = [("mean", _cell(entry["mean"], quantity)), ("standard deviation", spread)]
+    if spread != "none seen" or entry["censored_share"]["value"]:
+        rows += [(f"{100.0 * float(p):g} % quantile", _cell(e, quantity)) for p, e in entry["quantiles"].items()]
     if entry["censored_share"]["value"] or quantity in _RECORDED:
         rows.append(("share that outlasts the record", _cell(entry["censored_share"], probability=True)))
     return Table(

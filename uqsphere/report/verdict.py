@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from uqsphere.model import status_text
+from uqsphere.quantities import OUTPUTS
 from uqsphere.report import canvas
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding
@@ -62,6 +63,9 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     breaks = limit["aim"] == "break"
     what = f"Probability of missing {limit_name(name)}" if breaks else f"Probability of {limit_name(name)}"
     answer = f"{what}: {probability_text(limit['miss'])}"
+    if not contents.resolved["random"] and limit["exceedance"]["value"] is not None:
+        kept = "" if limit["exceedance"]["value"] > 0.5 else "not "
+        answer = f"Limit {limit_name(name)} is {kept}exceeded in the one scene of a study without scatter"
     if limit["miss"]["value"] is None:
         answer += f" ({absent_reason(limit['miss'])})"
     if limit["target"] is not None:
@@ -70,9 +74,10 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
         answer += "; no target was set."
     relation = "stays below" if breaks else "exceeds"
     aim = "the aim is to break it" if breaks else "the aim is to survive"
-    note = f"That is the probability that the {call(limit['quantity'])} {relation} {_strength(contents, name)}; {aim}."
-    if lookup_is_plain(limit["quantity"]):
-        note = note.replace("that the ", "that ", 1)
+    article = "the " if limit["quantity"] in OUTPUTS else ""
+    factor = contents.resolved["limits"][name]["model_factor"]
+    demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
+    note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
     if word == "undecided":
         note += " The interval reaches across the target: more evaluations would decide it."
     return Verdict(
@@ -81,11 +86,6 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
         note=note,
         lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)),
     )
-
-
-def lookup_is_plain(name: str) -> bool:
-    """Whether a quantity has no other words than its name."""
-    return "(" not in call(name)
 
 
 def _strength(contents: Contents, name: str) -> str:
@@ -115,6 +115,8 @@ def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str
 
 
 def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
+    if not contents.resolved["random"]:
+        return "It hangs on nothing that scatters: no number of the study is random."
     governing = limit.get("governing_inputs")
     text = "It hangs on: "
     if governing:
@@ -162,9 +164,10 @@ def cautions(contents: Contents) -> list[str]:
     for name, entry in results["quantities"].items():
         share = entry["censored_share"]
         if share["value"]:
+            most = "All" if share["value"] == 1.0 else probability_text(share) + " of the"
             found.append(
-                f"{probability_text(share)} of the samples of {symbol(name)} outlast their record: they are lower "
-                "bounds, mean and standard deviation are those restricted to the record."
+                f"{most} samples of {symbol(name)} outlast their record: they are lower bounds, and mean and standard "
+                "deviation are those restricted to the record."
             )
     if contents.manifest.get("stopped_by_time"):
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
