@@ -65,6 +65,21 @@ between = ["3 m/s", "20 m/s"]
 for_probability = [0.1, 0.5, 0.9]
 """
 
+#: a black box of two inputs
+BOX = """\
+title = "box"
+seed = 1
+[inputs]
+x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
+x2 = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[analysis]
+methods = ["sobol"]
+quantiles = [0.5]
+accuracy = { mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }
+"""
+
 #: infinite bars in closed form: thousands of rows in no time
 QUICK = (
     'bars.infinite=true', 'model.fidelity="massless"', 'analysis.quantities=["p_max"]', 'analysis.methods=["sobol"]',
@@ -81,6 +96,11 @@ def one_blas_thread() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def small_text() -> str:
     return SMALL
+
+
+@pytest.fixture(scope="session")
+def box_text() -> str:
+    return BOX
 
 
 @pytest.fixture

@@ -23,36 +23,21 @@ GRANITE = str(STUDIES / "granite.toml")
 QUICK = ("--set", "bars.infinite=true", "--set", "model.fidelity=massless", "--set", 'analysis.quantities=["p_max"]',
          "--set", 'analysis.methods=["sobol"]')  # fmt: skip
 SLOW_MODEL = """\
-import time, sys
+import time
 def f(inputs):
     print("a word")
-    if len(sys.argv) > 99:
-        raise RuntimeError
     time.sleep({sleep})
     return {{"y": inputs["x1"] + inputs["x2"] ** 2}}
-"""
-BOX = """\
-title = "box"
-seed = 1
-[inputs]
-x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
-x2 = { dist = "normal", mean = 0.0, sd = 1.0 }
-[outputs]
-names = ["y"]
-[analysis]
-methods = ["sobol"]
-quantiles = [0.5]
-accuracy = { mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }
 """
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_text: str) -> Path:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_text: str, box_text: str) -> Path:
     """A folder to work in, with the small study and a black box."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("UQSPHERE_DEBUG", raising=False)
     (tmp_path / "small.toml").write_text(small_text)
-    (tmp_path / "box.toml").write_text(BOX)
+    (tmp_path / "box.toml").write_text(box_text)
     (tmp_path / "model.py").write_text(SLOW_MODEL.format(sleep=0))
     return tmp_path
 
@@ -338,9 +323,7 @@ def test_a_black_box_in_processes_gives_the_same(place: Path) -> None:
     ("body", "code"),
     [("return {'y': inputs['x1'] * float('nan')}", 4), ("raise RuntimeError('no')", 1), ("return 3", 1)],
 )
-def test_a_black_box_that_fails(
-    place: Path, capsys: pytest.CaptureFixture[str], body: str, code: int
-) -> None:
+def test_a_black_box_that_fails(place: Path, capsys: pytest.CaptureFixture[str], body: str, code: int) -> None:
     (place / "model.py").write_text(f"def f(inputs):\n    {body}\n")
     assert main(["run", "box.toml", "--model", "model.py:f"]) == code
     captured = capsys.readouterr()

@@ -143,7 +143,7 @@ def test_waves_obey_their_definitions(example):
     np.testing.assert_allclose(waves.incident, pulse + ago_a.leaving_a * (inside > T_1), atol=1e-12)
     np.testing.assert_allclose(waves.returning, ago_b.leaving_b * (inside > T_3), atol=1e-12)
     # the rates, from the polynomials themselves
-    k, steps = np.arange(1, 8), len(inside)
+    k, steps = np.arange(1, motion.states.shape[2]), len(inside)
     rates = (motion.states[:steps, :2, 1:] * k * 0.5 ** (k - 1)).sum(axis=2) / motion.length[:steps, None]
     rates *= scene.scales.approach[0] / unit
     ends = np.stack([waves.incident + waves.leaving_a, -waves.leaving_b - waves.returning], axis=1)

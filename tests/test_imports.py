@@ -19,7 +19,7 @@ HOMES = {
     "chaospy": {"uq/chaos.py"},
     "numpoly": {"uq/chaos.py"},
     "SALib": {"uq/sensitivity.py"},
-    "numba": {"mechanics/compiled.py"},
+    "numba": {"mechanics/compiled.py", "mechanics/vectors.py"},
 }
 
 PROBE = """

@@ -273,7 +273,9 @@ def test_drop_gives_up_above_one_per_cent(study_from: Callable[..., Study], tmp_
 FIXED = ('sphere.E="60 GPa"', 'sphere.radius="5 mm"', 'striker.speed="5 m/s"', 'limits.crushing.strength="6 GPa"')
 
 
-def test_a_study_without_scatter_is_evaluated_once(small_text: str, study_from: Callable[..., Study], tmp_path: Path) -> None:
+def test_a_study_without_scatter_is_evaluated_once(
+    small_text: str, study_from: Callable[..., Study], tmp_path: Path
+) -> None:
     start, end = small_text.index("[[dependence]]"), small_text.index("[analysis]")
     study = study_from(*FIXED, text=small_text[:start] + small_text[end:])
     results = checked(uqsphere.run(study, out=tmp_path / "r"))

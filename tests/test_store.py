@@ -19,20 +19,6 @@ from uqsphere.study import Study
 
 VALUES = np.array([[1.0, 2.0], [np.nan, -0.0]])
 
-BOX = """\
-title = "box"
-seed = 1
-[inputs]
-x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
-x2 = { dist = "normal", mean = 0.0, sd = 1.0 }
-[outputs]
-names = ["y"]
-[analysis]
-methods = ["sobol"]
-quantiles = [0.5]
-accuracy = { mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }
-"""
-
 
 def refuse(code: int) -> Callable[..., Any]:
     def fail(*arguments: Any, **options: Any) -> Any:
@@ -249,8 +235,8 @@ class Counted:
 
 
 @pytest.fixture
-def box_study(tmp_path: Path) -> Study:
-    (tmp_path / "box.toml").write_text(BOX)
+def box_study(tmp_path: Path, box_text: str) -> Study:
+    (tmp_path / "box.toml").write_text(box_text)
     return uqsphere.load_study(tmp_path / "box.toml")
 
 

@@ -138,13 +138,13 @@ def command_run(chosen: argparse.Namespace) -> int:
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
             try:
                 found = run(study, out=chosen.out, executor=pool, model=chosen.model, fresh=chosen.fresh,
-                            seconds=seconds, progress=progress)  # fmt: skip
+                            seconds=seconds, progress=progress, notice=progress.say)  # fmt: skip
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     else:
         found = run(study, out=chosen.out, model=chosen.model, threads=chosen.jobs, fresh=chosen.fresh,
-                    seconds=seconds, progress=progress)  # fmt: skip
+                    seconds=seconds, progress=progress, notice=progress.say)  # fmt: skip
     progress.finish()
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:

@@ -67,6 +67,11 @@ class Progress:
         if done == total:
             self.began = now
 
+    def say(self, text: str) -> None:
+        """A line of its own between the bars."""
+        self.finish()
+        print(plain(text), file=sys.stderr, flush=True)
+
     def finish(self) -> None:
         """Leave the line of the bar."""
         if not self.quiet and sys.stderr.isatty() and self.stage:

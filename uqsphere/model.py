@@ -72,7 +72,7 @@ def _answer_scene(study: Study, names: Sequence[str], rows: Array, quantities: S
     if closed_form.closed_form_applies(scene, fidelity):
         answers = closed_form.solve_closed(scene, fidelity)
     else:
-        answers = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads)
+        answers = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     none = np.zeros(len(rows), dtype=bool)
     return Answered(
         values=np.stack([answers.values[name] for name in quantities], axis=1),
@@ -219,7 +219,7 @@ def evaluate(study: Study, values: Mapping[str, Any], quantities: Sequence[str] 
         raise UsageError(str(error)) from error
     frame = pd.DataFrame({name: found.values[:, k] for k, name in enumerate(quantities)})
     frame["status"] = found.status
-    frame["censored"] = found.censored.any(axis=1)
+    frame["censored"] = np.asarray(found.censored.any(axis=1), dtype=bool)
     return frame
 
 

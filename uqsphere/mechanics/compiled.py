@@ -6,16 +6,28 @@ versions involved.  Where no such folder can be had, functions are compiled agai
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 import sys
 from collections.abc import Callable
+from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
 __all__ = ["cache_folder", "compiled"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@lru_cache(maxsize=1)
+def _sources() -> str:
+    """Fingerprint of every compiled source: numba itself looks at the file of the outermost function alone."""
+    digest = hashlib.sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
+    for name in ("compiled", "events", "kernel", "series", "vectors"):
+        digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def cache_folder() -> Path | None:
@@ -28,7 +40,7 @@ def cache_folder() -> Path | None:
         base = Path.home() / "Library" / "Caches"
     else:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = base / "uqsphere" / f"compiled-py{sys.version_info.major}{sys.version_info.minor}"
+    folder = base / "uqsphere" / f"compiled-{_sources()}"
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         status = folder.stat()

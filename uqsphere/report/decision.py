@@ -64,7 +64,7 @@ def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
     """One limit: the side on which its aim is missed, its range (open where an end is unbounded), its median."""
     left, right = axes.get_xlim()
     missed = (left, 1.0) if limit["aim"] == "survive" else (1.0, right)
-    axes.fill_between(missed, row - 0.5, row + 0.5, facecolor=RED, alpha=0.10, linewidth=0.0)
+    axes.fill_between(missed, row - (0.7 if row == 0 else 0.5), row + 0.5, facecolor=RED, alpha=0.10, linewidth=0.0)
     known = _known(limit["margin"])
     low = known["0.05"]["value"] if "0.05" in known else left
     high = known["0.95"]["value"] if "0.95" in known else right

@@ -185,8 +185,12 @@ def progress_finding(contents: Contents) -> str:
     worst = max(counting, key=lambda s: s.points[-1][2])
     text = f"{reached} of {len(best)} errors are below what was asked after the last evaluation"
     if worst.points[-1][2] > 1.0:
-        text += f"; the largest, {worst.label} by {worst.method}, is {worst.points[-1][2]:.2g} times what was asked"
+        text += f"; the largest, {worst.label} by {worst.method}, is {_times(worst.points[-1][2])} times what was asked"
     return text + "."
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio), 0.0)
 
 
 def _question(series: Series) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from uqsphere.report.wording import (
     ABSENT,
     absent_reason,
     call,
+    capital,
     estimate_text,
     input_name,
     limit_name,
@@ -120,7 +121,7 @@ def margins_table(contents: Contents, name: str) -> Table:
     solve = entry["solve"]
     rows = tuple((plain_percent(float(p)), _cell(e, solve)) for p, e in entry["values"].items())
     return Table(
-        caption=f"{input_name(solve)} at which {limit_name(name)} is exceeded with a given probability",
+        caption=f"{capital(input_name(solve))} at which {limit_name(name)} is exceeded with a given probability",
         header=("probability", "value (95 % interval)"),
         rows=rows,
     )

@@ -84,7 +84,8 @@ def open_run(folder: str | Path) -> Run:
 
 def run(study: Study, *, out: str | Path | None = None, executor: Executor | None = None,
         model: str | BlackBox | None = None, threads: int | None = None, fresh: bool = False,
-        seconds: float | None = None, progress: Callable[[str, int, int], None] | None = None) -> Run:  # fmt: skip
+        seconds: float | None = None, progress: Callable[[str, int, int], None] | None = None,
+        notice: Callable[[str], None] | None = None) -> Run:  # fmt: skip
     """Run a study and write its result folder.
 
     Parameters
@@ -104,6 +105,8 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
     seconds : float, optional
         Time budget in place of the study's.
     progress : callable(stage, done, total), optional
+    notice : callable(text), optional
+        Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
 
     Raises
     ------
@@ -132,12 +135,13 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
         )  # fmt: skip
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
         with threadpool_limits(limits=1, user_api="blas"):
-            return _run(work, store)
+            return _run(work, store, notice)
     finally:
         store.close()
 
 
-def _run(work: Work, store: Store) -> Run:
+def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
+    from uqsphere.quantities import format_estimate
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.pilot import first_look
     from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
@@ -152,6 +156,11 @@ def _run(work: Work, store: Store) -> Run:
     ledger.seconds["pilot"] = ledger.elapsed
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names))
     ledger.seconds["sampling"] = ledger.elapsed
+    if notice is not None:
+        for name, limit in sampled.limits.items():
+            if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
+                interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high)
+                notice(f"limit {name}: probability of missing its aim {interval}")
     margins = find_margins(work)
     ledger.seconds["margins"] = ledger.elapsed
     sensitivity, history, seconds, stopped = find_sensitivity(work, sampled)

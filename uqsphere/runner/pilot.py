@@ -75,7 +75,8 @@ def first_look(work: Work) -> Pilot:
         evaluations[fidelity] = evaluations.get(fidelity, 0) + len(few)
         if closed_form.closed_form_applies(few, fidelity):
             return closed_form.solve_closed(few, fidelity)
-        return dynamics.solve(few, fidelity=fidelity, tolerance=tolerance, threads=work.threads)
+        return dynamics.solve(few, fidelity=fidelity, tolerance=tolerance, threads=work.threads,
+                              quantities=work.quantities)
 
     bound = 0.2 * _tightest(study)
     asked = study.model.fidelity
@@ -88,7 +89,8 @@ def first_look(work: Work) -> Pilot:
         fits = [name for name, errors in measured.items() if all(e is not None and e < bound for e in errors.values())]
         chosen = fits[0] if fits and count > 1 else "full"
     if chosen == "full":
-        closer = dynamics.solve(few, fidelity="full", tolerance=max(1e-12, 0.01 * tolerance), threads=work.threads)
+        closer = dynamics.solve(few, fidelity="full", tolerance=max(1e-12, 0.01 * tolerance), threads=work.threads,
+                                quantities=work.quantities)  # fmt: skip
         evaluations["full"] += len(few)
         measured["full"] = _errors(full, closer, work.quantities, compared) if count > 1 else {}
     numbers = {
