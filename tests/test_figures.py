@@ -228,12 +228,13 @@ def test_history_shows_the_peak_and_the_end_of_contact(
     from uqsphere.report.timelines import draw_history
 
     _, history = scene_and_history
-    root = check_svg(history_figure(history))
+    svg = history_figure(history)
+    root = check_svg(svg)
     text = "".join(root.itertext())
     # the worked example of docs/theory.md: 3.0208635 GPa, 1.52195874 ms
     assert "3.021 GPa" in text
     assert "at 1.522 ms" in text
-    assert history_figure(history) == history_figure(history)
+    assert history_figure(history) == svg
     assert_apart(drawn(draw_history(history)))
 
 

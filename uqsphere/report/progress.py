@@ -120,7 +120,7 @@ def _limits(axes: Axes, series: list[Series], column: int) -> None:
         axis.set_major_formatter(FuncFormatter(_thousands))
 
 
-def _thousands(value: float, _: int) -> str:
+def _thousands(value: float, _: object = None) -> str:
     if value < 1e-3:
         return number_text(f"{value:.0e}").removeprefix("1 × ")
     return f"{value:,.0f}".replace(",", "\u202f") if value >= 1000.0 else f"{value:g}"
@@ -190,7 +190,7 @@ def progress_finding(contents: Contents) -> str:
 
 
 def _times(ratio: float) -> str:
-    return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio), 0.0)
+    return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio))
 
 
 def _question(series: Series) -> tuple[str, str]:

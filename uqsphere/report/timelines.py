@@ -182,6 +182,9 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
     trips = [float(trip) for trip in scene.round_trips[row]]
     ends = [float(end) for end in scene.reflections[row]]
     last = _last_time(history, trips, ends)
+    if scene.infinite and math.isfinite(scene.pulse.end[row]):
+        # nothing comes back: the arrival is all there is to see
+        last = min(last, 6.0 * float(scene.pulse.end[row]))
     lengths = [0.5 * c0 * trip if math.isfinite(trip) else 0.6 * c0 * last for trip in trips]
     pulse = float(scene.pulse.end[row])
     unit, factor = _time_unit(last)
@@ -201,7 +204,7 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
         _xt_legend(axes, math.isfinite(pulse))
         if history.record_end < last:
             axes.annotate(
-                f"contact lost at {history.record_end * factor:.4g} {unit}",
+                f"{_ending(history)} at {history.record_end * factor:.4g} {unit}",
                 (0.0, history.record_end * factor),
                 xytext=(6, 3),
                 textcoords="offset points",
@@ -222,6 +225,11 @@ def _last_time(history: History, trips: list[float], ends: list[float]) -> float
     echoes = [trip for trip, end in zip(trips, ends, strict=True) if end != 0.0 and math.isfinite(trip)]
     longest = max((trip for trip in trips if math.isfinite(trip)), default=history.record_end)
     return max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0), 0.5 * longest)
+
+
+def _ending(history: History) -> str:
+    """Why the record ends."""
+    return "contact lost" if any(change.kind == "lost" for change in history.changes) else "end of the record"
 
 
 def _fronts(

@@ -41,7 +41,7 @@ class Verdict:
     @property
     def mark(self) -> str:
         """A sign beside the colour."""
-        return {"met": "✓", "not met": "✗", "undecided": "?"}.get(self.word, "")
+        return {"met": "✓", "not met": "✗", "undecided": "?", "no target": "○"}.get(self.word, "")
 
 
 def verdicts(contents: Contents) -> list[Verdict]:
