@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 FIRST = 64
 #: base points of each replicate from which on an accuracy may be given up
 JUDGED = 128
+#: an index whose half-width is above this is withheld
+WORTHLESS = 0.5
 #: indices above this are read off pairs of runs
 LARGE = 0.5
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
@@ -145,6 +147,15 @@ def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
                 for s, p in zip(plain[order], paired[order], strict=True)]
         for order in ("first", "total")
     }  # fmt: skip
+
+
+def _believable(estimates: list[Estimate]) -> list[Estimate]:
+    """Indices whose interval says nothing, since it is as wide as the range of an index, are withheld."""
+    reason = "not known: rare samples carry so much of the variance that the interval spans the whole range"
+    return [
+        absent(reason, e.method, e.evaluations) if e.value is not None and e.half_width > WORTHLESS else e
+        for e in estimates
+    ]
 
 
 def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
@@ -279,6 +290,7 @@ def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expand
     else:
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)
+    given = {order: _believable(row) for order, row in given.items()}
     missed = [f"indices: half-width {width:.2g}, asked {asked:g}" + (f" ({given_up})" if given_up else "")] if width > asked else []
     if agree is False:
         missed.append("indices: sampling and polynomial chaos disagree")

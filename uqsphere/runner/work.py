@@ -186,8 +186,12 @@ def _chunks(work: Work, names: tuple[str, ...], rows: Array, fidelity: str, todo
                                  fidelity, work.study.model.tolerance, work.model))
         for k in todo
     ]  # fmt: skip
-    for k, future in futures:
-        yield k, future.result()
+    try:
+        for k, future in futures:
+            yield k, future.result()
+    finally:
+        for _, future in futures:
+            future.cancel()
 
 
 def evaluate_points(work: Work, key: str, names: tuple[str, ...], rows: Array, *, fidelity: str | None = None) -> Answered:
