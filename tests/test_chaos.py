@@ -117,9 +117,7 @@ def test_a_polynomial_is_recovered_exactly() -> None:
     other = points(2, 0, 512, germs)
     assert validation_error(chaos, other, model(other)) < 1e-24
     assert chaos.cross_validation_error < 1e-24
-    assert chaos_moments(chaos) == pytest.approx(
-        (2.0, math.sqrt(1.0 + 9.0 + 1.0 / 7.0 + 2.0 / 5.0)), rel=1e-10
-    )
+    assert chaos_moments(chaos) == pytest.approx((2.0, math.sqrt(1.0 + 9.0 + 1.0 / 7.0 + 2.0 / 5.0)), rel=1e-10)
 
 
 def test_never_more_terms_than_half_the_points() -> None:

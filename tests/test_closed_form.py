@@ -190,9 +190,7 @@ def test_step_peaks_of_the_full_model():
     found = dynamics.solve(scene, tolerance=1e-9)
     peaks = found.values["P_max"] / scene.scales.force
     np.testing.assert_allclose(peaks[:4], [1.7535, 1.1932, 1.03297, 1.00436], atol=1e-4)
-    np.testing.assert_allclose(
-        (found.values["force_imbalance"] * peaks)[2:], [0.43488, 0.16420, 0.05880], atol=1e-5
-    )
+    np.testing.assert_allclose((found.values["force_imbalance"] * peaks)[2:], [0.43488, 0.16420, 0.05880], atol=1e-5)
 
 
 # ---- linear

@@ -225,9 +225,7 @@ def test_linear_history_is_the_closed_form_until_contact_is_lost():
     )
     found = np.array([history.approach_a[inside], history.approach_b[inside]]) / scene.scales.approach[0]
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    np.testing.assert_allclose(
-        history.force_a[inside], found[0].clip(0.0) * scene.scales.force[0], rtol=1e-12
-    )
+    np.testing.assert_allclose(history.force_a[inside], found[0].clip(0.0) * scene.scales.force[0], rtol=1e-12)
 
 
 def test_first_touch_is_no_loss():

@@ -113,9 +113,7 @@ def test_alternatives_give_the_moments_they_promise(kind, given, lower, upper, m
 
 
 @pytest.mark.parametrize("kind", sorted(set(PAIRS) - {"uniform", "loguniform", "triangular", "beta"}))
-@pytest.mark.parametrize(
-    "window", [(0.3, 0.9), (1e-9, 1e-6), (1.0 - 1e-6, 1.0 - 1e-9), (0.0, 0.2), (0.8, 1.0)]
-)
+@pytest.mark.parametrize("window", [(0.3, 0.9), (1e-9, 1e-6), (1.0 - 1e-6, 1.0 - 1e-9), (0.0, 0.2), (0.8, 1.0)])
 def test_truncated_laws_are_the_conditional_laws(kind: str, window: tuple[float, float]) -> None:
     law, _ = PAIRS[kind]
     ends = laws.ppf(law, np.array(window))
@@ -146,9 +144,7 @@ def test_normal_truncated_far_out_loses_no_digits(side: float) -> None:
     p = np.array([1e-12, 1e-3, 0.5])
     again = laws.sf(law, laws.isf(law, p)) if side > 0 else laws.cdf(law, laws.ppf(law, p))
     np.testing.assert_allclose(again, p, rtol=1e-11)
-    assert laws.mean(law) == pytest.approx(
-        side * math.exp(-0.5 * far**2 - log_ndtr(-far)) / math.sqrt(2 * math.pi)
-    )
+    assert laws.mean(law) == pytest.approx(side * math.exp(-0.5 * far**2 - log_ndtr(-far)) / math.sqrt(2 * math.pi))
 
 
 @pytest.mark.parametrize("kind", [*PAIRS, "empirical"])
@@ -214,9 +210,7 @@ def test_kernel_law_against_the_sum_of_its_kernels(gap: float) -> None:
     kernels = (x[:, None] - np.sort(data)) / h
     np.testing.assert_allclose(laws.cdf(law, x), stats.norm.cdf(kernels).mean(axis=1), rtol=1e-9)
     np.testing.assert_allclose(laws.sf(law, x), stats.norm.sf(kernels).mean(axis=1), rtol=1e-9)
-    np.testing.assert_allclose(
-        laws.pdf(law, x), stats.norm.pdf(kernels).mean(axis=1) / h, rtol=1e-6, atol=1e-8
-    )
+    np.testing.assert_allclose(laws.pdf(law, x), stats.norm.pdf(kernels).mean(axis=1) / h, rtol=1e-6, atol=1e-8)
     p = np.concatenate([np.logspace(-100, -1, 30), np.linspace(0.1, 0.9, 100)])
     np.testing.assert_allclose(laws.cdf(law, laws.ppf(law, p)), p, rtol=1e-9)
     np.testing.assert_allclose(laws.sf(law, laws.isf(law, p)), p, rtol=1e-9)

@@ -26,10 +26,7 @@ def simulated(seed: int, n: int = 256, replicates: int = 8) -> np.ndarray:
     lognormal in the value with the scatter of both."""
     z = ndtri(
         np.stack(
-            [
-                sobol_points(dimension=2, count=n, seed=seed, task="margins", replicate=r)
-                for r in range(replicates)
-            ]
+            [sobol_points(dimension=2, count=n, seed=seed, task="margins", replicate=r) for r in range(replicates)]
         )
     )
     drawn = 0.2 * z[:, :, 0] - 0.15 * z[:, :, 1]
@@ -100,9 +97,7 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
 
 
 def test_exceedance_and_fragility_agree() -> None:
-    z = ndtri(
-        np.stack([sobol_points(dimension=1, count=512, seed=1, task="m", replicate=r) for r in range(8)])
-    )
+    z = ndtri(np.stack([sobol_points(dimension=1, count=512, seed=1, task="m", replicate=r) for r in range(8)]))
     demand = np.exp(0.2 * z[:, :, 0])
     at = fragility(GRID, np.stack([(v * demand > 1.5).mean(axis=1) for v in GRID]), (0.3,), samples=512,
                    evaluations=1).values[0.3]  # fmt: skip

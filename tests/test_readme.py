@@ -28,8 +28,14 @@ def console_blocks() -> list[tuple[str, str]]:
 
 def run(command: str, folder: Path) -> str:
     """What a command prints on both streams, progress left out."""
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "LC_ALL": "C.UTF-8"}
-    done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "LC_ALL": "C.UTF-8",
+    }
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode in (0, 2, 3), done.stderr
     messages = [line for line in done.stderr.splitlines() if not re.match(r"\w+: [\d,]+ of [\d,]+ evaluations", line)]
     return "\n".join([*messages, done.stdout])

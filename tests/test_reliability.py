@@ -36,9 +36,7 @@ def lognormal_state(probability: float, strength_scatter: float, seed: int, n: i
     """ln demand normal (0, 0.1); ln strength normal, or fixed, placed so that the exceedance is known."""
     place = -ndtri(probability) * math.hypot(SCATTER, strength_scatter)
     strength = (
-        make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter})
-        if strength_scatter
-        else math.exp(place)
+        make_law("lognormal", {"log_mean": place, "log_sd": strength_scatter}) if strength_scatter else math.exp(place)
     )
     demands = np.exp(SCATTER * scores(seed, n).sum(axis=2) / math.sqrt(3.0))
     return LimitState(demands=demands, strength=strength)
@@ -187,9 +185,7 @@ def test_margins_that_have_no_meaning_are_absent() -> None:
     found = margin_quantiles(LimitState(demands=0.0 * demands, strength=weibull))
     assert "unbounded" in found["median"].reason
     censored = demands > 0.5
-    found = margin_quantiles(
-        LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored)
-    )
+    found = margin_quantiles(LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored))
     assert "censored" in found["0.05"].reason
 
 

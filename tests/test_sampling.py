@@ -9,9 +9,7 @@ from uqsphere.uq.sampling import MOST_DIMENSIONS, random_generator, sobol_points
 
 
 def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: str = "t", replicate: int = 0):
-    return sobol_points(
-        dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate
-    )
+    return sobol_points(dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate)
 
 
 @pytest.mark.parametrize(("start", "count"), [(0, 1), (1, 5), (3, 61), (64, 64), (100, 28)])

@@ -17,7 +17,6 @@ from uqsphere.uq.sensitivity import (
     saltelli_halves,
     saltelli_points,
     sobol_indices,
-    widest,
 )
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.0])
@@ -55,8 +54,7 @@ CASES = {"ishigami": (ishigami, ishigami_indices(), 3), "product": (product, pro
 
 def outputs(model, d: int, count: int, seed: int, replicates: int = 16) -> np.ndarray:
     points = [
-        saltelli_points(inputs_count=d, count=count, seed=seed, task="saltelli", replicate=r)
-        for r in range(replicates)
+        saltelli_points(inputs_count=d, count=count, seed=seed, task="saltelli", replicate=r) for r in range(replicates)
     ]
     return model(np.stack(points))
 
@@ -192,10 +190,12 @@ def test_intervals_of_pairs_cover() -> None:
     exact = ishigami_indices()
     hits = []
     for seed in range(60):
-        outputs = np.stack([
-            ishigami(saltelli_points(inputs_count=3, count=64, seed=seed, task="pairs", replicate=r))
-            for r in range(8)
-        ])
+        outputs = np.stack(
+            [
+                ishigami(saltelli_points(inputs_count=3, count=64, seed=seed, task="pairs", replicate=r))
+                for r in range(8)
+            ]
+        )
         found = paired_indices(outputs)
         hits += [
             e.low <= truth <= e.high

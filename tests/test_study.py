@@ -235,10 +235,7 @@ def test_a_tail_without_meaning_is_warned_of(load: Load) -> None:
     assert warning.startswith("sphere.nu: a share of 0.023 ")
     exact = 0.5 * math.erfc(2.0 / math.sqrt(2.0))
     assert float(cdf(study.random["sphere.nu"], np.array([0.3]))[0]) == pytest.approx(exact, rel=1e-9)
-    assert (
-        load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings
-        == ()
-    )
+    assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings == ()
     assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.25, sd = 0.03 }')).warnings == ()
     (warning,) = load(BASE, ('sd = "0.15 mm", lower = "9 mm"', 'sd = "3 mm"')).warnings
     assert warning.startswith(f"sphere.radius: a share of {0.5 * math.erfc(10 / 3 / math.sqrt(2)):.2g} ")
@@ -366,9 +363,7 @@ def test_loading_a_study_is_light() -> None:
         "import sys; from uqsphere.study import load_study; load_study(sys.argv[1]); "
         f"print([name for name in {heavy} if name in sys.modules])"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code, str(STUDIES / "granite.toml")], capture_output=True, text=True
-    )
+    run = subprocess.run([sys.executable, "-c", code, str(STUDIES / "granite.toml")], capture_output=True, text=True)
     assert run.stdout.strip() == "[]", run.stderr
 
 

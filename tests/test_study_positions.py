@@ -50,9 +50,7 @@ def places(node: Any, place: Place = ()) -> list[Place]:
     return [found for key, value in pairs for found in ((*place, key), *places(value, (*place, key)))]
 
 
-@pytest.mark.parametrize(
-    "text", [TRICKY, *(path.read_text() for path in STUDIES)], ids=lambda text: text[:20]
-)
+@pytest.mark.parametrize("text", [TRICKY, *(path.read_text() for path in STUDIES)], ids=lambda text: text[:20])
 def test_every_place_is_found_and_named_there(text: str) -> None:
     found = locate(text)
     lines = text.split("\n")

@@ -109,9 +109,9 @@ def test_an_absorbing_end_sends_nothing_back():
     """Only the incident bar reflects: a short receiving bar that absorbs does not count."""
     found = checks(scene_with(infinite=True, horizon=570e-6, bars_receiving_length=0.5))["before_reflection"]
     assert found.grade == 0
-    found = checks(
-        scene_with(infinite=True, horizon=570e-6, bars_receiving_length=0.5, bars_receiving_end=1.0)
-    )["before_reflection"]
+    found = checks(scene_with(infinite=True, horizon=570e-6, bars_receiving_length=0.5, bars_receiving_end=1.0))[
+        "before_reflection"
+    ]
     assert found.grade == 1
 
 

@@ -38,9 +38,11 @@ class _Parser(argparse.ArgumentParser):
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     parser = _Parser(
-        prog="uqsphere", description="Fracture risk of brittle spheres between split Hopkinson bars, with its uncertainty.",
-        epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="uqsphere",
+        description="Fracture risk of brittle spheres between split Hopkinson bars, with its uncertainty.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"uqsphere {uqsphere.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
@@ -48,7 +50,9 @@ def build_parser() -> argparse.ArgumentParser:
         return commands.add_parser(name, help=text, description=text)
 
     new = command("new", "write a commented study to start from")
-    new.add_argument("template", nargs="?", default="granite", metavar="TEMPLATE", help="name of a shipped study (default: granite)")
+    new.add_argument(
+        "template", nargs="?", default="granite", metavar="TEMPLATE", help="name of a shipped study (default: granite)"
+    )
     new.add_argument("-o", "--output", required=True, metavar="FILE", type=Path)
 
     check = command("check", "validate a study; print the resolved scene and what a run will cost")
@@ -56,8 +60,14 @@ def build_parser() -> argparse.ArgumentParser:
     history = command("history", "one deterministic scene over time, all numbers at their means")
     for study in (check, run, history):
         study.add_argument("study", metavar="FILE", type=Path)
-        study.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
-                           help='replace a value of the study, such as striker.speed.mean="0.6 m/s"')  # fmt: skip
+        study.add_argument(
+            "--set",
+            dest="overrides",
+            action="append",
+            default=[],
+            metavar="PATH=VALUE",
+            help='replace a value of the study, such as striker.speed.mean="0.6 m/s"',
+        )
         study.add_argument("--json", action="store_true", help="print one JSON document on stdout")
     run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: the study's name + -results)")
     run.add_argument("-j", "--jobs", type=int, metavar="N", help="processors to use (default: all)")
@@ -149,8 +159,11 @@ def _unforeseen(error: Exception) -> int:
     if isinstance(error, MemoryError):
         print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)
     else:
-        print(f"uqsphere: internal error: {type(error).__name__}: {error}\n"
-              "  this is a fault of uqsphere; set UQSPHERE_DEBUG=1 to see where it happened", file=sys.stderr)  # fmt: skip
+        print(
+            f"uqsphere: internal error: {type(error).__name__}: {error}\n"
+            "  this is a fault of uqsphere; set UQSPHERE_DEBUG=1 to see where it happened",
+            file=sys.stderr,
+        )
     return UqsphereError.exit_code
 
 

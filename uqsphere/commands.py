@@ -95,12 +95,17 @@ def command_check(chosen: argparse.Namespace) -> int:
     print()
     if not study.black_box:
         numbers = plan["scene"]
-        print(f"pulse: {study.options['pulse.shape']}; bars: {'infinite' if study.options['bars.infinite'] else 'finite'}")
+        print(
+            f"pulse: {study.options['pulse.shape']}; bars: {'infinite' if study.options['bars.infinite'] else 'finite'}"
+        )
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
         print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
     print(f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}")
-    print(f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (first run: 10 to 20 s more to compile)"
-          if plan["seconds"] is not None else "time: depends on the model that is given with --model")  # fmt: skip
+    print(
+        f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
+        if plan["seconds"] is not None
+        else "time: depends on the model that is given with --model"
+    )
     return 0
 
 
@@ -137,14 +142,30 @@ def command_run(chosen: argparse.Namespace) -> int:
 
         with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
             try:
-                found = run(study, out=chosen.out, executor=pool, model=chosen.model, fresh=chosen.fresh,
-                            seconds=seconds, progress=progress, notice=progress.say)  # fmt: skip
+                found = run(
+                    study,
+                    out=chosen.out,
+                    executor=pool,
+                    model=chosen.model,
+                    fresh=chosen.fresh,
+                    seconds=seconds,
+                    progress=progress,
+                    notice=progress.say,
+                )
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     else:
-        found = run(study, out=chosen.out, model=chosen.model, threads=chosen.jobs, fresh=chosen.fresh,
-                    seconds=seconds, progress=progress, notice=progress.say)  # fmt: skip
+        found = run(
+            study,
+            out=chosen.out,
+            model=chosen.model,
+            threads=chosen.jobs,
+            fresh=chosen.fresh,
+            seconds=seconds,
+            progress=progress,
+            notice=progress.say,
+        )
     progress.finish()
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:
@@ -170,11 +191,20 @@ def _summary(results: dict[str, Any]) -> str:
     parts = [plain(results["study"]["title"]), ""]
     rows: list[tuple[str, ...]] = []
     for name, limit in results["limits"].items():
-        verdict = {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]] if limit["target"] is not None else "no target"
+        verdict = (
+            {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]]
+            if limit["target"] is not None
+            else "no target"
+        )
         target = f"{limit['target']:g}" if limit["target"] is not None else "-"
-        rows.append((name, limit["aim"], _estimate(limit["miss"]), target, verdict, _estimate(limit["margin"]["median"])))
+        rows.append(
+            (name, limit["aim"], _estimate(limit["miss"]), target, verdict, _estimate(limit["margin"]["median"]))
+        )
     if rows:
-        parts += [table(("limit", "aim", "probability of missing it (95 %)", "target", "verdict", "median margin"), rows), ""]
+        parts += [
+            table(("limit", "aim", "probability of missing it (95 %)", "target", "verdict", "median margin"), rows),
+            "",
+        ]
     rows = []
     for name, entry in results["quantities"].items():
         rows.append((name, "mean", _estimate(entry["mean"], name)))
@@ -282,8 +312,17 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
     for kind, materials in library().items():
         for name, material in materials.items():
             for key, entry in material.properties.items():
-                content.append({"kind": kind, "material": name, "property": key, "value": entry.value, "cov": entry.cov,
-                                "source": entry.source, "source_seen": entry.seen})  # fmt: skip
+                content.append(
+                    {
+                        "kind": kind,
+                        "material": name,
+                        "property": key,
+                        "value": entry.value,
+                        "cov": entry.cov,
+                        "source": entry.source,
+                        "source_seen": entry.seen,
+                    }
+                )
                 path = f"{kind}.{key}"
                 shown = format_value(entry.value, path) if path in INPUTS else f"{entry.value:.4g}"
                 scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
@@ -304,7 +343,9 @@ def _models() -> tuple[list[dict[str, Any]], str]:
 def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     entries = [OUTPUTS[name] for name in names]
     content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
-    return content, table(("quantity", "unit", "meaning"), [(e.name, e.display or e.unit or "-", e.meaning) for e in entries])
+    return content, table(
+        ("quantity", "unit", "meaning"), [(e.name, e.display or e.unit or "-", e.meaning) for e in entries]
+    )
 
 
 def command_list(chosen: argparse.Namespace) -> int:
@@ -339,15 +380,18 @@ def command_doctor(chosen: argparse.Namespace) -> int:
     folder = cache_folder()
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     missing = [name for name, version in found.items() if version == "missing"]
-    content = {"versions": found, "processors": processors, "missing": missing,
-               "compiled_code_cache": str(folder) if folder else None}  # fmt: skip
+    content = {
+        "versions": found,
+        "processors": processors,
+        "missing": missing,
+        "compiled_code_cache": str(folder) if folder else None,
+    }
     if chosen.json:
         _document(content)
     else:
         print(table(("package", "version"), list(found.items())))
         print(f"\nprocessors: {processors}")
-        print(f"cache of compiled code: {folder or 'none that is private and writable: code is compiled in every process'}")
+        print(f"cache of compiled code: {folder or 'none that is private and writable, so every process compiles'}")
         if missing:
             print(f"missing: {', '.join(missing)}")
     return 1 if missing else 0
-

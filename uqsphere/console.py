@@ -29,7 +29,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """
     cells = [[plain(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells)
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells
+    )
 
 
 def _left(seconds: float) -> str:
@@ -56,7 +58,9 @@ class Progress:
             return
         share = done / total
         passed = now - self.began
-        remaining = f", {_left(passed / share - passed)} left in this stage" if 0.0 < share < 1.0 and passed > 1.0 else ""
+        remaining = (
+            f", {_left(passed / share - passed)} left in this stage" if 0.0 < share < 1.0 and passed > 1.0 else ""
+        )
         text = f"{stage}: {done:,} of {total:,} evaluations{remaining}"
         if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             bar = "#" * round(_BAR * share)

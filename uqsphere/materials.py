@@ -108,9 +108,7 @@ def load_library(text: str) -> dict[str, dict[str, Material]]:
         data = tomllib.loads(text)
     except ValueError as error:
         raise LibraryError(f"not valid TOML: {error}") from None
-    faults: list[str] = [
-        f"{key}: unknown kind of material (sphere or bars)" for key in data if key not in KINDS
-    ]
+    faults: list[str] = [f"{key}: unknown kind of material (sphere or bars)" for key in data if key not in KINDS]
     found: dict[str, dict[str, Material]] = {}
     for kind in KINDS:
         tables = data.get(kind, {})
@@ -178,6 +176,4 @@ def _property(where: str, key: str, table: dict[str, Any], faults: list[str]) ->
         faults.append(f"{where}.note: a text is due")
     if len(faults) > before:
         return None
-    return Property(
-        value=value, cov=float(cov or 0.0), source=str(source), seen=bool(seen), note=str(note or "")
-    )
+    return Property(value=value, cov=float(cov or 0.0), source=str(source), seen=bool(seen), note=str(note or ""))

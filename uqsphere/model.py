@@ -22,8 +22,18 @@ if TYPE_CHECKING:
 
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["FIDELITIES", "STATUS_NOT_FINITE", "Answered", "BlackBox", "answer", "evaluate", "load_black_box",
-           "model_digest", "scene_of", "status_text"]  # fmt: skip
+__all__ = [
+    "FIDELITIES",
+    "STATUS_NOT_FINITE",
+    "Answered",
+    "BlackBox",
+    "answer",
+    "evaluate",
+    "load_black_box",
+    "model_digest",
+    "scene_of",
+    "status_text",
+]
 
 Array = npt.NDArray[np.float64]
 BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
@@ -64,8 +74,15 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     )
 
 
-def _answer_scene(study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], fidelity: str,
-                  tolerance: float, threads: int | None) -> Answered:  # fmt: skip
+def _answer_scene(
+    study: Study,
+    names: Sequence[str],
+    rows: Array,
+    quantities: Sequence[str],
+    fidelity: str,
+    tolerance: float,
+    threads: int | None,
+) -> Answered:
     from uqsphere.mechanics import closed_form, dynamics
 
     scene = scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
@@ -120,7 +137,9 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
     columns = []
     for name in outputs:
         if name not in found:
-            raise UqsphereError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
+            raise UqsphereError(
+                f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})"
+            )
         try:
             if np.iscomplexobj(found[name]):
                 raise TypeError("found complex numbers")
@@ -139,9 +158,17 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
     )
 
 
-def answer(study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], *, fidelity: str = "full",
-           tolerance: float = 1e-6, threads: int | None = None, black_box: BlackBox | None = None,
-           ) -> Answered:  # fmt: skip
+def answer(
+    study: Study,
+    names: Sequence[str],
+    rows: Array,
+    quantities: Sequence[str],
+    *,
+    fidelity: str = "full",
+    tolerance: float = 1e-6,
+    threads: int | None = None,
+    black_box: BlackBox | None = None,
+) -> Answered:
     """Answers of n rows.
 
     Parameters
@@ -163,14 +190,22 @@ def answer(study: Study, names: Sequence[str], rows: Array, quantities: Sequence
     if study.black_box:
         if black_box is None:
             raise UsageError("a black-box study is run with --model FILE.py:FUNCTION")
-        columns = {**{name: np.full(len(rows), value) for name, value in study.fixed.items()},
-                   **{name: rows[:, k] for k, name in enumerate(names)}}  # fmt: skip
+        columns = {
+            **{name: np.full(len(rows), value) for name, value in study.fixed.items()},
+            **{name: rows[:, k] for k, name in enumerate(names)},
+        }
         return _answer_black_box(list(columns), np.stack(list(columns.values()), axis=1), quantities, black_box)
     return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads)
 
 
-def evaluate(study: Study, values: Mapping[str, Any], quantities: Sequence[str] = ("p_max",), fidelity: str = "full",
-             tolerance: float = 1e-8, threads: int | None = None) -> pd.DataFrame:  # fmt: skip
+def evaluate(
+    study: Study,
+    values: Mapping[str, Any],
+    quantities: Sequence[str] = ("p_max",),
+    fidelity: str = "full",
+    tolerance: float = 1e-8,
+    threads: int | None = None,
+) -> pd.DataFrame:
     """Quantities of interest of n scenes.
 
     Parameters

@@ -24,10 +24,13 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
 
     columns = {name: np.array([value]) for name, value in study.at_means().items()}
     scene = Scene(
-        columns=columns, shape=str(study.options["pulse.shape"]), infinite=bool(study.options["bars.infinite"]),
-        rigid_contact=bool(study.options["bars.rigid_contact"]), horizon=study.model.horizon,
+        columns=columns,
+        shape=str(study.options["pulse.shape"]),
+        infinite=bool(study.options["bars.infinite"]),
+        rigid_contact=bool(study.options["bars.rigid_contact"]),
+        horizon=study.model.horizon,
         first_loading_only=study.model.first_loading_only,
-    )  # fmt: skip
+    )
     mu = float(scene.scales.mass_number[0])
     theta = float(scene.scales.pulse_number[0])
     time = float(scene.scales.time[0])

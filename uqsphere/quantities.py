@@ -263,20 +263,23 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
 def format_estimate(value: float, low: float, high: float, name: str = "") -> str:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
-    The interval's half-width keeps two significant digits; the value is given to the same decimal.
+    The interval's half-width keeps two significant digits; the value is given to the same decimal.  A
+    number without uncertainty stands alone.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
     """
     unit, factor = display_unit(name) if name else ("", 1.0)
     scaled = [number * factor for number in (value, low, high)]
+    if low == high:
+        return f"{scaled[0]:.6g} {unit}".rstrip()
     half_width = 0.5 * abs(scaled[2] - scaled[1])
     if half_width > 0.0 and math.isfinite(half_width):
         decimals = 1 - math.floor(math.log10(half_width))
     else:
         decimals = 5 - (math.floor(math.log10(abs(scaled[0]))) if scaled[0] else 0)
     largest = max(abs(number) for number in scaled)
-    if decimals > 6 and largest < 1e-3 or largest >= 1e7:
+    if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
         digits = max(1, decimals + 1 + (math.floor(math.log10(largest)) if largest else 0))
         texts = [f"{number:.{digits - 1}e}" for number in scaled]
     else:

@@ -151,8 +151,9 @@ def _check_owner(folder: Path, study_hash: str, model: str | None, fresh: bool) 
         )
 
 
-def open_store(folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False,
-               model: str | None = None) -> Store:  # fmt: skip
+def open_store(
+    folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False, model: str | None = None
+) -> Store:
     """Create a result folder, or take up the one that is there.
 
     Parameters

@@ -139,9 +139,7 @@ def _idealised(scene: Scene) -> Scene:
         horizon = scene.horizon or float(scene.record_end[0])
         return replace(scene, columns=columns, infinite=True, first_loading_only=False, horizon=horizon)
     columns["pulse.duration"] = scene.scales.duration
-    return replace(
-        scene, columns=columns, shape="rectangular", infinite=True, first_loading_only=False, horizon=None
-    )
+    return replace(scene, columns=columns, shape="rectangular", infinite=True, first_loading_only=False, horizon=None)
 
 
 def _scalars(scene: Scene) -> tuple[float, float, float, float]:
@@ -243,8 +241,6 @@ def _settled(scene: Scene, tolerance: float) -> float:
     """Approach [m] to which the full model settles under an endless step in infinite bars."""
     columns = {name: column for name, column in scene.columns.items() if not name.startswith("pulse.")}
     horizon = _SETTLED * max(1.0, float(scene.scales.mass_number[0])) * float(scene.scales.time[0])
-    endless = replace(
-        scene, columns=columns, shape="step", infinite=True, first_loading_only=False, horizon=horizon
-    )
+    endless = replace(scene, columns=columns, shape="step", infinite=True, first_loading_only=False, horizon=horizon)
     found = motion(endless, 0, tolerance=tolerance)
     return float(states_at(endless, 0, found, np.array([horizon]))[0, :2].mean())

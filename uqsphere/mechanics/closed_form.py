@@ -243,6 +243,4 @@ def _scaled_answers(theta: Array, horizon: Array) -> Array:
     rise = loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0))
     none, always = np.zeros_like(peak), np.ones_like(peak)
     energy = 2.0 * 0.4 * peak**2.5
-    return np.stack(
-        [peak, peak, none, energy, ended, always, width, still_above.astype(float), rise, ended], axis=1
-    )
+    return np.stack([peak, peak, none, energy, ended, always, width, still_above.astype(float), rise, ended], axis=1)

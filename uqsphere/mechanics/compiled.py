@@ -60,6 +60,8 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
 
     folder = cache_folder()
     if folder is not None:
-        numba.config.CACHE_DIR = str(folder)
-    decorator: Callable[[Function], Function] = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **options)
+        setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba makes its settings at run time
+    decorator: Callable[[Function], Function] = numba.njit(
+        cache=folder is not None, nogil=True, error_model="numpy", **options
+    )
     return decorator

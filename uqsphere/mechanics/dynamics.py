@@ -36,8 +36,13 @@ _CAPACITIES = (1024, 16_384, 262_144)
 _FULL, _NOT_FINITE = 5, 6
 #: what the kernel has to follow beside the largest approaches and the contact time, as it numbers it
 _WANTED: Final[dict[str, int]] = {
-    "pulse_width": 1, "rise_time": 1, "loading_rate": 1, "force_imbalance": 2, "energy": 4, "specific_energy": 4,
-}  # fmt: skip
+    "pulse_width": 1,
+    "rise_time": 1,
+    "loading_rate": 1,
+    "force_imbalance": 2,
+    "energy": 4,
+    "specific_energy": 4,
+}
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.2, 0.1
@@ -115,9 +120,18 @@ def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
     }
 
 
-def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, tolerance: float, stop_at_loss: bool,
-           answers: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], keep: int = 0,
-           wanted: int = 7) -> Motion | None:  # fmt: skip
+def _march(
+    arguments: dict[str, Any],
+    order: npt.NDArray[np.int64],
+    mode: int,
+    tolerance: float,
+    stop_at_loss: bool,
+    answers: Array,
+    status: npt.NDArray[np.int64],
+    steps: npt.NDArray[np.int64],
+    keep: int = 0,
+    wanted: int = 7,
+) -> Motion | None:
     """Run the kernel on rows `order`, with more room for those that run out of it."""
     from uqsphere.mechanics.kernel import march
     from uqsphere.mechanics.series import TERMS
@@ -130,9 +144,27 @@ def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, t
     for capacity in _CAPACITIES:
         room = capacity if keep else 0
         kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, TERMS)))
-        march(mode, wanted, arguments["mass"], arguments["ends"], arguments["round_trips"], arguments["breaks"],
-              arguments["coefficients"], arguments["frequencies"], arguments["horizon"], arguments["pulse_end"],
-              arguments["level"], local, stop_at_loss, capacity, answers, status, order, steps, *kept)  # fmt: skip
+        march(
+            mode,
+            wanted,
+            arguments["mass"],
+            arguments["ends"],
+            arguments["round_trips"],
+            arguments["breaks"],
+            arguments["coefficients"],
+            arguments["frequencies"],
+            arguments["horizon"],
+            arguments["pulse_end"],
+            arguments["level"],
+            local,
+            stop_at_loss,
+            capacity,
+            answers,
+            status,
+            order,
+            steps,
+            *kept,
+        )
         if keep:
             taken = int(steps[order[-1]])
             motion = Motion(start=kept[0][:taken], length=kept[1][:taken], states=kept[2][:taken])
@@ -142,9 +174,14 @@ def _march(arguments: dict[str, Any], order: npt.NDArray[np.int64], mode: int, t
     return motion
 
 
-def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None,
-              quantities: Collection[str] | None = None,
-              ) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:  # fmt: skip
+def integrate(
+    scene: Scene,
+    *,
+    fidelity: str = "full",
+    tolerance: float = 1e-6,
+    threads: int | None = None,
+    quantities: Collection[str] | None = None,
+) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of a batch.
 
     What `quantities` does not name may be left NaN.
@@ -167,8 +204,9 @@ def integrate(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, 
     blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
 
     def run(block: npt.NDArray[np.int64]) -> None:
-        _march(arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps,
-               wanted=wanted)  # fmt: skip
+        _march(
+            arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps, wanted=wanted
+        )
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:
@@ -197,8 +235,9 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
 
         answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
         only = np.zeros(1, dtype=np.int64)
-        found = _march(_arguments(scene, np.array([row])), only, MODES[fidelity], tolerance, False,
-                       answers, status, steps, keep=1)  # fmt: skip
+        found = _march(
+            _arguments(scene, np.array([row])), only, MODES[fidelity], tolerance, False, answers, status, steps, keep=1
+        )
         if status[0] == 0 and found is not None:
             return replace(found, end=float(answers[0, ANSWER_END]))
     raise ValueError(f"row {row} has no motion: {STATUS[int(status[0])]}")
@@ -211,8 +250,14 @@ def _check_request(fidelity: str, tolerance: float) -> None:
         raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
 
 
-def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, threads: int | None = None,
-          quantities: Collection[str] | None = None) -> Answers:  # fmt: skip
+def solve(
+    scene: Scene,
+    *,
+    fidelity: str = "full",
+    tolerance: float = 1e-6,
+    threads: int | None = None,
+    quantities: Collection[str] | None = None,
+) -> Answers:
     """Quantities of interest of n scenes by integrating the equations of motion.
 
     Parameters
@@ -242,15 +287,21 @@ def solve(scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-6, thre
     return to_si(scene, scaled, status, steps, linear=fidelity == "linear", quantities=quantities)
 
 
-def to_si(scene: Scene, scaled: Array, status: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], *,
-          linear: bool, quantities: Collection[str] | None = None) -> Answers:  # fmt: skip
+def to_si(
+    scene: Scene,
+    scaled: Array,
+    status: npt.NDArray[np.int64],
+    steps: npt.NDArray[np.int64],
+    *,
+    linear: bool,
+    quantities: Collection[str] | None = None,
+) -> Answers:
     """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz.
 
     Only the named `quantities`, or all, are answered; a row one of them is not finite in has failed.
     """
     scales = scene.scales
-    (x_max, x_first, difference, energy, contact_time, contact_censored,
-     width, width_censored, rise, ended) = scaled.T  # fmt: skip
+    (x_max, x_first, difference, energy, contact_time, contact_censored, width, width_censored, rise, ended) = scaled.T
     power = 1.0 if linear else 1.5
     with np.errstate(all="ignore"):
         force = scales.force * x_max**power

@@ -286,8 +286,11 @@ def march(
         longest(x, u, size, local, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
-            low[j] = share * track[events.FACE_A, j] if end[j] == math.inf and (
-                row[j] >= 0 and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)) else -math.inf
+            low[j] = (
+                share * track[events.FACE_A, j]
+                if end[j] == math.inf and (row[j] >= 0 and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12))
+                else -math.inf
+            )
             if row[j] < 0:
                 continue
             if touching[j] == 1:

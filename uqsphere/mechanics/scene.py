@@ -31,9 +31,16 @@ STATUS: dict[int, str] = {
 
 #: columns without which there is no scene; lengths are needed by finite bars only
 _NEEDED = (
-    "sphere.E", "sphere.nu", "sphere.radius", "sphere.density",
-    "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
-)  # fmt: skip
+    "sphere.E",
+    "sphere.nu",
+    "sphere.radius",
+    "sphere.density",
+    "bars.E",
+    "bars.nu",
+    "bars.density",
+    "bars.diameter",
+    "striker.speed",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +155,7 @@ class Scene:
     @cached_property
     def first_echo(self) -> Array:
         """Time at which the first reflected wave returns to the sphere, (n,) [s]; infinite if none does."""
-        return np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1)
+        return np.asarray(np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1))
 
     @cached_property
     def record_end(self) -> Array:
@@ -183,9 +190,17 @@ class Scene:
                 wave_speed = bars.wave_speed(c["bars.E"], c["bars.density"])
                 duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
             return Scales(
-                modulus=modulus, effective_radius=radius, hertz_constant=beta, mass=mass, impedance=impedance,
-                force=force, approach=approach, time=time, mass_number=mass / (impedance * time), duration=duration,
-            )  # fmt: skip
+                modulus=modulus,
+                effective_radius=radius,
+                hertz_constant=beta,
+                mass=mass,
+                impedance=impedance,
+                force=force,
+                approach=approach,
+                time=time,
+                mass_number=mass / (impedance * time),
+                duration=duration,
+            )
 
     @cached_property
     def status(self) -> Codes:

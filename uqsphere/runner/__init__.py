@@ -82,10 +82,18 @@ def open_run(folder: str | Path) -> Run:
     return Run(folder=path, results=results, manifest=manifest)
 
 
-def run(study: Study, *, out: str | Path | None = None, executor: Executor | None = None,
-        model: str | BlackBox | None = None, threads: int | None = None, fresh: bool = False,
-        seconds: float | None = None, progress: Callable[[str, int, int], None] | None = None,
-        notice: Callable[[str], None] | None = None) -> Run:  # fmt: skip
+def run(
+    study: Study,
+    *,
+    out: str | Path | None = None,
+    executor: Executor | None = None,
+    model: str | BlackBox | None = None,
+    threads: int | None = None,
+    fresh: bool = False,
+    seconds: float | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> Run:
     """Run a study and write its result folder.
 
     Parameters
@@ -130,9 +138,17 @@ def run(study: Study, *, out: str | Path | None = None, executor: Executor | Non
     store = open_store(folder, study.resolved(), study.text, study.hash, fresh=fresh, model=digest)
     try:
         work = Work(
-            study=study, store=store, ledger=Ledger(), fidelity="full", threads=threads, model=reference, black_box=box,
-            executor=executor, progress=progress, seconds=study.analysis.budget.time if seconds is None else seconds,
-        )  # fmt: skip
+            study=study,
+            store=store,
+            ledger=Ledger(),
+            fidelity="full",
+            threads=threads,
+            model=reference,
+            black_box=box,
+            executor=executor,
+            progress=progress,
+            seconds=study.analysis.budget.time if seconds is None else seconds,
+        )
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
         with threadpool_limits(limits=1, user_api="blas"):
             return _run(work, store, notice)
@@ -166,10 +182,15 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     sensitivity, history, seconds, stopped = find_sensitivity(work, sampled)
     ledger.seconds["sensitivity"] = ledger.elapsed
     found = Findings(
-        pilot=pilot, sampled=sampled, sensitivity=sensitivity, margins=margins, history=sampled.history + history,
-        seconds=sampled.seconds + seconds, stops={"sampling": sampled.stopped, "sensitivity": stopped},
+        pilot=pilot,
+        sampled=sampled,
+        sensitivity=sensitivity,
+        margins=margins,
+        history=sampled.history + history,
+        seconds=sampled.seconds + seconds,
+        stops={"sampling": sampled.stopped, "sensitivity": stopped},
         paper=compare_with_paper(work.study),
-    )  # fmt: skip
+    )
     save_points(work, store, sampled)
     results = build_results(work, found)
     manifest = build_manifest(work, ledger, found.seconds)
@@ -185,10 +206,16 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
     from uqsphere.model import scene_of
 
     return [
-        {"quantity": row.quantity, "unit": row.unit, "as_printed": row.as_printed,
-         "corrected": row.corrected, "full": row.full, "note": row.note}
+        {
+            "quantity": row.quantity,
+            "unit": row.unit,
+            "as_printed": row.as_printed,
+            "corrected": row.corrected,
+            "full": row.full,
+            "note": row.note,
+        }
         for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
-    ]  # fmt: skip
+    ]
 
 
 if TYPE_CHECKING:

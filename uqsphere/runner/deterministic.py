@@ -22,11 +22,19 @@ __all__ = ["history_of", "history_summary", "write_history"]
 
 #: columns of history.csv and the fields of History they come from
 _COLUMNS = {
-    "time [s]": "time", "force_a [N]": "force_a", "force_b [N]": "force_b", "pressure_a [Pa]": "pressure_a",
-    "pressure_b [Pa]": "pressure_b", "approach_a [m]": "approach_a", "approach_b [m]": "approach_b",
-    "sphere_velocity [m/s]": "velocity", "incident_wave [m/s]": "incident", "returning_wave [m/s]": "returning",
-    "wave_leaving_a [m/s]": "leaving_a", "wave_leaving_b [m/s]": "leaving_b",
-}  # fmt: skip
+    "time [s]": "time",
+    "force_a [N]": "force_a",
+    "force_b [N]": "force_b",
+    "pressure_a [Pa]": "pressure_a",
+    "pressure_b [Pa]": "pressure_b",
+    "approach_a [m]": "approach_a",
+    "approach_b [m]": "approach_b",
+    "sphere_velocity [m/s]": "velocity",
+    "incident_wave [m/s]": "incident",
+    "returning_wave [m/s]": "returning",
+    "wave_leaving_a [m/s]": "leaving_a",
+    "wave_leaving_b [m/s]": "leaving_b",
+}
 
 
 def history_of(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
@@ -67,7 +75,9 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(("largest contact pressure afterwards", format_value(peak.pressure, "p_max", 6)))
         lines.append(("  at", f"{peak.time * 1e6:.4g} us, face {peak.face}"))
     if found.later_peak_is_larger:
-        lines.append(("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact"))
+        lines.append(
+            ("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact")
+        )
     lines.append(("end of the record of the quantities", f"{found.record_end * 1e6:.6g} us"))
     lines.append(("end of this history", f"{found.horizon * 1e6:.6g} us"))
     return {

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimates import Estimate, exact
 from uqsphere.uq.inputs import conditional_normal
 from uqsphere.uq.reliability import LimitState, exceedance, margin_quantiles, miss, reliability_index, target_met
 
@@ -71,9 +71,14 @@ def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitSta
             shift = scores @ weights
     policy = work.study.analysis.on_failure
     return LimitState(
-        demands=demands, strength=limit.strength, shift=shift, remaining_sd=remaining,
-        censored=values.censored[:, :, k], failed=values.failed, on_failure="drop" if policy == "abort" else policy,
-    )  # fmt: skip
+        demands=demands,
+        strength=limit.strength,
+        shift=shift,
+        remaining_sd=remaining,
+        censored=values.censored[:, :, k],
+        failed=values.failed,
+        on_failure="drop" if policy == "abort" else policy,
+    )
 
 
 def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dict[str, float] | None:
@@ -99,10 +104,12 @@ def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dic
     mass = float(weight.sum())
     if not 0.0 < mass < keep.sum():
         return None
+    if mass > 0.5 * keep.sum():
+        # both centres lie on one line through the origin; that of the fewer samples is seen more clearly
+        weight = np.where(keep, 1.0 - weight, 0.0)
     centre = {name: float((weight * points.normals[:, :, k]).sum()) for k, name in enumerate(work.drawn.names)}
     if isinstance(limit.strength, Law):
         centre[f"limits.{limit.name}.strength"] = own
-    # Failing in most cases, it is the centre of the survivors that says what governs; it lies opposite.
     squares = {name: value**2 for name, value in centre.items()}
     total = sum(squares.values())
     return {name: value / total for name, value in squares.items()} if total > 0.0 else None
@@ -113,12 +120,14 @@ def judge_limits(work: Work, points: Draw, values: Sample) -> dict[str, LimitAns
     answers = {}
     for limit in work.study.limits:
         state = state_of(work, limit, points, values)
-        missed = miss(state, limit.aim)
+        missed, exceeded = miss(state, limit.aim), exceedance(state)
+        if not work.drawn.names and not state.late.any() and not state.broken.any():
+            missed, exceeded = (exact(e.value) if e.value is not None else e for e in (missed, exceeded))
         answers[limit.name] = LimitAnswer(
             quantity=limit.quantity,
             aim=limit.aim,
             target=limit.target,
-            exceedance=exceedance(state),
+            exceedance=exceeded,
             miss=missed,
             reliability_index=reliability_index(missed.value),
             reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -56,8 +57,11 @@ def _at(work: Work, value: float) -> tuple[Work, Draw, Sample]:
     rows = points.physical[:, :, :d].reshape(-1, d)
     answered = evaluate_points(moved, key, moved.scene_names, rows)
     shape = (replicates, n, len(work.quantities))
-    sample = Sample(values=answered.values.reshape(shape), censored=answered.censored.reshape(shape),
-                    status=answered.status.reshape(replicates, n))  # fmt: skip
+    sample = Sample(
+        values=answered.values.reshape(shape),
+        censored=answered.censored.reshape(shape),
+        status=answered.status.reshape(replicates, n),
+    )
     return moved, points, sample
 
 
@@ -68,10 +72,12 @@ def _probabilities(state: LimitState) -> Array:
         # two copies of one row: the value is that row's own
         rows = np.array([r, r])
         row = replace(
-            state, demands=state.demands[rows], shift=None if state.shift is None else state.shift[rows],
+            state,
+            demands=state.demands[rows],
+            shift=None if state.shift is None else state.shift[rows],
             censored=None if state.censored is None else state.censored[rows],
             failed=None if state.failed is None else state.failed[rows],
-        )  # fmt: skip
+        )
         value = exceedance(row).value
         found.append(np.nan if value is None else value)
     return np.array(found)
@@ -87,7 +93,7 @@ def _steep(grid: list[float], found: dict[float, dict[str, Array]], names: list[
     from scipy.special import ndtri
 
     middles = set()
-    for left, right in zip(grid, grid[1:], strict=False):
+    for left, right in pairwise(grid):
         for name in names:
             a, b = (np.clip(float(found[value][name].mean()), 1e-5, 1.0 - 1e-5) for value in (left, right))
             if abs(ndtri(a) - ndtri(b)) > GAP:
@@ -124,11 +130,18 @@ def find_margins(work: Work) -> dict[str, MarginAnswer]:
     for name in names:
         usable = [value for value in sorted(found) if np.isfinite(found[value][name]).all()]
         if len(usable) < 2:
-            answers[name] = MarginAnswer(solve=margins.solve, values={}, curve=[], missed=["no curve could be computed"])
+            answers[name] = MarginAnswer(
+                solve=margins.solve, values={}, curve=[], missed=["no curve could be computed"]
+            )
             continue
         table = np.array([found[value][name] for value in usable])
-        curve = fragility(np.array(usable), table, margins.for_probability, samples=POINTS,
-                          evaluations=len(found) * POINTS * table.shape[1])  # fmt: skip
+        curve = fragility(
+            np.array(usable),
+            table,
+            margins.for_probability,
+            samples=POINTS,
+            evaluations=len(found) * POINTS * table.shape[1],
+        )
         missed = [note] if note else []
         missed += [f"{p:g}: {e.reason}" for p, e in curve.values.items() if e.value is None and e.reason]
         answers[name] = MarginAnswer(solve=margins.solve, values=dict(curve.values), curve=curve.curve, missed=missed)

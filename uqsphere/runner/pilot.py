@@ -75,27 +75,35 @@ def first_look(work: Work) -> Pilot:
         evaluations[fidelity] = evaluations.get(fidelity, 0) + len(few)
         if closed_form.closed_form_applies(few, fidelity):
             return closed_form.solve_closed(few, fidelity)
-        return dynamics.solve(few, fidelity=fidelity, tolerance=tolerance, threads=work.threads,
-                              quantities=work.quantities)
+        return dynamics.solve(
+            few, fidelity=fidelity, tolerance=tolerance, threads=work.threads, quantities=work.quantities
+        )
 
     bound = 0.2 * _tightest(study)
     asked = study.model.fidelity
     measured: dict[str, dict[str, float | None]] = {}
     for fidelity in ("massless", "linear"):
-        if asked in ("auto", fidelity):
+        if asked in ("auto", fidelity) and count > 1:
             measured[fidelity] = _errors(cheaper(fidelity), full, work.quantities, compared)
     chosen = asked
     if asked == "auto":
         fits = [name for name, errors in measured.items() if all(e is not None and e < bound for e in errors.values())]
         chosen = fits[0] if fits and count > 1 else "full"
-    if chosen == "full":
-        closer = dynamics.solve(few, fidelity="full", tolerance=max(1e-12, 0.01 * tolerance), threads=work.threads,
-                                quantities=work.quantities)  # fmt: skip
+    if chosen == "full" and count > 1:
+        closer = dynamics.solve(
+            few,
+            fidelity="full",
+            tolerance=max(1e-12, 0.01 * tolerance),
+            threads=work.threads,
+            quantities=work.quantities,
+        )
         evaluations["full"] += len(few)
-        measured["full"] = _errors(full, closer, work.quantities, compared) if count > 1 else {}
+        measured["full"] = _errors(full, closer, work.quantities, compared)
     numbers = {
         "mu_median": float(np.nanmedian(scene.scales.mass_number)),
-        "theta_median": float(np.nanmedian(scene.scales.pulse_number)) if study.options["pulse.shape"] != "step" else None,
+        "theta_median": float(np.nanmedian(scene.scales.pulse_number))
+        if study.options["pulse.shape"] != "step"
+        else None,
         "P_0_median": float(np.nanmedian(scene.scales.force)),
         "t_c_median": float(np.nanmedian(scene.scales.time)),
     }
@@ -117,12 +125,18 @@ def _worst(errors: dict[str, float | None]) -> float:
 def _why(asked: str, chosen: str, measured: dict[str, dict[str, float | None]], bound: float) -> str:
     if asked != "auto":
         return f"the study asks for {asked}"
+    if not measured.get(chosen):
+        return "nothing is random, so there is no scatter to compare the error of a cheaper model with"
     if chosen != "full":
-        return (f"its error on the pilot sample, {_worst(measured[chosen]):.2g} of the standard deviation, is below "
-                f"the {bound:.2g} that the accuracy asked for allows")  # fmt: skip
+        return (
+            f"its error on the pilot sample, {_worst(measured[chosen]):.2g} of the standard deviation, is below "
+            f"the {bound:.2g} that the accuracy asked for allows"
+        )
     tried = ", ".join(f"{name} {_worst(errors):.2g}" for name, errors in measured.items() if name != "full")
-    return (f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
-            f"allows (worst quantity on the pilot sample: {tried})")  # fmt: skip
+    return (
+        f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
+        f"allows (worst quantity on the pilot sample: {tried})"
+    )
 
 
 def _check(row: Any) -> dict[str, Any]:

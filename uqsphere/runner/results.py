@@ -22,7 +22,16 @@ from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.laws import mean, sd
 
-__all__ = ["Findings", "build_manifest", "build_results", "csv_text", "damage_of", "tables", "versions", "write_results"]
+__all__ = [
+    "Findings",
+    "build_manifest",
+    "build_results",
+    "csv_text",
+    "damage_of",
+    "tables",
+    "versions",
+    "write_results",
+]
 
 SCHEMA_VERSION = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
@@ -93,8 +102,12 @@ def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[st
             "check": {
                 "agree": indices.agree,
                 "text": indices.text,
-                "sampled": {order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.sampled.items()},
-                "chaos": {order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()},
+                "sampled": {
+                    order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.sampled.items()
+                },
+                "chaos": {
+                    order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()
+                },
             },
         }
     return answer
@@ -227,7 +240,9 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
     inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
     checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
-    speed = [[r["method"], r["quantity"], r["evaluations"], r["error"], r["error_kind"]] for r in results["speed_error"]]
+    speed = [
+        [r["method"], r["quantity"], r["evaluations"], r["error"], r["error_kind"]] for r in results["speed_error"]
+    ]
     found = {
         "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
         "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
@@ -239,9 +254,13 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
     if results.get("paper"):
-        found["paper"] = (("quantity", "unit", "as_printed", "corrected", "full", "note"),
-                          [[p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
-                           for p in results["paper"]])  # fmt: skip
+        found["paper"] = (
+            ("quantity", "unit", "as_printed", "corrected", "full", "note"),
+            [
+                [p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
+                for p in results["paper"]
+            ],
+        )
     return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
 
 
@@ -280,12 +299,22 @@ def damage_of(results: Any) -> str:
 
 
 #: parts of results.json that everything reads
-_PARTS = {"study": dict, "inputs": dict, "quantities": dict, "sensitivity": dict, "limits": dict, "margins": dict,
-          "model": dict, "validity": list, "speed_error": list, "accuracy": dict}  # fmt: skip
+_PARTS = {
+    "study": dict,
+    "inputs": dict,
+    "quantities": dict,
+    "sensitivity": dict,
+    "limits": dict,
+    "margins": dict,
+    "model": dict,
+    "validity": list,
+    "speed_error": list,
+    "accuracy": dict,
+}
 
 
 def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
-    """Tables, results.json and manifest.json, each written whole; results.json last but one, as the sign of a finished run."""
+    """Tables, manifest.json and results.json, each written whole; results.json comes last: it says that the run is finished."""
     for name, text in tables(results).items():
         write_atomically(store.folder / "tables" / name, text)
     write_json(store.folder / "manifest.json", manifest)
@@ -305,4 +334,3 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "speed_error_seconds": seconds,
         "stopped_by_time": ledger.stopped_by_time,
     }
-

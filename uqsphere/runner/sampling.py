@@ -10,7 +10,7 @@ import numpy as np
 from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
-from uqsphere.uq.estimates import Description, describe, reached
+from uqsphere.uq.estimates import Description, absent, describe, exact, reached
 
 __all__ = ["METHOD", "Sampled", "sample_distributions"]
 
@@ -37,13 +37,54 @@ class Sampled:
     seconds: list[float]
 
 
+def _describe_one(work: Work, sample: Sample, k: int) -> Description:
+    """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
+    quantiles = work.study.analysis.quantiles
+    if sample.status[0, 0]:
+        nothing = absent("the scene could not be computed", METHOD, 1)
+        return Description(
+            mean=nothing,
+            sd=nothing,
+            quantiles=dict.fromkeys(quantiles, nothing),
+            censored_share=nothing,
+            scale=0.0,
+            exempt=quantiles,
+        )
+    value, late = float(sample.values[0, 0, k]), bool(sample.censored[0, 0, k])
+    if late:
+        nothing = absent("it outlasts the record", METHOD, 1)
+        return Description(
+            mean=nothing,
+            sd=nothing,
+            quantiles=dict.fromkeys(quantiles, nothing),
+            censored_share=exact(1.0),
+            scale=0.0,
+            exempt=quantiles,
+        )
+    return Description(
+        mean=exact(value),
+        sd=exact(0.0),
+        quantiles=dict.fromkeys(quantiles, exact(value)),
+        censored_share=exact(0.0),
+        scale=0.0,
+    )
+
+
 def _describe(work: Work, sample: Sample) -> dict[str, Description]:
     analysis = work.study.analysis
+    if not work.scene_names:
+        return {name: _describe_one(work, sample, k) for k, name in enumerate(work.quantities)}
     return {
-        name: describe(sample.values[:, :, k], censored=sample.censored[:, :, k], failed=sample.failed,
-                       on_failure=analysis.on_failure, quantiles=analysis.quantiles, method=METHOD)
+        name: describe(
+            sample.values[:, :, k],
+            censored=sample.censored[:, :, k],
+            failed=sample.failed,
+            on_failure=analysis.on_failure,
+            quantiles=analysis.quantiles,
+            method=METHOD,
+        )
         for k, name in enumerate(work.quantities)
-    }  # fmt: skip
+    }
 
 
 def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[str]:
@@ -61,14 +102,23 @@ def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, 
     return missed
 
 
-def _record(descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int) -> list[dict[str, Any]]:
+def _record(
+    descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int
+) -> list[dict[str, Any]]:
     """Rows of the speed-error table that this stage gives."""
     rows = []
 
     def add(quantity: str, error: float, kind: str) -> None:
         if np.isfinite(error):
-            rows.append({"method": METHOD, "quantity": quantity, "evaluations": evaluations,
-                         "error": float(error), "error_kind": kind})  # fmt: skip
+            rows.append(
+                {
+                    "method": METHOD,
+                    "quantity": quantity,
+                    "evaluations": evaluations,
+                    "error": float(error),
+                    "error_kind": kind,
+                }
+            )
 
     for name, description in descriptions.items():
         if not description.scale > 0.0:
@@ -92,7 +142,9 @@ def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, 
         if not description.scale > 0.0:
             continue
         ratios = [description.mean.half_width / asked.mean]
-        ratios += [e.half_width / asked.quantile for p, e in description.quantiles.items() if p not in description.exempt]
+        ratios += [
+            e.half_width / asked.quantile for p, e in description.quantiles.items() if p not in description.exempt
+        ]
         found[name] = max(ratios) / description.scale
     for name, limit in limits.items():
         for which in ("exceedance", "miss"):
@@ -102,8 +154,13 @@ def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, 
     return {name: ratio for name, ratio in found.items() if ratio > 1.0}
 
 
-def _hopeless(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer],
-              course: dict[str, list[tuple[int, float]]], budget: float) -> bool:  # fmt: skip
+def _hopeless(
+    work: Work,
+    descriptions: dict[str, Description],
+    limits: dict[str, LimitAnswer],
+    course: dict[str, list[tuple[int, float]]],
+    budget: float,
+) -> bool:
     """Whether everything that is not yet accurate is out of the budget's reach."""
     n = next(iter(descriptions.values())).mean.evaluations
     excess = _excess(work, descriptions, limits)
@@ -161,13 +218,26 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
         seconds += [work.ledger.elapsed] * len(rows)
         if not missed:
             break
-        if not study.analysis.budget.exhaust and start >= JUDGED and _hopeless(work, descriptions, limits, course, budget):
+        if (
+            not study.analysis.budget.exhaust
+            and start >= JUDGED
+            and _hopeless(work, descriptions, limits, course, budget)
+        ):
             stopped = "out of reach"
             break
         if work.ledger.elapsed > work.seconds:
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
-    assert points is not None and sample is not None
-    return Sampled(points=points, sample=sample, descriptions=descriptions, limits=limits, missed=missed,
-                   stopped=stopped, history=history, seconds=seconds)  # fmt: skip
+    assert points is not None
+    assert sample is not None
+    return Sampled(
+        points=points,
+        sample=sample,
+        descriptions=descriptions,
+        limits=limits,
+        missed=missed,
+        stopped=stopped,
+        history=history,
+        seconds=seconds,
+    )

@@ -82,8 +82,15 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     error = float(np.mean(errors))
     verdict = judge(fits[0], error)
     evaluations = FITS * used
-    about = {"kind": CHAOS, "error": verdict.error, "evaluations": evaluations, "usable": verdict.usable,
-             "reason": verdict.reason, "degree": fits[0].degree, "terms": int(fits[0].coefficients.size)}  # fmt: skip
+    about = {
+        "kind": CHAOS,
+        "error": verdict.error,
+        "evaluations": evaluations,
+        "usable": verdict.usable,
+        "reason": verdict.reason,
+        "degree": fits[0].degree,
+        "terms": int(fits[0].coefficients.size),
+    }
     if not verdict.usable:
         return {}, about
     return chaos_indices(fits, error=error, evaluations=evaluations), about
@@ -91,8 +98,15 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
 
 def _refused(work: Work, reason: str) -> Sensitivity:
     nothing = {name: absent(reason, METHOD, 0) for name in work.scene_names}
-    return Sensitivity(first=nothing, total=dict(nothing), surrogate={"kind": None, "error": None, "evaluations": 0},
-                       sampled={}, expanded={}, agree=None, text=reason)  # fmt: skip
+    return Sensitivity(
+        first=nothing,
+        total=dict(nothing),
+        surrogate={"kind": None, "error": None, "evaluations": 0},
+        sampled={},
+        expanded={},
+        agree=None,
+        text=reason,
+    )
 
 
 def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -111,8 +125,9 @@ def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDA
     # the inputs are independent here, so the halves are mapped once and mixed afterwards
     blocks = []
     for replicate in range(REPLICATES):
-        a, b = saltelli_halves(inputs_count=d, count=count, seed=work.study.seed, task="sensitivity",
-                               replicate=replicate, start=start)  # fmt: skip
+        a, b = saltelli_halves(
+            inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate, start=start
+        )
         blocks.append(mix(physical(a), physical(b)))
     answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, np.stack(blocks).reshape(-1, d))
     q = len(work.quantities)
@@ -128,7 +143,7 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     if start == 0:
         return FIRST
     wanted = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
-    return 64 * max(1, int(round(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0)))
+    return 64 * max(1, round(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0))
 
 
 def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
@@ -143,10 +158,12 @@ def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
         return plain
     paired = paired_indices(outputs)
     return {
-        order: [p if p.value is not None and p.value > LARGE else s
-                for s, p in zip(plain[order], paired[order], strict=True)]
+        order: [
+            p if p.value is not None and p.value > LARGE else s
+            for s, p in zip(plain[order], paired[order], strict=True)
+        ]
         for order in ("first", "total")
-    }  # fmt: skip
+    }
 
 
 def _believable(estimates: list[Estimate]) -> list[Estimate]:
@@ -166,15 +183,19 @@ def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
     return np.stack([row[~bad][:least] for row, bad in zip(values, failed, strict=True)])
 
 
-def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str]:
+def find_sensitivity(
+    work: Work, sampled: Sampled
+) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str]:
     """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped."""
     names = work.scene_names
     if not names:
         return {q: _refused(work, "no input of the model is random") for q in work.quantities}, [], [], "accuracy"
     tied = _dependent(work)
     if tied:
-        reason = (f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
-                  "dependent inputs: remove the dependence to see what each would do alone")  # fmt: skip
+        reason = (
+            f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
+            "dependent inputs: remove the dependence to see what each would do alone"
+        )
         return {q: _refused(work, reason) for q in work.quantities}, [], [], "accuracy"
     methods = work.study.analysis.methods
     asked = work.study.analysis.accuracy.sobol
@@ -184,8 +205,16 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
     for k, quantity in enumerate(work.quantities):
         if "pce" in methods or "auto" in methods:
             expanded[quantity], about[quantity] = _expansions(work, sampled, k)
-            _note(history, seconds, work, CHAOS, quantity, about[quantity]["evaluations"], about[quantity]["error"],
-                  "share of the variance left unexplained (held out)")  # fmt: skip
+            _note(
+                history,
+                seconds,
+                work,
+                CHAOS,
+                quantity,
+                about[quantity]["evaluations"],
+                about[quantity]["error"],
+                "share of the variance left unexplained (held out)",
+            )
         else:
             expanded[quantity], about[quantity] = {}, {"kind": None, "error": None, "evaluations": 0}
     found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
@@ -214,7 +243,9 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
         clean = _clean(values, failed)
         for k, quantity in enumerate(work.quantities):
             found[quantity] = _sampled(clean[:, :, :, k])
-            widths = [e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None]
+            widths = [
+                e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None
+            ]
             widest[quantity] = max(widths, default=0.0)
             done[quantity] = _accurate(found[quantity], expanded[quantity], asked)
             spent = clean[:, :, :, k].size
@@ -223,8 +254,16 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
                 affordable = spent + budget.evaluations - work.ledger.total
                 given_up[quantity] = "" if done[quantity] else out_of_reach(course[quantity], asked, affordable)
             if widths:
-                _note(history, seconds, work, METHOD, quantity, values[:, :, :, 0].size, max(widths),
-                      "largest half-width of an index")  # fmt: skip
+                _note(
+                    history,
+                    seconds,
+                    work,
+                    METHOD,
+                    quantity,
+                    values[:, :, :, 0].size,
+                    max(widths),
+                    "largest half-width of an index",
+                )
         if all(done.values()):
             break
         if all(done[q] or given_up[q] for q in work.quantities):
@@ -242,11 +281,26 @@ def find_sensitivity(work: Work, sampled: Sampled) -> tuple[dict[str, Sensitivit
     )
 
 
-def _note(history: list[dict[str, Any]], seconds: list[float], work: Work, method: str, quantity: str,
-          evaluations: int, error: float | None, kind: str) -> None:  # fmt: skip
+def _note(
+    history: list[dict[str, Any]],
+    seconds: list[float],
+    work: Work,
+    method: str,
+    quantity: str,
+    evaluations: int,
+    error: float | None,
+    kind: str,
+) -> None:
     if error is not None and np.isfinite(error):
-        history.append({"method": method, "quantity": quantity, "evaluations": int(evaluations),
-                        "error": float(error), "error_kind": kind})  # fmt: skip
+        history.append(
+            {
+                "method": method,
+                "quantity": quantity,
+                "evaluations": int(evaluations),
+                "error": float(error),
+                "error_kind": kind,
+            }
+        )
         seconds.append(work.ledger.elapsed)
 
 
@@ -272,16 +326,30 @@ def _accurate(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estim
     return _preferred(sampled, expanded) and _widest(expanded) <= asked
 
 
-def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]],
-              about: dict[str, Any], asked: float, given_up: str) -> Sensitivity:  # fmt: skip
+def _conclude(
+    names: tuple[str, ...],
+    sampled: dict[str, list[Estimate]],
+    expanded: dict[str, list[Estimate]],
+    about: dict[str, Any],
+    asked: float,
+    given_up: str,
+) -> Sensitivity:
     from uqsphere.uq.sensitivity import cross_check
 
     given = expanded if _preferred(sampled, expanded) else sampled
     if not given:
         reason = about.get("reason") or "no method that was asked for gives indices within the budget"
         nothing = {name: absent(reason, METHOD, 0) for name in names}
-        return Sensitivity(first=nothing, total=dict(nothing), surrogate=about, sampled=sampled, expanded=expanded,
-                           agree=None, text=reason, missed=[f"indices: {reason}"])  # fmt: skip
+        return Sensitivity(
+            first=nothing,
+            total=dict(nothing),
+            surrogate=about,
+            sampled=sampled,
+            expanded=expanded,
+            agree=None,
+            text=reason,
+            missed=[f"indices: {reason}"],
+        )
     agree: bool | None = None
     if sampled and expanded:
         agree, text = cross_check(list(names), sampled, expanded)
@@ -291,10 +359,20 @@ def _conclude(names: tuple[str, ...], sampled: dict[str, list[Estimate]], expand
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)
     given = {order: _believable(row) for order, row in given.items()}
-    missed = [f"indices: half-width {width:.2g}, asked {asked:g}" + (f" ({given_up})" if given_up else "")] if width > asked else []
+    missed = (
+        [f"indices: half-width {width:.2g}, asked {asked:g}" + (f" ({given_up})" if given_up else "")]
+        if width > asked
+        else []
+    )
     if agree is False:
         missed.append("indices: sampling and polynomial chaos disagree")
     return Sensitivity(
-        first=dict(zip(names, given["first"], strict=True)), total=dict(zip(names, given["total"], strict=True)),
-        surrogate=about, sampled=sampled, expanded=expanded, agree=agree, text=text, missed=missed,
-    )  # fmt: skip
+        first=dict(zip(names, given["first"], strict=True)),
+        total=dict(zip(names, given["total"], strict=True)),
+        surrogate=about,
+        sampled=sampled,
+        expanded=expanded,
+        agree=agree,
+        text=text,
+        missed=missed,
+    )

@@ -128,7 +128,9 @@ class Work:
     @cached_property
     def drawn(self) -> Inputs:
         """The variables that are drawn: model inputs and model factors.  Strengths are integrated exactly."""
-        factors = [name for name in self.all_inputs.names if name.startswith("limits.") and name.endswith(".model_factor")]
+        factors = [
+            name for name in self.all_inputs.names if name.startswith("limits.") and name.endswith(".model_factor")
+        ]
         names = [*self.scene_names, *factors]
         return sub_inputs(self.all_inputs, names)
 
@@ -149,10 +151,12 @@ def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replic
     from scipy.special import ndtri
 
     dimension = len(inputs.names)
-    uniforms = np.stack([
-        sobol_points(dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate)
-        for replicate in range(replicates)
-    ])  # fmt: skip
+    uniforms = np.stack(
+        [
+            sobol_points(dimension=dimension, count=count, start=start, seed=seed, task=task, replicate=replicate)
+            for replicate in range(replicates)
+        ]
+    )
     normals = np.asarray(ndtri(uniforms))
     physical = physical_from_normal(inputs, normals.reshape(replicates * count, dimension)).reshape(normals.shape)
     return Draw(normals=normals, physical=physical)
@@ -163,29 +167,57 @@ def _loaded(reference: str) -> BlackBox:
     return load_black_box(reference)
 
 
-def _remote(study: Study, names: tuple[str, ...], rows: Array, quantities: tuple[str, ...], fidelity: str,
-            tolerance: float, reference: str | None) -> Answered:  # fmt: skip
+def _remote(
+    study: Study,
+    names: tuple[str, ...],
+    rows: Array,
+    quantities: tuple[str, ...],
+    fidelity: str,
+    tolerance: float,
+    reference: str | None,
+) -> Answered:
     """One chunk in a worker process: one thread, the black box loaded there."""
     box = _loaded(reference) if reference else None
     return answer(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=1, black_box=box)
 
 
 def _answers(work: Work, names: tuple[str, ...], rows: Array, fidelity: str) -> Answered:
-    return answer(work.study, names, rows, work.quantities, fidelity=fidelity, tolerance=work.study.model.tolerance,
-                  threads=work.threads, black_box=work.black_box)  # fmt: skip
+    return answer(
+        work.study,
+        names,
+        rows,
+        work.quantities,
+        fidelity=fidelity,
+        tolerance=work.study.model.tolerance,
+        threads=work.threads,
+        black_box=work.black_box,
+    )
 
 
-def _chunks(work: Work, names: tuple[str, ...], rows: Array, fidelity: str, todo: list[int]) -> Iterator[tuple[int, Answered]]:
+def _chunks(
+    work: Work, names: tuple[str, ...], rows: Array, fidelity: str, todo: list[int]
+) -> Iterator[tuple[int, Answered]]:
     """Evaluate the chunks `todo`, here or by the executor, in their order."""
     if work.executor is None:
         for k in todo:
             yield k, _answers(work, names, rows[k * CHUNK : (k + 1) * CHUNK], fidelity)
         return
     futures = [
-        (k, work.executor.submit(_remote, work.study, names, rows[k * CHUNK : (k + 1) * CHUNK], work.quantities,
-                                 fidelity, work.study.model.tolerance, work.model))
+        (
+            k,
+            work.executor.submit(
+                _remote,
+                work.study,
+                names,
+                rows[k * CHUNK : (k + 1) * CHUNK],
+                work.quantities,
+                fidelity,
+                work.study.model.tolerance,
+                work.model,
+            ),
+        )
         for k in todo
-    ]  # fmt: skip
+    ]
     try:
         for k, future in futures:
             yield k, future.result()
@@ -194,7 +226,9 @@ def _chunks(work: Work, names: tuple[str, ...], rows: Array, fidelity: str, todo
             future.cancel()
 
 
-def evaluate_points(work: Work, key: str, names: tuple[str, ...], rows: Array, *, fidelity: str | None = None) -> Answered:
+def evaluate_points(
+    work: Work, key: str, names: tuple[str, ...], rows: Array, *, fidelity: str | None = None
+) -> Answered:
     """Answers of rows (n, d), each evaluated once in the life of the result folder.
 
     Raises
@@ -213,8 +247,9 @@ def evaluate_points(work: Work, key: str, names: tuple[str, ...], rows: Array, *
         expected = len(rows[k * CHUNK : (k + 1) * CHUNK])
         packed = work.store.load(f"{key}.{k}") if work.store is not None else None
         if packed is not None and packed.shape == (expected, 2 * q + 1):
-            parts[k] = Answered(values=packed[:, :q], censored=packed[:, q : 2 * q] > 0.0,
-                                status=packed[:, 2 * q].astype(np.int64))  # fmt: skip
+            parts[k] = Answered(
+                values=packed[:, :q], censored=packed[:, q : 2 * q] > 0.0, status=packed[:, 2 * q].astype(np.int64)
+            )
             work.ledger.reused += expected
         else:
             todo.append(k)
@@ -253,7 +288,7 @@ def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64]) -> None:
     policy = work.study.analysis.on_failure
     if policy == "abort":
         raise TooManyFailures(
-            f"{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = \"abort\" ends the run: "
+            f'{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '
             'narrow or truncate the inputs, or choose on_failure = "bound" or "drop"'
         )
     if policy == "drop" and failed > MOST_DROPPED * ledger.total and ledger.total >= 1000:

@@ -56,9 +56,7 @@ def _factor(raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: 
             findings.add((*place, "unit"), "the column holds plain numbers here: leave unit out")
     elif "unit" not in raw:
         if not findings.touched((*place, "unit")):
-            findings.add(
-                place, f'the unit of the column is missing: add unit = "{quantity.unit}" (units: {allowed})'
-            )
+            findings.add(place, f'the unit of the column is missing: add unit = "{quantity.unit}" (units: {allowed})')
     elif isinstance(unit, str) and unit in UNITS[quantity.dimension]:
         return UNITS[quantity.dimension][unit]
     else:
@@ -70,9 +68,7 @@ def _inside(name: str, place: Place, findings: Findings, folder: Path) -> Path |
     """The file as a real path, if it lies in the study's folder, links followed."""
     posix = PurePosixPath(name.replace("\\", "/"))
     if len(name) > 255 or "\0" in name or ":" in name or posix.is_absolute() or ".." in posix.parts:
-        findings.add(
-            place, f"found {shown(name)}: a study reads files of its own folder only, by a relative path"
-        )
+        findings.add(place, f"found {shown(name)}: a study reads files of its own folder only, by a relative path")
         return None
     try:
         home = folder.resolve()
@@ -85,9 +81,7 @@ def _inside(name: str, place: Place, findings: Findings, folder: Path) -> Path |
         findings.add(place, f"{shown(name)} is a link that leaves the study's folder")
         return None
     if not there:
-        beside = (
-            [item.name for item in home.iterdir() if item.suffix.lower() == ".csv"] if home.is_dir() else []
-        )
+        beside = [item.name for item in home.iterdir() if item.suffix.lower() == ".csv"] if home.is_dir() else []
         findings.add(place, f"there is no file {shown(name)} beside the study{suggestion(name, beside)}")
         return None
     return path
@@ -102,9 +96,7 @@ def _rows(path: Path, name: str, place: Place, findings: Findings) -> list[tuple
             return None
         reader = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
         rows = [
-            (reader.line_num, [cell.strip() for cell in row])
-            for row in reader
-            if any(cell.strip() for cell in row)
+            (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
         ]
     except AccessError:
         findings.add(place, f"{shown(name)} cannot be read as a file")

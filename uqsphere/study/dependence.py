@@ -24,14 +24,9 @@ def read_dependence(
     `random` are the names that scatter, in order; `fixed` the other numbers of the study, with their places.
     """
     if len(tables) > MOST_DEPENDENCES:
-        findings.add(
-            ("dependence",), f"found {len(tables)} dependences, at most {MOST_DEPENDENCES} are allowed"
-        )
+        findings.add(("dependence",), f"found {len(tables)} dependences, at most {MOST_DEPENDENCES} are allowed")
         return ()
-    groups = [
-        _read_group(table, ("dependence", index), random, fixed, findings)
-        for index, table in enumerate(tables)
-    ]
+    groups = [_read_group(table, ("dependence", index), random, fixed, findings) for index, table in enumerate(tables)]
     whole = [group for group in groups if group is not None]
     if groups and len(whole) == len(groups):
         _check_together(whole, random, findings)
@@ -80,14 +75,10 @@ def _refuse_unrandom(
     """Note why a name cannot be in a dependence; nothing is said of a number that is faulty itself."""
     if name in fixed:
         if findings.clean(fixed[name]):
-            findings.add(
-                place, f"{shown(name)} is a fixed number here: give it a distribution, or leave it out"
-            )
+            findings.add(place, f"{shown(name)} is a fixed number here: give it a distribution, or leave it out")
         return False
     listed = one_of(random[:20]) if random else "none"
-    findings.add(
-        place, f"unknown random input {shown(name)}, random here: {listed}{suggestion(name, random)}"
-    )
+    findings.add(place, f"unknown random input {shown(name)}, random here: {listed}{suggestion(name, random)}")
     return False
 
 

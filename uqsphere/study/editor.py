@@ -160,11 +160,9 @@ def _model() -> Node:
                 "maximum": 1e-2,
                 "description": "relative error",
             },
-            "first_loading_only": _FLAG
-            | {"description": "the record ends at the first return of a reflected wave"},
+            "first_loading_only": _FLAG | {"description": "the record ends at the first return of a reflected wave"},
             "horizon": {"$ref": "#/$defs/time", "description": "end of the record"},
-            "compare_with_paper": _FLAG
-            | {"description": "show the formulas as printed beside the corrected ones"},
+            "compare_with_paper": _FLAG | {"description": "show the formulas as printed beside the corrected ones"},
         },
         (),
     )
@@ -176,13 +174,10 @@ def _limit() -> Node:
     strength = {"anyOf": [choice for name in strengths for choice in _number_or_law(name)["anyOf"]]}
     return _table(
         {
-            "quantity": _text(
-                f"what must stay below, or exceed, the strength: {known}, or an output of a black box"
-            ),
+            "quantity": _text(f"what must stay below, or exceed, the strength: {known}, or an output of a black box"),
             "strength": strength | {"description": "the strength, in the unit of the quantity"},
             "aim": _words(get_args(Aim), "survive: stay below the strength; break: exceed it"),
-            "model_factor": _number_or_law("number")
-            | {"description": "discrepancy of the model on this quantity"},
+            "model_factor": _number_or_law("number") | {"description": "discrepancy of the model on this quantity"},
             "target": _SHARE | {"description": "largest accepted probability of missing the aim"},
         },
         ("quantity", "strength"),
@@ -208,15 +203,11 @@ def _analysis() -> Node:
         "exhaust": _FLAG | {"default": False},
         "time": {"$ref": "#/$defs/time"},
     }
-    accuracy = {
-        key: positive | {"default": getattr(Accuracy(), key)} for key in Accuracy.__dataclass_fields__
-    }
+    accuracy = {key: positive | {"default": getattr(Accuracy(), key)} for key in Accuracy.__dataclass_fields__}
     methods = {"anyOf": [{"const": "auto"}, {"const": ["auto"]}, _list({"enum": list(METHODS)})]}
     return _table(
         {
-            "quantities": _list(
-                _text(f"quantity of interest: {', '.join(OUTPUTS)}, or an output of a black box")
-            ),
+            "quantities": _list(_text(f"quantity of interest: {', '.join(OUTPUTS)}, or an output of a black box")),
             "accuracy": _table(accuracy, ()) | {"description": "half-widths of the 95 % intervals"},
             "budget": _table(budget, ()) | {"description": "where the run stops at the latest"},
             "quantiles": _list(_SHARE),

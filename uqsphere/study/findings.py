@@ -42,20 +42,14 @@ class Findings:
         """Whether nothing at, around or below `place` was faulty."""
         return not self.touched(place) and not any(other[: len(place)] == place for other in self.spoiled)
 
-    def problems(
-        self, positions: Mapping[Place, tuple[int, int]], overridden: Sequence[Place] = ()
-    ) -> list[Problem]:
+    def problems(self, positions: Mapping[Place, tuple[int, int]], overridden: Sequence[Place] = ()) -> list[Problem]:
         """Every fault with its line and column: that of the value, or of the nearest thing around it."""
         found: list[Problem] = []
         for place, message in dict.fromkeys(self.faults):
             if any(place[: len(other)] == other for other in overridden):
                 message = f"{message} (set from outside the file)"
             line, column = next(
-                (
-                    positions[place[:length]]
-                    for length in range(len(place), 0, -1)
-                    if place[:length] in positions
-                ),
+                (positions[place[:length]] for length in range(len(place), 0, -1) if place[:length] in positions),
                 (1, 1),
             )
             found.append(Problem(line=line, column=column, path=render_place(place), message=message))

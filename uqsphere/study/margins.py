@@ -29,9 +29,7 @@ def read_margins(
     known = _known_solve(table.solve, scene, black_box, numbers, findings)
     if table.between is None:
         if findings.clean(("margins", "between")):
-            findings.add(
-                ("margins", "between"), "between is missing: add the lowest and the highest value to look at"
-            )
+            findings.add(("margins", "between"), "between is missing: add the lowest and the highest value to look at")
         return None
     if len(table.between) != 2:
         findings.add(
@@ -43,8 +41,7 @@ def read_margins(
         return None
     quantity = lookup(table.solve) if not black_box else plain_quantity(table.solve)
     ends = [
-        read_fixed(raw, ("margins", "between", index), quantity, findings)
-        for index, raw in enumerate(table.between)
+        read_fixed(raw, ("margins", "between", index), quantity, findings) for index, raw in enumerate(table.between)
     ]
     low, high = ends
     if low is None or high is None:

@@ -197,8 +197,7 @@ class Study:
             "model": None if self.black_box else asdict(self.model),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [
-                {"of": list(group.of), "copula": group.copula, "spearman": group.spearman}
-                for group in self.dependence
+                {"of": list(group.of), "copula": group.copula, "spearman": group.spearman} for group in self.dependence
             ],
             "analysis": _lists(asdict(self.analysis)),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),

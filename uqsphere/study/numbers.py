@@ -41,9 +41,7 @@ def plain_quantity(name: str) -> Quantity:
     return Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 
-def read_number(
-    raw: object, place: Place, quantity: Quantity, findings: Findings, folder: Path
-) -> Reading | None:
+def read_number(raw: object, place: Place, quantity: Quantity, findings: Findings, folder: Path) -> Reading | None:
     """Value or law of `raw`; None, with the faults noted, where it is neither.
 
     `folder` is the study's own, outside of which no file is read.
@@ -60,9 +58,7 @@ def read_fixed(raw: object, place: Place, quantity: Quantity, findings: Findings
         if raw in BAR_ENDS:
             return BAR_ENDS[raw]
         words = one_of(BAR_ENDS)
-        findings.add(
-            place, f"found {shown(raw)}, allowed: {words}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}"
-        )
+        findings.add(place, f"found {shown(raw)}, allowed: {words}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}")
         return None
     value = _parse(raw, place, quantity.dimension, findings)
     if value is not None and not quantity.allows(value):
@@ -88,11 +84,7 @@ def _parse(raw: object, place: Place, dimension: str, findings: Findings) -> flo
 def _bounds_in_words(quantity: Quantity) -> str:
     if quantity.closed:
         low = f"from {format_value(quantity.lower, quantity.name)}"
-        high = (
-            f" to {format_value(quantity.upper, quantity.name)}"
-            if math.isfinite(quantity.upper)
-            else " upwards"
-        )
+        high = f" to {format_value(quantity.upper, quantity.name)}" if math.isfinite(quantity.upper) else " upwards"
         return f"{quantity.meaning} must lie {low}{high}"
     if math.isfinite(quantity.upper):
         return f"{quantity.meaning} must lie between {quantity.lower:g} and {quantity.upper:g}, both excluded"
@@ -107,9 +99,7 @@ def _read_law(
     if not isinstance(kind, str) or kind not in LAWS:
         if "dist" not in raw:
             if not findings.touched((*place, "dist")):
-                findings.add(
-                    place, f'a distribution is due here, such as {{ dist = "normal", … }}: {_no_dist(raw)}'
-                )
+                findings.add(place, f'a distribution is due here, such as {{ dist = "normal", … }}: {_no_dist(raw)}')
         else:
             near = suggestion(kind, LAWS) if isinstance(kind, str) else ""
             findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(LAWS)}{near}")
@@ -133,19 +123,13 @@ def _read_law(
     try:
         law = make_law(kind, given, bounds.get("lower"), bounds.get("upper"), data, raw.get("fit"))
     except LawError as error:
-        findings.add(
-            (*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind)
-        )
+        findings.add((*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind))
         return None
     return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
 
 
 def _no_dist(raw: Mapping[str, Any]) -> str:
-    return (
-        f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}"
-        if raw
-        else "found an empty table"
-    )
+    return f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}" if raw else "found an empty table"
 
 
 def _refuse_unknown(raw: Mapping[str, Any], kind: str, place: Place, findings: Findings) -> None:
@@ -157,9 +141,7 @@ def _refuse_unknown(raw: Mapping[str, Any], kind: str, place: Place, findings: F
             continue
         near = suggestion(key, allowed)
         if key in others:
-            said = (
-                f"{shown(key)} does not belong to the distribution {kind}, which takes {one_of(allowed[1:])}"
-            )
+            said = f"{shown(key)} does not belong to the distribution {kind}, which takes {one_of(allowed[1:])}"
         else:
             said = f"unknown key {shown(key)}{near or f'; {kind} takes {one_of(allowed[1:])}'}"
         findings.add((*place, key), said)
@@ -182,9 +164,7 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
     if LAWS[law.kind].bounded:
         for key, bound in (("lower", law.lower), ("upper", law.upper)):
             if not quantity.lower <= bound <= quantity.upper:
-                findings.add(
-                    (*place, key), f"{format_value(bound, quantity.name)}: {_bounds_in_words(quantity)}"
-                )
+                findings.add((*place, key), f"{format_value(bound, quantity.name)}: {_bounds_in_words(quantity)}")
                 return False
         return True
     share = _share_outside(law, quantity)

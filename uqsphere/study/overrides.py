@@ -61,9 +61,7 @@ def _split(path: str, text: str) -> Place:
     while at < len(path):
         match = _PART.match(path, at)
         if match is None or (match.end() == len(path) and match.group(5) == "."):
-            raise UsageError(
-                f"found {shown(text)}: {shown(path)} is no path of a study, such as striker.speed.mean"
-            )
+            raise UsageError(f"found {shown(text)}: {shown(path)} is no path of a study, such as striker.speed.mean")
         place.append(next(part for part in match.groups()[:3] if part is not None))
         place += [int(index) for index in re.findall(r"\d+", match.group(4))]
         at = match.end()

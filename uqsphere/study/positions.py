@@ -64,9 +64,7 @@ def locate(text: str) -> dict[Place, tuple[int, int]]:
     return found
 
 
-def _visit_table(
-    node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines
-) -> None:
+def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines) -> None:
     key = next((child for child in node.children if child.type in _KEYS), None)
     if key is None:
         return

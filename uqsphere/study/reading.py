@@ -96,9 +96,7 @@ def read_text(path: Path) -> str:
     """
     data = read_bytes(path)
     if len(data) > LARGEST_FILE:
-        raise _fault(
-            path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV"
-        )
+        raise _fault(path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV")
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise _fault(path, "the file is encoded as UTF-16 or UTF-32: save it as UTF-8")
     data = data.removeprefix(codecs.BOM_UTF8)
@@ -206,11 +204,7 @@ def _syntax_fault(text: str, path: Path, message: str) -> StudyError:
         hint = f'; a value with a unit stands in quotes: "{quantity.group(1).strip()}"'
     elif word := _BARE_WORD.search(content):
         fixed = word.group(1).lower()
-        hint = (
-            f"; write {fixed}"
-            if fixed in {"true", "false"}
-            else f'; a word stands in quotes: "{word.group(1)}"'
-        )
+        hint = f"; write {fixed}" if fixed in {"true", "false"} else f'; a word stands in quotes: "{word.group(1)}"'
     return _fault(path, f"this is not valid TOML: {_plain(said)}{hint}", line, column)
 
 

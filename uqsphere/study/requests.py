@@ -101,24 +101,18 @@ def read_limits(
                     'strength is missing: add a number such as "4 GPa", or a distribution',
                 )
         elif quantity is not None:
-            strength = read_number(
-                table.strength, (*place, "strength"), _strength_of(quantity), findings, folder
-            )
+            strength = read_number(table.strength, (*place, "strength"), _strength_of(quantity), findings, folder)
         else:
             # Without its quantity the strength has no unit to be read in: neither right nor wrong.
             findings.spoiled.add((*place, "strength"))
         if table.model_factor is not None:
-            model_factor = read_number(
-                table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder
-            )
+            model_factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder)
         elif findings.clean((*place, "model_factor")):
             model_factor = Reading(value=1.0)
         if table.target is not None and not 0.0 < table.target < 1.0:
             findings.add((*place, "target"), f"found {table.target!r}, a probability between 0 and 1 is due")
         found.append(
-            LimitReading(
-                name=name, quantity=quantity, strength=strength, model_factor=model_factor, table=table
-            )
+            LimitReading(name=name, quantity=quantity, strength=strength, model_factor=model_factor, table=table)
         )
     return found
 
@@ -142,18 +136,12 @@ def _strength_of(quantity: str) -> Quantity:
     )
 
 
-def _limit_quantity(
-    table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings
-) -> str | None:
+def _limit_quantity(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> str | None:
     if table.quantity is None:
         if findings.clean((*place, "quantity")):
-            findings.add(
-                (*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"'
-            )
+            findings.add((*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"')
         return None
-    return (
-        table.quantity if _known_quantity(table.quantity, (*place, "quantity"), outputs, findings) else None
-    )
+    return table.quantity if _known_quantity(table.quantity, (*place, "quantity"), outputs, findings) else None
 
 
 def _known_quantity(name: str, place: Place, outputs: Sequence[str] | None, findings: Findings) -> bool:
@@ -163,9 +151,7 @@ def _known_quantity(name: str, place: Place, outputs: Sequence[str] | None, find
     if outputs is None and name in LATER_QUANTITIES:
         findings.add(place, f"{shown(name)} is not in this version; known quantities: {one_of(known)}")
     elif known:
-        findings.add(
-            place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}"
-        )
+        findings.add(place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}")
     return False
 
 

@@ -126,9 +126,7 @@ def _kind(data: Mapping[str, Any], findings: Findings) -> bool | None:
             return None
         return False
     for name in parts:
-        findings.add(
-            (name,), f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out"
-        )
+        findings.add((name,), f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out")
     return None if parts else True
 
 
@@ -136,9 +134,7 @@ def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: P
     tables = document.inputs
     if not tables:
         if findings.clean(("inputs",)):
-            findings.add(
-                ("inputs",), "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution"
-            )
+            findings.add(("inputs",), "[inputs] is missing or empty: add an input such as x1 = 1.0, or a distribution")
         return
     if len(tables) > MOST_INPUTS:
         findings.add(("inputs",), f"found {len(tables)} inputs, at most {MOST_INPUTS} are allowed")
@@ -146,9 +142,7 @@ def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: P
     for name, raw in tables.items():
         place: Place = ("inputs", name)
         if not valid_name(name) or name in RESERVED:
-            findings.add(
-                place, f"{shown(name)} cannot be the name of an input: letters, digits, _ and - make one"
-            )
+            findings.add(place, f"{shown(name)} cannot be the name of an input: letters, digits, _ and - make one")
             continue
         reading = read_number(raw, place, plain_quantity(name), findings, folder)
         if reading is not None:
@@ -177,9 +171,7 @@ def _random(scene: Scene, limits: Sequence[LimitReading]) -> tuple[list[str], di
     readings: dict[str, Reading | None] = dict(scene.readings)
     for limit in limits:
         readings |= limit.parts
-    found = {
-        name: item for name, item in readings.items() if item is not None and isinstance(item.value, Law)
-    }
+    found = {name: item for name, item in readings.items() if item is not None and isinstance(item.value, Law)}
     return list(found), {name: item.given for name, item in found.items()}
 
 

@@ -72,9 +72,7 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
         _require(scene, findings, "sphere.radius", '"10 mm"')
     if document.striker is not None:
         _require(scene, findings, "striker.speed", '"0.5 m/s"')
-        needs_length = (
-            scene.options.get("pulse.shape") not in (None, "step") and "pulse.duration" not in scene.readings
-        )
+        needs_length = scene.options.get("pulse.shape") not in (None, "step") and "pulse.duration" not in scene.readings
         if needs_length and not findings.touched(("pulse", "duration")):
             _require(scene, findings, "striker.length", '"0.8 m"', ": it sets the duration of the pulse")
     return scene
@@ -120,9 +118,7 @@ def _fill_from_library(document: Document, scene: Scene, findings: Findings) -> 
         if name not in known:
             elsewhere = next((other for other in KINDS if name in library()[other]), None)
             near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
-            findings.add(
-                (kind, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}"
-            )
+            findings.add((kind, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
             continue
         scene.materials[kind] = name
         for key in keys:
@@ -161,9 +157,7 @@ def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings) -> None:
         return
     if shape == "measured":
         shapes = one_of(PULSE_KEYS)
-        findings.add(
-            ("pulse", "shape"), f'"measured": this version does not read measured records; allowed: {shapes}'
-        )
+        findings.add(("pulse", "shape"), f'"measured": this version does not read measured records; allowed: {shapes}')
         return
     scene.options["pulse.shape"] = shape
     needed, optional = PULSE_KEYS[shape]
@@ -171,9 +165,7 @@ def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings) -> None:
     for key in PulseTable.model_fields:
         given = getattr(pulse, key) is not None and key != "shape"
         if given and key not in (*needed, *optional):
-            findings.add(
-                ("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}"
-            )
+            findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
             scene.readings.pop(f"pulse.{key}", None)
         elif key in needed:
             _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')

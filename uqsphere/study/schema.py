@@ -44,9 +44,7 @@ OnFailure = Literal["abort", "bound", "drop"]
 class Table(BaseModel):
     """A table of the file: no key beyond those listed, no conversion of one kind of value into another."""
 
-    model_config = ConfigDict(
-        strict=True, extra="forbid", frozen=True, protected_namespaces=(), defer_build=True
-    )
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, protected_namespaces=(), defer_build=True)
 
 
 class SphereTable(Table):
@@ -238,11 +236,7 @@ def _describe(kind: str, place: Place, value: object, suggest: bool) -> str:
             return f"found {shown(value)}, a word is due: {one_of(words)}"
         return f"found {shown(value)}, allowed: {one_of(words)}{suggestion(value, words)}"
     due = _DUE.get(kind)
-    return (
-        f"found {shown(value)}, where {due} is due"
-        if due
-        else f"found {shown(value)}, which cannot stand here"
-    )
+    return f"found {shown(value)}, where {due} is due" if due else f"found {shown(value)}, which cannot stand here"
 
 
 def _words(place: Place) -> list[str]:

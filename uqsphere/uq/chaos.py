@@ -265,9 +265,7 @@ def predict(chaos: Chaos, points: Array) -> Array:
     highest = chaos.multi_indices.max(axis=0)
     for first in range(0, points.shape[0], _BLOCK):
         block = points[first : first + _BLOCK]
-        values = [
-            orthonormal_values(germ, block[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)
-        ]
+        values = [orthonormal_values(germ, block[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
         result[first : first + _BLOCK] = _design(values, chaos.multi_indices) @ chaos.coefficients
     return result
 

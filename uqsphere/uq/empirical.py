@@ -72,10 +72,7 @@ def _table(data: tuple[float, ...], width: float) -> tuple[Array, Array, Array]:
     starts = np.concatenate([kernels[:1] - _REACH * width, kernels[breaks + 1] - 9.0 * width])
     ends = np.concatenate([kernels[breaks] + 9.0 * width, kernels[-1:] + _REACH * width])
     nodes = np.concatenate(
-        [
-            np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
-            for a, b in zip(starts, ends, strict=True)
-        ]
+        [np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0))) for a, b in zip(starts, ends, strict=True)]
     )
     z, slope = np.empty_like(nodes), np.empty_like(nodes)
     block = max(1, 2_000_000 // kernels.size)

@@ -22,6 +22,7 @@ __all__ = [
     "Flags",
     "absent",
     "describe",
+    "exact",
     "from_replicates",
     "quantile_estimates",
     "reached",
@@ -75,6 +76,11 @@ class Estimate:
             "evaluations": self.evaluations,
         }
         return table if self.reason is None else {**table, "reason": self.reason}
+
+
+def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
+    """A number without uncertainty: the answer of a scene in which nothing is random."""
+    return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
 
 
 def absent(reason: str, method: str, evaluations: int) -> Estimate:
@@ -215,6 +221,8 @@ def describe(
     shown = method + (", restricted to the record" if late.any() else "")
     shown += ", without failed rows" if broken.any() else ""
     mean, sd, spread = _moments(samples, kept, counts, shown)
+    if (late | broken).all():
+        mean = sd = absent("every sample outlasts the record", method, total)
     estimates, exempt = quantile_estimates(
         samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
     )

@@ -145,9 +145,7 @@ def _beta_pdf(y: Array, shapes: Shapes) -> Array:
     from scipy.special import betaln, xlog1py, xlogy
 
     inside = np.clip(y, 0.0, 1.0)
-    log_density = (
-        xlogy(shapes[0] - 1.0, inside) + xlog1py(shapes[1] - 1.0, -inside) - betaln(shapes[0], shapes[1])
-    )
+    log_density = xlogy(shapes[0] - 1.0, inside) + xlog1py(shapes[1] - 1.0, -inside) - betaln(shapes[0], shapes[1])
     return np.where((y >= 0.0) & (y <= 1.0), np.exp(log_density), 0.0)
 
 

@@ -77,9 +77,7 @@ def to_physical(inputs: Inputs, uniforms: Array) -> Array:
     return physical_from_normal(inputs, np.asarray(ndtri(np.asarray(uniforms, dtype=float))))
 
 
-def correlation_from_spearman(
-    names: Sequence[str], groups: Sequence[tuple[tuple[str, ...], float]]
-) -> Array | None:
+def correlation_from_spearman(names: Sequence[str], groups: Sequence[tuple[tuple[str, ...], float]]) -> Array | None:
     """Correlation (d, d) of the normal scores from rank correlations that hold for every pair of a group.
 
     None if nothing depends on anything.  Raises LawError (keys "of", "spearman") for unknown or repeated

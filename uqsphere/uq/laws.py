@@ -139,8 +139,7 @@ def _plain(law: Law, centre: float) -> bool:
     else:
         return False
     mass = 0.5 * (
-        math.erfc((low - location) / (scale * math.sqrt(2.0)))
-        - math.erfc((high - location) / (scale * math.sqrt(2.0)))
+        math.erfc((low - location) / (scale * math.sqrt(2.0))) - math.erfc((high - location) / (scale * math.sqrt(2.0)))
     )
     return mass > 0.1 and math.isfinite(scatter) and scatter > 1e-9 * abs(centre)
 

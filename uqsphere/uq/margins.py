@@ -148,9 +148,7 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     centre = float(forward(np.array([value]))[0])
     found = np.array([answer for answer in own if answer is not None])
     if found.size < replicates:
-        return absent(
-            "too close to an end of the range: some replicates do not reach it", _METHOD, evaluations
-        )
+        return absent("too close to an end of the range: some replicates do not reach it", _METHOD, evaluations)
     spread = float(np.std(forward(found), ddof=1)) / math.sqrt(replicates)
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.

@@ -92,9 +92,7 @@ def _shifted(below: Array, above: Array, shift: Array, remaining: float) -> tupl
     return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 
-def _interval(
-    event: Array, other: Array, counts: Array, resolution: float
-) -> tuple[float, float, float, float]:
+def _interval(event: Array, other: Array, counts: Array, resolution: float) -> tuple[float, float, float, float]:
     """Value, ends and standard error of the mean of `event` (R, n), interval in logits.
 
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
@@ -196,9 +194,7 @@ def target_met(missed: Estimate, target: float) -> bool | None:
 # --- margin ---------------------------------------------------------------------------------------
 
 
-def margin_quantiles(
-    state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)
-) -> dict[str, Estimate]:
+def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 0.5, 0.95)) -> dict[str, Estimate]:
     """Quantiles of strength over demand, by key ("median" for 0.5): m with mean F_S(m · demand) = p.
 
     Absent where the strength may be zero or negative.

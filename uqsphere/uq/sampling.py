@@ -34,9 +34,7 @@ def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.G
     return np.random.default_rng(_seed(seed, task, replicate))
 
 
-def sobol_points(
-    *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int
-) -> Array:
+def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int) -> Array:
     """Points `start` to `start + count` of one randomised Sobol' sequence: (count, dimension) in (0, 1).
 
     The ends 0 and 1 never occur: points lie in the middle of the cells of 2^-52 (2^-30 from 1000

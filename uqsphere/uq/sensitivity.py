@@ -58,9 +58,7 @@ def mix(a: Array, b: Array) -> Array:
     return blocks
 
 
-def saltelli_points(
-    *, inputs_count: int, count: int, seed: int, task: str, replicate: int, start: int = 0
-) -> Array:
+def saltelli_points(*, inputs_count: int, count: int, seed: int, task: str, replicate: int, start: int = 0) -> Array:
     """Uniform points (count, d + 2, d) in the blocks of `mix`; `start` continues the same design."""
     a, b = saltelli_halves(
         inputs_count=inputs_count, count=count, seed=seed, task=task, replicate=replicate, start=start
@@ -179,10 +177,7 @@ def cross_check(
         return True, "No index was answered by both sampling and surrogate."
     noun = "index" if compared == 1 else "indices"
     if apart:
-        return False, (
-            f"Sampling and surrogate disagree on {len(apart)} of {compared} {noun}: {'; '.join(apart)}."
-        )
+        return False, (f"Sampling and surrogate disagree on {len(apart)} of {compared} {noun}: {'; '.join(apart)}.")
     return True, (
-        f"Sampling and surrogate agree on {compared} {noun} within their intervals "
-        f"(largest difference {largest:.2g})."
+        f"Sampling and surrogate agree on {compared} {noun} within their intervals (largest difference {largest:.2g})."
     )
