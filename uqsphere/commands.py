@@ -74,6 +74,10 @@ def _write_new(path: Path, source: Path) -> None:
 # --- check ----------------------------------------------------------------------------------------
 
 
+def _short(text: str, longest: int = 60) -> str:
+    return text if len(text) <= longest else text[: longest - 1].rstrip() + "…"
+
+
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost."""
     from uqsphere.plan import plan_run
@@ -90,7 +94,7 @@ def command_check(chosen: argparse.Namespace) -> int:
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
-        rows.append((name, text, law.kind if law else "fixed", source.text if source else "study"))
+        rows.append((name, text, law.kind if law else "fixed", _short(source.text) if source else "study"))
     print(table(("number", "mean", "law", "source"), rows))
     print()
     if not study.black_box:

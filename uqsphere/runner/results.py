@@ -314,7 +314,7 @@ _PARTS = {
 
 
 def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
-    """Tables, manifest.json and results.json, each written whole; results.json comes last: it says that the run is finished."""
+    """Tables, manifest.json and results.json, each written whole; results.json last, as the sign of the end."""
     for name, text in tables(results).items():
         write_atomically(store.folder / "tables" / name, text)
     write_json(store.folder / "manifest.json", manifest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -142,8 +143,8 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     """
     if start == 0:
         return FIRST
-    wanted = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
-    return 64 * max(1, round(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0))
+    wanted: float = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
+    return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
 
 def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
