@@ -293,3 +293,16 @@ def test_a_full_disk_ends_a_run_with_its_exit_code(
     assert captured.out == ""
     assert "no space left" in captured.err
     assert "Traceback" not in captured.err
+
+
+def test_evaluations_of_another_version_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = opened(tmp_path / "run")
+    first.save("a.0", VALUES)
+    first.close()
+    again = opened(tmp_path / "run")
+    assert again.load("a.0") is not None
+    again.close()
+    monkeypatch.setattr(uqsphere, "__version__", "999")
+    later = opened(tmp_path / "run")
+    assert later.load("a.0") is None
+    later.close()

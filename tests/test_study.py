@@ -176,7 +176,7 @@ def test_defaults_are_explicit(load: Load) -> None:
     assert study.analysis.methods == ("auto",)
     assert study.limits == ()
     assert study.margins is None
-    assert study.resolved()["analysis"]["budget"] == {"evaluations": 2_000_000, "time": 600.0}
+    assert study.resolved()["analysis"]["budget"] == {"evaluations": 2_000_000, "time": 600.0, "exhaust": False}
     assert load(text.replace('title = "granite"\n', "")).title == "study"
 
 

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+import uqsphere
 from uqsphere.errors import AccessError, FolderError
 
 __all__ = ["Store", "open_store", "read_json", "write_atomically", "write_json"]
@@ -151,6 +152,13 @@ def _check_owner(folder: Path, study_hash: str, model: str | None, fresh: bool) 
         )
 
 
+def _written_by(folder: Path) -> str | None:
+    """The version that began the run of a marked folder."""
+    if not (folder / _MARK).is_file():
+        return None
+    return str(read_json(folder / _MARK).get("written_by", ""))
+
+
 def open_store(
     folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False, model: str | None = None
 ) -> Store:
@@ -188,9 +196,10 @@ def open_store(
     try:
         # once more, now that nobody else can change it
         _check_owner(folder, study_hash, model, fresh)
-        if fresh:
+        if fresh or _written_by(folder) not in (None, uqsphere.__version__):
+            # what another version computed is not mixed with what this one will
             store.forget()
-        mark = {"hash": study_hash, **resolved}
+        mark = {"hash": study_hash, "written_by": uqsphere.__version__, **resolved}
         write_json(folder / _MARK, mark if model is None else {**mark, "model_digest": model})
         write_atomically(folder / "study.toml", text)
     except BaseException:
