@@ -316,11 +316,12 @@ def _order_legend(axes: Axes) -> None:
 
 
 def ranked(entry: Mapping[str, Any] | None) -> list[str]:
-    """Inputs with an index, the largest total first."""
+    """Inputs with an index, the most important first: by the total index where interactions are seen."""
     if not entry:
         return []
-    totals = {name: e["value"] for name, e in entry["total"].items() if e["value"] is not None}
-    return sorted(totals, key=lambda name: -totals[name])
+    known = [n for n, e in entry["total"].items() if e["value"] is not None and entry["first"][n]["value"] is not None]
+    order = "total" if any(_interacts(entry, name) for name in known) else "first"
+    return sorted(known, key=lambda name: -float(entry[order][name]["value"]))
 
 
 def sensitivity_finding(contents: Contents, quantity: str) -> str:
