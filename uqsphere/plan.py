@@ -6,8 +6,7 @@ import math
 import os
 from typing import Any
 
-import numpy as np
-
+from uqsphere.model import scene_of
 from uqsphere.study import Study
 
 __all__ = ["plan_run"]
@@ -20,17 +19,7 @@ _ROUGH = ("contact_time", "pulse_width", "rise_time", "loading_rate")
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
     """mu, theta and the steps an evaluation takes, at the means."""
-    from uqsphere.mechanics.scene import Scene
-
-    columns = {name: np.array([value]) for name, value in study.at_means().items()}
-    scene = Scene(
-        columns=columns,
-        shape=str(study.options["pulse.shape"]),
-        infinite=bool(study.options["bars.infinite"]),
-        rigid_contact=bool(study.options["bars.rigid_contact"]),
-        horizon=study.model.horizon,
-        first_loading_only=study.model.first_loading_only,
-    )
+    scene = scene_of(study, {}, 1)
     mu = float(scene.scales.mass_number[0])
     theta = float(scene.scales.pulse_number[0])
     time = float(scene.scales.time[0])

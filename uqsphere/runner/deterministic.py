@@ -1,9 +1,8 @@
-"""One scene over time: what `uqsphere history` prints and writes."""
+"""One scene over time: what `uqsphere history` prints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,30 +10,12 @@ import numpy as np
 from uqsphere.errors import UsageError
 from uqsphere.model import scene_of
 from uqsphere.quantities import format_value
-from uqsphere.runner.results import csv_text
-from uqsphere.store import write_atomically
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
 
-__all__ = ["history_of", "history_summary", "write_history"]
-
-#: columns of history.csv and the fields of History they come from
-_COLUMNS = {
-    "time [s]": "time",
-    "force_a [N]": "force_a",
-    "force_b [N]": "force_b",
-    "pressure_a [Pa]": "pressure_a",
-    "pressure_b [Pa]": "pressure_b",
-    "approach_a [m]": "approach_a",
-    "approach_b [m]": "approach_b",
-    "sphere_velocity [m/s]": "velocity",
-    "incident_wave [m/s]": "incident",
-    "returning_wave [m/s]": "returning",
-    "wave_leaving_a [m/s]": "leaving_a",
-    "wave_leaving_b [m/s]": "leaving_b",
-}
+__all__ = ["history_of", "history_summary"]
 
 
 def history_of(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
@@ -87,19 +68,3 @@ def history_summary(found: History) -> dict[str, Any]:
         "later_peak_is_larger": found.later_peak_is_larger,
         "lines": [list(line) for line in lines],
     }
-
-
-def write_history(found: History, study: Study, folder: Path) -> list[Path]:
-    """history.csv, history.svg and xt.svg in `folder`; the paths written."""
-    from uqsphere.report import history_figure, xt_figure
-
-    columns = [getattr(found, field) for field in _COLUMNS.values()]
-    rows = np.stack(columns, axis=1).tolist()
-    contents = {
-        "history.csv": csv_text(list(_COLUMNS), rows),
-        "history.svg": history_figure(found),
-        "xt.svg": xt_figure(scene_of(study, {}, 1), found),
-    }
-    for name, text in contents.items():
-        write_atomically(folder / name, text)
-    return [folder / name for name in contents]

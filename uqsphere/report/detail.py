@@ -1,0 +1,49 @@
+"""The files of one scene over time: its course as a table and as pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.model import scene_of
+from uqsphere.report.timelines import history_figure, xt_figure
+from uqsphere.runner.results import csv_text
+from uqsphere.store import write_atomically
+from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.history import History
+
+__all__ = ["write_history"]
+
+#: columns of history.csv and the fields of History they come from
+_COLUMNS = {
+    "time [s]": "time",
+    "force_a [N]": "force_a",
+    "force_b [N]": "force_b",
+    "pressure_a [Pa]": "pressure_a",
+    "pressure_b [Pa]": "pressure_b",
+    "approach_a [m]": "approach_a",
+    "approach_b [m]": "approach_b",
+    "sphere_velocity [m/s]": "velocity",
+    "incident_wave [m/s]": "incident",
+    "returning_wave [m/s]": "returning",
+    "wave_leaving_a [m/s]": "leaving_a",
+    "wave_leaving_b [m/s]": "leaving_b",
+}
+
+
+def write_history(found: History, study: Study, folder: Path) -> list[Path]:
+    """history.csv, history.svg and xt.svg in `folder`; the paths written."""
+    columns = [getattr(found, field) for field in _COLUMNS.values()]
+    rows = np.stack(columns, axis=1).tolist()
+    contents = {
+        "history.csv": csv_text(list(_COLUMNS), rows),
+        "history.svg": history_figure(found),
+        "xt.svg": xt_figure(scene_of(study, {}, 1), found),
+    }
+    for name, text in contents.items():
+        write_atomically(folder / name, text)
+    return [folder / name for name in contents]
