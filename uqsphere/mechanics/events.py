@@ -208,7 +208,8 @@ def passage(piece, face, level, sign, begin, end):
         if at_b >= 0.0:
             return _root(piece, face, level, a, b)
         if slope_a * width > 0.0 > slope_b * width and reach(at_a, slope_a * width, at_b, slope_b * width) >= 0.0:
-            peak = _extremum(face, face, piece, a, b, slope_a, slope_b)  # at a face no mode matters
+            # the search measures the slopes themselves, without the sign; at a face no mode matters
+            peak = _extremum(face, face, piece, a, b, sign * slope_a, sign * slope_b)
             if sign * (value(piece, face, peak) - level) >= 0.0:
                 return _root(piece, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
