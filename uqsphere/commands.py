@@ -190,6 +190,25 @@ def _estimate(entry: dict[str, Any], name: str = "") -> str:
     return format_estimate(entry["value"], low, high, name)
 
 
+def _cautions(results: dict[str, Any]) -> list[str]:
+    """What weakens the answers, as the report says it at length."""
+    found = []
+    if results["model"]["failures"]:
+        found.append(f"{results['model']['failures']:,} evaluations failed")
+    for check in results["validity"]:
+        for grade, share in (
+            ("failure", check.get("share_failure", 0.0)),
+            ("warning", check.get("share_warning", 0.0)),
+        ):
+            if share:
+                found.append(f"{grade}: {plain(check['text'])}")
+                break
+    missed = results["accuracy"]["missed"]
+    if missed:
+        found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")
+    return found
+
+
 def _summary(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal."""
     parts = [plain(results["study"]["title"]), ""]
@@ -232,6 +251,9 @@ def _summary(results: dict[str, Any]) -> str:
     if rows:
         solve = next(iter(results["margins"].values()))["solve"]
         parts += [table(("limit", "probability of exceedance", f"at {solve}"), rows), ""]
+    cautions = _cautions(results)
+    if cautions:
+        parts += ["before you rely on it:", *(f"- {text}" for text in cautions), ""]
     model = results["model"]
     parts.append(f"model: {model['chosen']} ({plain(model['why'])})")
     counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
@@ -329,7 +351,9 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
                     }
                 )
                 path = f"{kind}.{key}"
-                shown = format_value(entry.value, path) if path in INPUTS else f"{entry.value:.4g}"
+                stress = "p_max" if key.endswith("strength") else ""
+                known = path if path in INPUTS else stress
+                shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
                 scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
                 rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
     return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows)

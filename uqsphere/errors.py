@@ -7,6 +7,7 @@ from dataclasses import dataclass
 __all__ = [
     "AccessError",
     "FolderError",
+    "ModelError",
     "Problem",
     "StudyError",
     "TooManyFailures",
@@ -55,6 +56,12 @@ class StudyError(UqsphereError):
 
 class TooManyFailures(UqsphereError):
     """More evaluations failed than the study's policy lets pass."""
+
+    exit_code = 4
+
+
+class ModelError(UqsphereError):
+    """A user's own model failed, or returned what is no answer."""
 
     exit_code = 4
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, UqsphereError, UsageError
+from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 
@@ -131,23 +131,21 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
         with _prints_to_stderr():
             found = box(given)
     except (Exception, SystemExit) as error:
-        raise UqsphereError(f"the model raised {type(error).__name__}: {error}") from error
+        raise ModelError(f"the model raised {type(error).__name__}: {error}") from error
     if not isinstance(found, Mapping):
-        raise UqsphereError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
+        raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
     columns = []
     for name in outputs:
         if name not in found:
-            raise UqsphereError(
-                f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})"
-            )
+            raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
         try:
             if np.iscomplexobj(found[name]):
                 raise TypeError("found complex numbers")
             column = np.asarray(found[name], dtype=float)
         except (TypeError, ValueError) as error:
-            raise UqsphereError(f"the model's {name!r} is not an array of numbers: {error}") from error
+            raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
         if column.shape != (len(rows),):
-            raise UqsphereError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
+            raise ModelError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
         columns.append(column)
     values = np.stack(columns, axis=1)
     finite = np.isfinite(values).all(axis=1)
@@ -181,7 +179,7 @@ def answer(
 
     Raises
     ------
-    UqsphereError
+    ModelError
         When a black box raises or returns something of the wrong form.
     """
     if len(rows) == 0:
@@ -231,6 +229,10 @@ def evaluate(
     """
     import pandas as pd
 
+    if isinstance(quantities, str):
+        quantities = (quantities,)
+    if not quantities:
+        raise UsageError(f"no quantity is asked for (allowed: {', '.join(OUTPUTS)})")
     if study.black_box:
         raise UsageError("evaluate() serves the impact model; a black box is called directly")
     unknown = [name for name in quantities if name not in OUTPUTS]
@@ -284,7 +286,7 @@ def load_black_box(reference: str) -> BlackBox:
         with _prints_to_stderr():
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise UqsphereError(f"{file} raised {type(error).__name__} on loading: {error}") from error
+        raise ModelError(f"{file} raised {type(error).__name__} on loading: {error}") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise UsageError(f"{file} has no function {name!r}")

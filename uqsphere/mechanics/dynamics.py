@@ -174,6 +174,28 @@ def _march(
     return motion
 
 
+def _grazing(
+    answers: Array, status: npt.NDArray[np.int64], block: npt.NDArray[np.int64], tolerance: float
+) -> list[tuple[float, npt.NDArray[np.int64]]]:
+    """Rows of a block whose contact ends so gently that its time is less certain than the approach: (tolerance, rows).
+
+    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
+    face leaves; where this is more than the tolerance of the time itself, the row is integrated again.
+    """
+    from uqsphere.mechanics.events import ANSWER_CONTACT, ANSWER_LOSS_RATE, ANSWER_X_MAX
+
+    found = answers[block]
+    with np.errstate(all="ignore"):
+        sharpness = found[:, ANSWER_LOSS_RATE] * found[:, ANSWER_CONTACT] / found[:, ANSWER_X_MAX]
+    done = status[block] == 0
+    groups = []
+    for low, high, factor in ((1e-2, 1.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
+        rows = block[done & (sharpness >= low) & (sharpness < high)]
+        if len(rows):
+            groups.append((max(1e-13, factor * tolerance), rows))
+    return groups
+
+
 def integrate(
     scene: Scene,
     *,
@@ -203,10 +225,17 @@ def integrate(
     inner_steps = np.zeros(len(rows), dtype=np.int64)
     blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
 
-    def run(block: npt.NDArray[np.int64]) -> None:
+    def run(block: npt.NDArray[np.int64], tolerance: float = tolerance) -> None:
         _march(
             arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps, wanted=wanted
         )
+        if quantities is None or "contact_time" in quantities:
+            for closer, grazing in _grazing(inner_answers, inner_status, block, tolerance):
+                inner_answers[grazing] = np.nan
+                _march(
+                    arguments, grazing, MODES[fidelity], closer, True, inner_answers, inner_status, inner_steps,
+                    wanted=wanted,
+                )  # fmt: skip
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:
@@ -301,7 +330,9 @@ def to_si(
     Only the named `quantities`, or all, are answered; a row one of them is not finite in has failed.
     """
     scales = scene.scales
-    (x_max, x_first, difference, energy, contact_time, contact_censored, width, width_censored, rise, ended) = scaled.T
+    (x_max, x_first, difference, energy, contact_time, contact_censored, width, width_censored, rise, ended) = scaled.T[
+        :10
+    ]
     power = 1.0 if linear else 1.5
     with np.errstate(all="ignore"):
         force = scales.force * x_max**power

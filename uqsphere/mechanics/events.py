@@ -25,16 +25,16 @@ WANT_THRESHOLDS, WANT_DIFFERENCE, WANT_ENERGY = 1, 2, 4
 WANT_ALL = 7
 
 # trackers of a lane while its row runs: the first KINDS are the largest values found so far
-FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED = range(9)
+FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE = range(10)
 KINDS = 4
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
-TRACKS = 9
+TRACKS = 10
 
 # answers of a row, scaled: approach, force difference, energy, times
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
- ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END) = range(10)  # fmt: skip
-ANSWERS = 10
+ ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE) = range(11)  # fmt: skip
+ANSWERS = 11
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
@@ -318,6 +318,8 @@ def after_step(
     if why > 1 and piece[why - 2, 0] > 0.0:
         if math.isnan(track[LOST, lane]):
             track[LOST, lane] = before + ends * h
+            _, rate = both(piece, why - 2, ends)
+            track[LOSS_RATE, lane] = abs(rate) / h
         if stop_at_loss:
             why = 1
     known = track[FACE_A, lane]
@@ -376,6 +378,7 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     lost = not math.isnan(track[LOST, lane])
     out[ANSWER_CONTACT] = track[LOST, lane] if lost else ended
     out[ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
+    out[ANSWER_LOSS_RATE] = track[LOSS_RATE, lane] if lost else math.nan
     if wanted & WANT_DIFFERENCE:
         out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
     if wanted & WANT_ENERGY:

@@ -194,7 +194,7 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
          fine="bars elastic under the pulse: its stress is at most {worst} times their yield strength"),
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
-         measure=_imbalance, warning=0.05, failure=0.1,
+         measure=_imbalance, information=0.05, warning=0.1,
          words="the two forces differ by up to {worst} of the largest at some instant (limit "
                "{limit}; at the peak itself it may be less): one gauge does not stand for both faces",
          fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),

@@ -332,11 +332,11 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     if not rows or entry is None:
         reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
         return f"What drives {name} is not known: {reason}."
-    parts = [_driver(entry, n) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
+    acting = any(_interacts(entry, n) for n in rows)
+    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
     text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
     if len(parts) > 1:
         text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
-    acting = any(_interacts(entry, n) for n in rows)
     return text + ("." if acting else ". Interactions are not seen above the intervals.")
 
 
@@ -352,10 +352,10 @@ def _interacts(entry: Mapping[str, Any], name: str) -> bool:
     return bool(total["low"] > first["high"] and total["value"] - first["value"] > 0.01)
 
 
-def _driver(entry: Mapping[str, Any], name: str) -> tuple[str, str]:
-    """An input in words, and its share of the variance."""
+def _driver(entry: Mapping[str, Any], name: str, acting: bool) -> tuple[str, str]:
+    """An input in words, and its share of the variance; with its interactions where any input has them."""
     first, total = share_text(entry["first"][name]), share_text(entry["total"][name])
-    if _interacts(entry, name):
+    if acting:
         return short_input(name), f"{total} with its interactions ({first} alone)"
     return short_input(name), first
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -374,5 +375,7 @@ def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
 
 def commands(contents: Contents) -> Sequence[str]:
     """The commands that repeat the run from its own folder, and build this page again."""
-    model = " --model FILE.py:FUNCTION" if contents.black_box else ""
-    return (f"uqsphere run study.toml --out again{model}", "uqsphere report .")
+    reference = contents.resolved.get("model_reference") or "FILE.py:FUNCTION"
+    model = f" --model {shlex.quote(str(reference))}" if contents.black_box else ""
+    changed = "".join(f" --set {shlex.quote(str(text))}" for text in contents.resolved.get("overrides", ()))
+    return (f"uqsphere run study.toml --out again{changed}{model}", "uqsphere report .")

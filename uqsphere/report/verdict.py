@@ -78,6 +78,7 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     factor = contents.resolved["limits"][name]["model_factor"]
     demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
     note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
+    note += " Its interval covers the computation; the laws of the inputs and the strength are taken as given."
     if word == "undecided":
         note += " The interval reaches across the target: more evaluations would decide it."
     return Verdict(

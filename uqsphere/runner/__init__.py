@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.model import BlackBox, load_black_box, model_digest
+from uqsphere.quantities import format_value
 from uqsphere.store import Store, open_store, read_json
 from uqsphere.study import Study
 
@@ -133,9 +136,17 @@ def run(
         raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
     reference = model if isinstance(model, str) else None
     box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
+    check_range(study)
     folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
     digest = None if model is None else model_digest(model)
-    store = open_store(folder, study.resolved(), study.text, study.hash, fresh=fresh, model=digest)
+    store = open_store(
+        folder,
+        {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference},
+        study.text,
+        study.hash,
+        fresh=fresh,
+        model=digest,
+    )
     try:
         work = Work(
             study=study,
@@ -196,6 +207,20 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     manifest = build_manifest(work, ledger, found.seconds)
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def check_range(study: Study) -> None:
+    """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
+    if study.margins is None or study.black_box:
+        return
+    from uqsphere.mechanics.scene import STATUS
+    from uqsphere.model import scene_of
+
+    name = study.margins.solve
+    for value in study.margins.between:
+        code = int(scene_of(study, {name: np.array([value])}).status[0])
+        if code:
+            raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
 
 
 def compare_with_paper(study: Study) -> list[dict[str, Any]]:

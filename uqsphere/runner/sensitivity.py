@@ -355,7 +355,7 @@ def _conclude(
     if sampled and expanded:
         agree, text = cross_check(list(names), sampled, expanded)
     elif about.get("kind"):
-        text = f"The polynomial chaos is not used: {about['reason']}. Indices are sampled."
+        text = f"The polynomial chaos is not used: {about['reason'].removeprefix('refused: ')}. Indices are sampled."
     else:
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)

@@ -130,6 +130,8 @@ class Study:
         reads it.  The keys are those of `random` and ``limits.NAME.strength``, ``limits.NAME.model_factor``.
     warnings : tuple of str
         What a user should know and what does not stop the study.
+    overrides : tuple of str
+        What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
     """
 
     title: str
@@ -150,6 +152,7 @@ class Study:
     margins: Margins | None
     outputs: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
 
     @property
     def hash(self) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,7 +59,7 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
     study = _resolve(data, findings, path, text)
     if study is None:
         raise StudyError(str(path), findings.problems(locate(text), overridden))
-    return study
+    return replace(study, overrides=tuple(overrides))
 
 
 def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) -> Study | None:

@@ -138,6 +138,8 @@ def _plain(law: Law, centre: float) -> bool:
         scatter = scale * centre
     else:
         return False
+    if not scale > 1e-12 * abs(location):
+        return False
     mass = 0.5 * (
         math.erfc((low - location) / (scale * math.sqrt(2.0))) - math.erfc((high - location) / (scale * math.sqrt(2.0)))
     )
