@@ -1,7 +1,8 @@
 """What happens inside the steps of a row: peaks, loss of contact, threshold crossings, the end of the record.
 
-A vector loop over all lanes (`look`) says in which steps anything can happen; only those are searched, on the
-series of the step, so that an event is located far better than the steps are long.  A piece is the part of a
+Vector arithmetic over all lanes (`look`) finds the largest approach and says in which steps anything else can
+happen; only those are searched, on the series of the step, so that an event is located far better than the steps
+are long.  A piece is the part of a
 step's series that belongs to one lane, (2, TERMS), powers of theta; all quantities are the scaled ones.
 """
 
@@ -13,28 +14,29 @@ import numpy as np
 
 from uqsphere.mechanics.compiled import compiled
 from uqsphere.mechanics.series import INNER, LANES, ORDER, PAIR
-from uqsphere.mechanics.vectors import apart
+from uqsphere.mechanics.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
-__all__ = ["ANSWERS", "after_step", "begin", "empty_answers", "finish", "look", "passage"]
+__all__ = ["ANSWERS", "after_step", "begin", "empty_answers", "finish", "look", "passage", "settled"]
 
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 
 # what the caller wants beside the largest approaches and the contact time
-WANT_THRESHOLDS, WANT_DIFFERENCE, WANT_ENERGY = 1, 2, 4
-WANT_ALL = 7
+WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = 1, 2, 4, 8, 16
+WANT_ALL = 31
 
 # trackers of a lane while its row runs: the first KINDS are the largest values found so far
-FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE = range(10)
+(FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE, DEPTH,
+ NEAREST) = range(12)  # fmt: skip
 KINDS = 4
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
-TRACKS = 10
+TRACKS = 12
 
 # answers of a row, scaled: approach, force difference, energy, times
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
- ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE) = range(11)  # fmt: skip
-ANSWERS = 11
+ ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH, ANSWER_NEAREST) = range(13)  # fmt: skip
+ANSWERS = 13
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
@@ -101,39 +103,109 @@ def reach(left, left_slope, right, right_slope):
     return top
 
 
+def _bounds(left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor):
+    """One part of a step: what the approach can reach above and below, where, and by a bend or at an end."""
+    left_slope, right_slope = width * left_slope, width * right_slope
+    # where the slope, taken as a straight line, passes zero
+    share = left_slope / (left_slope - right_slope)
+    rises = (left_slope > 0.0) & (right_slope < 0.0)
+    falls = (left_slope < 0.0) & (right_slope > 0.0)
+    edge, below = larger(left, right), smaller(left, right)
+    bound = where(rises, edge - 1.2 * share * right_slope, edge)
+    better = bound > top
+    return (
+        larger(best, edge),
+        where(better, bound, top),
+        larger(second, where(better, top, bound)),
+        where(better, (begin + where(rises, share, 0.0)) * width, place),
+        where(better, where(rises, 1.0 + begin, 0.0), bent),
+        smaller(floor, where(falls, below - 1.2 * share * right_slope, below)),
+    )
+
+
+def _closer(place, slope, bend, bent, width):
+    """Newton's step towards the top of a bend, within the part of the step in which it lies."""
+    low = (bent - 1.0) * width
+    kept = larger(smaller(place - 0.5 * slope / bend, low + width), low)
+    return where((bent > 0.0) & (bend < 0.0), kept, place)
+
+
+def _crowned(known, best, bound, second, at, slope, bend, bent):
+    """Largest approach so far, with the top of a face's bend; 1 if the search has to settle it."""
+    sharp = (bend < 0.0) & (size_of(0.5 * slope / bend) <= 1e-4)
+    top = where((bent > 0.0) & sharp, at - 0.25 * slope * slope / bend, best)
+    found = larger(larger(known, best), top)
+    blunt = where(bent > 0.0, where(sharp, 0.0 * best, 1.0), 0.0)
+    return found, where(bound > found, where(second > found, 1.0, blunt), 0.0)
+
+
+def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b):
+    """What the larger approach can reach; 1 where contact may be lost or found, or the record may end."""
+    something = (
+        ((a > 0.0) & (floor_a <= near))
+        | ((b > 0.0) & (floor_b <= near))
+        | ((a <= 0.0) & (top_a > 0.0))
+        | ((b <= 0.0) & (top_b > 0.0))
+        | (larger(floor_a, floor_b) < low)
+        | (touched_a + touched_b < 2.0)
+    )
+    return larger(top_a, top_b), where(something, 1.0, 0.0 * a)
+
+
+_begin = elementwise(PAIR, 6, lambda at: (at, at - math.inf, at - math.inf, 0.0 * at, 0.0 * at, at))
+_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
+_bound = elementwise(PAIR, 6, _bounds)
+_refine = elementwise(PAIR, 1, _closer)
+_crown = elementwise(LANES, 2, _crowned)
+_sign = elementwise(LANES, 2, _signs)
+
+
 @compiled(**INNER)
-def look(mode, wanted, at, rate, track, theta, low, flags, top, least, crest):
-    """What may have happened in each lane's step, as flags, and a bound of the larger approach in it.
+def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room):
+    """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
     at, rate (POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
-    low (LANES,): the record may end below this approach.
+    low, near (LANES,): the record may end below the first; a contact may be lost below the second.  live
+    (LANES,): rows in the lanes, -1 where there is none.  known, crest (LANES,): largest approach so far, and what
+    it may have been in this step.  room (11, PAIR): working space.
     """
     apart()
-    for m in range(PAIR):
-        top[m] = at[0, m]
-        least[m] = -at[0, m]
+    best, top, second, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 3, 0)
+    bent, floor, width, value = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0), row(room, 7, 0)
+    slope, bend, alarm, doubt = row(room, 8, 0), row(room, 9, 0), row(room, 10, 0), row(room, 10, LANES)
+    _begin(best, top, second, place, bent, floor, row(at, 0, 0))
+    for c in range(0, PAIR, LANES):
+        _part(row(room, 6, c), theta)
     for i in range(POINTS):
-        for c in range(0, PAIR, LANES):
-            for j in range(LANES):
-                m = c + j
-                width = theta[j] / POINTS
-                left, right = at[i, m], at[i + 1, m]
-                left_slope, right_slope = width * rate[i, m], width * rate[i + 1, m]
-                top[m] = max(top[m], reach(left, left_slope, right, right_slope))
-                least[m] = max(least[m], reach(-left, -left_slope, -right, -right_slope))
+        _bound(best, top, second, place, bent, floor, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
+               row(rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
+    _sign(crest, alarm, top, row(room, 1, LANES), floor, row(room, 5, LANES), row(at, 0, 0), row(at, 0, LANES), low,
+          near, row(track, TOUCHED_A, 0), row(track, TOUCHED_B, 0))  # fmt: skip
+    higher = False
     for j in range(LANES):
-        k = LANES + j
-        crest[j] = max(top[j], top[k])
-        flag = 1 << FACE_A if crest[j] > track[FACE_A, j] else 0
-        # `least` is the negative of what the approach can fall to
-        for m in (j, k):
-            if (at[0, m] > 0.0 and least[m] >= 0.0) or (at[0, m] <= 0.0 and top[m] > 0.0):
-                flag |= SOMETHING
-        if min(least[j], least[k]) > -low[j]:
-            flag |= SOMETHING
-        if track[TOUCHED_A, j] + track[TOUCHED_B, j] < 2.0:
-            flag |= SOMETHING
-        flags[j] = flag
+        flags[j] = SOMETHING | 1 << FACE_A if room[10, j] > 0.0 else 0
+        known[j] = track[FACE_A, j]
+        higher |= live[j] >= 0 and crest[j] > known[j]
+    if higher:
+        for k in range(3):
+            for c in range(0, PAIR, LANES):
+                curves_at(x, ORDER, PAIR, c, place, value, slope, bend)
+            if k < 2:
+                _refine(place, place, slope, bend, bent, width)
+        for c in range(0, PAIR, LANES):
+            _crown(known, doubt, known, row(room, 0, c), row(room, 1, c), row(room, 2, c), row(room, 7, c),
+                   row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
+            for j in range(LANES):
+                if room[10, LANES + j] > 0.0:
+                    flags[j] |= 1 << FACE_A
+    if wanted & (WANT_DIFFERENCE | WANT_ENERGY):
+        _look_further(mode, wanted, at, rate, track, theta, flags)
+
+
+@compiled(**INNER)
+def _look_further(mode, wanted, at, rate, track, theta, flags):
+    """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
+    apart()
     for kind in range(DIFFERENCE, KINDS):
         if (kind == DIFFERENCE and wanted & WANT_DIFFERENCE) or (kind == ENERGY and wanted & WANT_ENERGY):
             for i in range(POINTS):
@@ -246,13 +318,13 @@ def _largest(kind, mode, piece, end, grid, known):
 
 
 @compiled(**INNER)
-def _may_pass(grid, face, sign, width):
-    """Whether sign·approach can become positive at all, from its values and slopes at the points of a grid."""
+def _may_pass(grid, face, sign, width, level):
+    """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
     apart()
     for i in range(POINTS):
         left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
         right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
-        if reach(left, left_slope, right, right_slope) >= 0.0:
+        if reach(left, left_slope, right, right_slope) >= -level:
             return True
     return False
 
@@ -265,6 +337,8 @@ def begin(track, lane):
         track[k, lane] = 0.0
     track[LOST, lane] = math.nan
     track[ENDED, lane] = math.nan
+    track[DEPTH, lane] = math.inf
+    track[NEAREST, lane] = math.inf
 
 
 @compiled(**INNER)
@@ -285,43 +359,91 @@ def _both_below(piece, level, theta):
 
 
 @compiled(**INNER)
-def after_step(
-    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, stop_at_loss,
-):  # fmt: skip
-    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+def _lowest(piece, face, end, grid):
+    """Smallest local minimum of a pressed face's approach in [0, end] and its theta, or infinity."""
+    apart()
+    width = end / POINTS
+    least, place = math.inf, 0.0
+    for i in range(POINTS):
+        left, right = grid[face, 1, i], grid[face, 1, i + 1]
+        if left < 0.0 < right:
+            found = _extremum(face, face, piece, i * width, (i + 1) * width, left, right)
+            at = value(piece, face, found)
+            if 0.0 < at < least:
+                least, place = at, found
+    return least, place
 
-    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
-    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
-    `low` > 0 the share of the largest approach below which the record ends.  grid (face, 2, POINTS + 1): values
-    and slopes over [0, theta].
+
+@compiled(**INNER)
+def _faces(track, lane, piece, grid, theta, before, h, near, graze):
+    """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
+
+    graze > 0: an approach that falls below it counts as a loss; graze < 0: an excursion that stays shallower than
+    -graze does not.  The third result says whether a loss was counted, -1 no, else the face.
     """
     apart()
-    ends, why = theta, 0
+    ends, why, lost = theta, 0, -1
     for face in range(2):
-        if flags & SOMETHING == 0:
-            break
         pressed = piece[face, 0] > 0.0
         if pressed and track[TOUCHED_A + face, lane] == 0.0:
             continue
         if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
             continue
-        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS):
+        level = near if pressed else 0.0
+        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS, level):
             continue
         # a face that left at the start of this step is clear of zero a little later
         clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
         found = passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
-        if math.isnan(found):
+        if not math.isnan(found):
+            ends, why = found, 2 + face
             continue
-        ends, why = found, 2 + face
+        if pressed and near > 0.0:
+            least, place = _lowest(piece, face, theta, grid)
+            if least < near and place < ends:
+                track[NEAREST, lane] = min(track[NEAREST, lane], least)
+                if least < graze:
+                    ends, why, lost = place, 1, face
+    if why > 1 and piece[why - 2, 0] > 0.0:
+        face = why - 2
+        _, rate = both(piece, face, ends)
+        # the face now moves freely: it turns after a depth of rate²/(2 acceleration)
+        bend = 0.0
+        for k in range(ORDER, 1, -1):
+            bend = bend * ends + k * (k - 1.0) * piece[face, k]
+        depth = 0.5 * rate * rate / bend if bend > 0.0 else math.inf
+        if depth >= -graze:
+            lost = face
+            if math.isnan(track[LOST, lane]):
+                track[DEPTH, lane] = depth
+    if lost >= 0 and math.isnan(track[LOST, lane]):
+        track[LOST, lane] = before + ends * h
+        _, rate = both(piece, lost, ends)
+        track[LOSS_RATE, lane] = abs(rate) / h
+    return ends, why, lost
+
+
+@compiled(**INNER)
+def after_step(
+    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, graze, stop_at_loss,
+):  # fmt: skip
+    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
+    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
+    `low` > 0 the share of the largest approach below which the record ends; for `near` and `graze` see `_faces`.
+    grid (face, 2, POINTS + 1): values and slopes over [0, theta].
+    """
+    apart()
+    ends, why = theta, 0
+    if flags & SOMETHING:
+        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, graze)
+        if lost >= 0 and stop_at_loss:
+            why = 1
+        elif why == 1:
+            ends, why = theta, 0
     if ends < theta:
         _survey(piece, ends, grid)
-    if why > 1 and piece[why - 2, 0] > 0.0:
-        if math.isnan(track[LOST, lane]):
-            track[LOST, lane] = before + ends * h
-            _, rate = both(piece, why - 2, ends)
-            track[LOSS_RATE, lane] = abs(rate) / h
-        if stop_at_loss:
-            why = 1
     known = track[FACE_A, lane]
     if flags & (1 << FACE_A):
         for face in range(2):
@@ -342,6 +464,43 @@ def after_step(
     if why == 1:
         track[ENDED, lane] = before + ends * h
     return ends, why
+
+
+@compiled(**INNER)
+def settled(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
+    """Whether nothing that is wanted can change any more while the incoming wave stays at `level`.
+
+    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall, where
+    phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) - level)².  No approach
+    above the one at rest can be exceeded whose phi is not below V.
+    """
+    apart()
+    if wanted & WANT_CONTACT or (level > 0.0 and wanted & (WANT_DIFFERENCE | WANT_ENERGY | WANT_WIDTH)):
+        return False
+    a, b = max(a, 0.0), max(b, 0.0)
+    known = track[FACE_A, lane]
+    if mode == 1:
+        rest = level
+        stored = 0.5 * ((a - rest) ** 2 + (b - rest) ** 2) + 0.5 * mu * (w - level) ** 2
+        reach = rest + math.sqrt(2.0 * stored)
+        force, width = reach - rest, 0.5 * known
+        energy = 0.5 * (a * a + b * b) + 0.5 * mu * w * w
+    else:
+        energy = 0.4 * (a * a * math.sqrt(a) + b * b * math.sqrt(b)) + 0.5 * mu * w * w
+        if level > 0.0:
+            rest = level ** (2.0 / 3.0)
+            stored = energy - level * (a + b) + 1.2 * level * rest + 0.5 * mu * (level * level - 2.0 * level * w)
+            top = known * (1.0 + 0.1 * tolerance)
+            return known >= rest and 0.4 * top**2.5 - level * top + 0.6 * level * rest >= stored
+        reach = (2.5 * energy) ** 0.4
+        force, width = reach * math.sqrt(reach), 0.5 ** (2.0 / 3.0) * known
+    if reach > known * (1.0 + 0.1 * tolerance):
+        return False
+    if wanted & WANT_DIFFERENCE and force > track[DIFFERENCE, lane] * (1.0 + 0.1 * tolerance):
+        return False
+    if wanted & WANT_ENERGY and energy > track[ENERGY, lane] * (1.0 + 0.1 * tolerance):
+        return False
+    return not (wanted & WANT_WIDTH and reach > width)
 
 
 @compiled(**INNER)
@@ -370,7 +529,8 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     apart()
     ended = track[ENDED, lane]
     if math.isnan(ended):
-        ended = start[count - 1] + length[count - 1]
+        newest = (count - 1) % len(start)
+        ended = start[newest] + length[newest]
     largest = track[FACE_A, lane]
     out[ANSWER_X_MAX] = largest
     out[ANSWER_X_FIRST] = track[X_FIRST, lane]
@@ -383,14 +543,16 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
         out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
     if wanted & WANT_ENERGY:
         out[ANSWER_ENERGY] = track[ENERGY, lane]
-    if wanted & WANT_THRESHOLDS:
-        power = 1.0 if mode == 1 else 2.0 / 3.0
+    out[ANSWER_DEPTH], out[ANSWER_NEAREST] = track[DEPTH, lane], track[NEAREST, lane]
+    power = 1.0 if mode == 1 else 2.0 / 3.0
+    if wanted & WANT_WIDTH:
         half = largest * 0.5**power
         above = _outermost(path, scale, start, length, crest, count, ended, half, False)
         below = _outermost(path, scale, start, length, crest, count, ended, half, True)
         # the last crossing is the record's end itself where the force is still above
         out[ANSWER_WIDTH] = below - above
         out[ANSWER_WIDTH_CENSORED] = 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
+    if wanted & WANT_RISE:
         tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power, False)
         nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power, False)
         out[ANSWER_RISE] = nine - tenth
