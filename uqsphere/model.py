@@ -25,10 +25,12 @@ if TYPE_CHECKING:
 __all__ = [
     "FIDELITIES",
     "STATUS_NOT_FINITE",
+    "STATUS_UNDECIDED",
     "Answered",
     "BlackBox",
     "answer",
     "evaluate",
+    "failed",
     "load_black_box",
     "model_digest",
     "scene_of",
@@ -40,17 +42,26 @@ BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
 
 #: fidelities in the order of their cost
 FIDELITIES = ("massless", "linear", "full")
-#: status of a row whose black box gave a number that is not finite
-STATUS_NOT_FINITE = 6
+#: status of a row whose black box gave a number that is not finite, and of a row with two answers
+STATUS_NOT_FINITE, STATUS_UNDECIDED = 6, 7
+
+
+def failed(status: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Whether rows have no numbers: a row with two answers has the likelier one."""
+    return np.asarray((status != 0) & (status != STATUS_UNDECIDED))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answered:
-    """Answers of n rows: values and censored flags (n, q) in the order of the quantities asked, status (n,)."""
+    """Answers of n rows: values and censored flags (n, q) in the order of the quantities asked, status (n,).
+
+    others (n, q): the other answer of rows whose status is 7, None if there is none.
+    """
 
     values: Array
     censored: npt.NDArray[np.bool_]
     status: npt.NDArray[np.int64]
+    others: Array | None = None
 
 
 def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
@@ -95,6 +106,7 @@ def _answer_scene(
         values=np.stack([answers.values[name] for name in quantities], axis=1),
         censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
         status=answers.status,
+        others=np.stack([answers.others[name] for name in quantities], axis=1) if answers.others else None,
     )
 
 

@@ -25,7 +25,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def _sources() -> str:
     """Fingerprint of every compiled source: numba itself looks at the file of the outermost function alone."""
     digest = hashlib.sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
-    for name in ("compiled", "events", "incoming", "kernel", "series", "vectors"):
+    for name in ("compiled", "events", "glide", "incoming", "kernel", "layout", "lookout", "series", "vectors"):
         digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
     return digest.hexdigest()[:16]
 

@@ -190,7 +190,7 @@ def _doubtful(answers: Array, status: npt.NDArray[np.int64], block: npt.NDArray[
     face leaves; where this is more than the tolerance of the time itself, or where a face nearly left, the row is
     integrated again.
     """
-    from uqsphere.mechanics.events import ANSWER_CONTACT, ANSWER_LOSS_RATE, ANSWER_NEAREST, ANSWER_X_MAX
+    from uqsphere.mechanics.layout import ANSWER_CONTACT, ANSWER_LOSS_RATE, ANSWER_NEAREST, ANSWER_X_MAX
 
     found = answers[block]
     with np.errstate(all="ignore"):
@@ -211,7 +211,7 @@ def _other_ends(answers: Array, tolerance: float) -> Array:
     Undecided is a row in which a face leaves by less than the tolerance of the largest approach, or comes as close
     to leaving: whether contact is lost there cannot be said.
     """
-    from uqsphere.mechanics.events import ANSWER_DEPTH, ANSWER_NEAREST, ANSWER_X_MAX
+    from uqsphere.mechanics.layout import ANSWER_DEPTH, ANSWER_NEAREST, ANSWER_X_MAX
 
     bound = tolerance * answers[:, ANSWER_X_MAX]
     with np.errstate(invalid="ignore"):
@@ -221,7 +221,7 @@ def _other_ends(answers: Array, tolerance: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
-    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of n rows.
+    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.layout`, status (n,) and steps (n,) of n rows.
 
     What was not asked for may be NaN.  `others` (n, ANSWERS): the other answer where the status is 7.
     """
@@ -241,7 +241,7 @@ def integrate(
     quantities: Collection[str] | None = None,
 ) -> Scaled:
     """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
-    from uqsphere.mechanics.events import empty_answers
+    from uqsphere.mechanics.layout import empty_answers
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)
@@ -298,7 +298,7 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     _check_request(fidelity, tolerance)
     status = scene.status[[row]].copy()
     if status[0] == 0:
-        from uqsphere.mechanics.events import ANSWER_END, empty_answers
+        from uqsphere.mechanics.layout import ANSWER_END, empty_answers
 
         answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
         only = np.zeros(1, dtype=np.int64)

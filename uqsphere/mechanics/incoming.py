@@ -41,8 +41,8 @@ _behind = elementwise(WAVE, 1, lambda old, new, thetas, begin: where(thetas >= b
 def add_echo(start, scale, wave, bar, lane, low, high, begin, h, factor, negligible, push, work):
     """Add `factor` times a wave kept on the steps `low` to `high` to a face of `push`; begin is its time.
 
-    start, scale (LANES, room) and wave (2·LANES·room, TERMS) are the rings of all lanes.  Returns the size of the fit's last two terms; terms
-    that together stay below `negligible` are left out.
+    start, scale (LANES, room) and wave (2·LANES·room, TERMS) are the rings of all lanes.  Returns the size of the
+    fit's last two terms; terms that together stay below `negligible` are left out.
     """
     apart()
     values, places, found, fit = row(work, 0, 0), row(work, 1, 0), row(work, 2, 0), row(work, 3, 0)

@@ -14,8 +14,9 @@ import math
 
 import numpy as np
 
-from uqsphere.mechanics import events
+from uqsphere.mechanics import events, layout
 from uqsphere.mechanics.compiled import compiled
+from uqsphere.mechanics.glide import GLIDE_ROOM, SMALL_MU, glide
 from uqsphere.mechanics.incoming import (
     QUEUE,
     WAVE,
@@ -26,6 +27,7 @@ from uqsphere.mechanics.incoming import (
     next_break,
     reflect_break,
 )
+from uqsphere.mechanics.lookout import look, settled
 from uqsphere.mechanics.series import LANES, ORDER, PAIR, TERMS, evaluate, expand, longest, touch_off, unlike_root
 from uqsphere.mechanics.vectors import bare
 from uqsphere.mechanics.vectors import row as row_of
@@ -43,26 +45,26 @@ def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, local,
     stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
-    """Integrate rows `order` of a batch; answers go to `out` (rows, events.ANSWERS) and `status` (rows).
+    """Integrate rows `order` of a batch; answers go to `out` (rows, layout.ANSWERS) and `status` (rows).
 
-    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of events.WANT_*.  mass (n,): mu.  ends,
+    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of layout.WANT_*.  mass (n,): mu.  ends,
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
     the rule itself.  local: error allowed in one step.  capacity: steps that are kept of one row.
     kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
     """
-    lanes, last_point = LANES, events.POINTS
+    lanes, last_point = LANES, layout.POINTS
     keeping = kept_start.shape[0] > 0
     # numba counts the owners of an array at every call it is passed to: here they are held once for all
     owned = (
         np.zeros((TERMS, PAIR)), np.zeros((TERMS, LANES)), np.zeros((TERMS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((TERMS, PAIR)), np.zeros((events.POINTS + 1, PAIR)), np.zeros((events.POINTS + 1, PAIR)),
+        np.zeros((TERMS, PAIR)), np.zeros((layout.POINTS + 1, PAIR)), np.zeros((layout.POINTS + 1, PAIR)),
         np.zeros((11, PAIR)), np.zeros((4, WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
         np.zeros((4, lanes)), np.zeros((2, lanes, QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
-        np.zeros((2, lanes), dtype=np.int64), np.zeros((events.TRACKS, lanes)), np.ones((2, lanes)),
-        np.zeros((2, 2, events.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
+        np.zeros((2, lanes), dtype=np.int64), np.zeros((layout.TRACKS, lanes)), np.ones((2, lanes)),
+        np.zeros((2, 2, layout.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64),
     )  # fmt: skip
     x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
@@ -88,7 +90,9 @@ def march(
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    touching = np.zeros(lanes, dtype=np.int64)
+    touching, gliding = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
+    # time before which the fast oscillation cannot have died out
+    calm, slow_room = np.zeros(lanes), np.zeros((GLIDE_ROOM, TERMS))
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
@@ -99,8 +103,8 @@ def march(
     )  # fmt: skip
     start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
     path, wave = bare(kept_steps[4]), bare(kept_steps[5])
-    store = wanted & (events.WANT_RISE | events.WANT_WIDTH) != 0
-    share = events.TAIL_SHARE if mode == 1 else events.TAIL_SHARE ** (2.0 / 3.0)
+    store = wanted & (layout.WANT_RISE | layout.WANT_WIDTH) != 0
+    share = layout.TAIL_SHARE if mode == 1 else layout.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     while True:
         # ---- fill idle lanes
@@ -125,6 +129,7 @@ def march(
             reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
+            gliding[j], calm[j] = False, 0.0
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
             )
@@ -145,7 +150,7 @@ def march(
             h[j] = trial
             misfit[j] = 0.0
             over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
-            low[j] = share * track[events.FACE_A, j] if over else -math.inf
+            low[j] = share * track[layout.FACE_A, j] if over else -math.inf
             near[j] = max(100.0 * local * size[0, j], graze[row[j]])
         incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
@@ -173,6 +178,19 @@ def march(
             if touching[j] == 1:
                 theta[j] = 1.0
                 touch_off(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
+            elif mode == 0 and inverse_mu[j] * SMALL_MU > 1.0 and time[j] >= calm[j]:
+                slow, swing = glide(
+                    j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, gliding[j], slow_room
+                )
+                gliding[j] = slow > 0.0
+                if gliding[j]:
+                    theta[j] = slow
+                elif swing < math.inf:
+                    # the oscillation needs this long to die out
+                    rate_of_decay = 0.75 * math.sqrt(max(x[0, j], x[0, LANES + j]))
+                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (local * size[0, j])) / rate_of_decay)
+                else:
+                    calm[j] = time[j] + 8.0 * h[j]
             left = stop[j] - time[j]
             if theta[j] * h[j] >= left * (1.0 - 1e-10):
                 theta[j] = 1.0
@@ -181,23 +199,23 @@ def march(
         for m in range(PAIR):
             at[0, m] = x[0, m]
             rate[0, m] = x[1, m]
-        for i in range(1, events.POINTS + 1):
-            evaluate(x, theta, i / events.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
+        for i in range(1, layout.POINTS + 1):
+            evaluate(x, theta, i / layout.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
             unlike_root(root, theta, half, at, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
+        look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
         for j in range(lanes):
             if row[j] < 0:
                 continue
             r = row[j]
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
             allowed = 100.0 * local * min(size[0, j], mass[row[j]] * size[1, j])
-            crossed = touching[j] == 0 and mode == 0 and impulse > allowed
+            crossed = touching[j] == 0 and mode == 0 and not gliding[j] and impulse > allowed
             if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
-                    status[r] = events.STUCK
+                    status[r] = layout.STUCK
                     row[j] = -1
                     live -= 1
                 continue
@@ -209,17 +227,17 @@ def march(
                 for face in range(2):
                     for k in range(TERMS):
                         piece[face, k] = x[k, face * LANES + j]
-                    for i in range(events.POINTS + 1):
+                    for i in range(layout.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, theta[j], before, h[j], min(trips[0, j], trips[1, j]),
                     share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], graze[r], stop_at_loss,
                 )  # fmt: skip
-            if flags[j] & (1 << events.FACE_A) == 0:
-                track[events.FACE_A, j] = known[j]
+            if flags[j] & (1 << layout.FACE_A) == 0:
+                track[layout.FACE_A, j] = known[j]
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                    track[events.X_FIRST, j] = known[j]
+                    track[layout.X_FIRST, j] = known[j]
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
@@ -261,24 +279,25 @@ def march(
                 if time[j] >= end[j]:
                     done = True
                 else:
+                    if gliding[j]:  # what jumps sets off the fast oscillation
+                        proposed[j] = min(proposed[j], math.sqrt(mass[r]))
+                    gliding[j], calm[j] = False, time[j]
                     proposed[j] *= GROWTH
                     enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
                         steady[j] = 0.0
                     if not reflect_break(time[j], trips, queue, head, tail, j, end[j]):
-                        status[r] = events.CROWDED
+                        status[r] = layout.CROWDED
                         row[j] = -1
                         live -= 1
                         continue
                     stop[j] = next_break(breaks, r, time[j], queue, head, tail, j, end[j])
             if not done and steady[j] >= 0.0 and touching[j] == 0:
-                done = events.settled(
-                    mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
-                )
+                done = settled(mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local)
             if done:
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               out[r])  # fmt: skip
-                status[r] = events.OK
+                status[r] = layout.OK
                 steps[r] = count[j]
                 row[j] = -1
                 live -= 1
@@ -289,7 +308,7 @@ def march(
                 if trips[bar, j] < math.inf and time[j] < end[j]:
                     oldest = min(oldest, max(first[bar, j], 0))
             if count[j] - oldest >= capacity or count[j] >= LIMIT:
-                status[r] = events.FULL
+                status[r] = layout.FULL
                 row[j] = -1
                 live -= 1
     return len(owned) + len(kept_steps)

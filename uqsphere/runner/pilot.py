@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.model import scene_of
+from uqsphere.model import failed, scene_of
 from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Study
 
@@ -38,10 +38,10 @@ def _tightest(study: Study) -> float:
 def _errors(other: Any, full: Any, quantities: tuple[str, ...], rows: slice) -> dict[str, float | None]:
     """Root-mean-square difference of two models over the quantity's standard deviation, row by row."""
     errors: dict[str, float | None] = {}
-    good = (full.status[rows] == 0) & (other.status[rows] == 0)
+    good = ~failed(full.status[rows]) & ~failed(other.status[rows])
     for name in quantities:
         exact, approximate = full.values[name][rows][good], other.values[name][rows][good]
-        scatter = float(np.std(full.values[name][full.status == 0])) if (full.status == 0).sum() > 1 else 0.0
+        scatter = float(np.std(full.values[name][~failed(full.status)])) if (~failed(full.status)).sum() > 1 else 0.0
         difference = float(np.sqrt(np.mean((exact - approximate) ** 2))) if len(exact) else np.inf
         ratio = difference / scatter if scatter > 0.0 else (0.0 if difference == 0.0 else np.inf)
         errors[name] = ratio if np.isfinite(ratio) else None

@@ -40,7 +40,7 @@ class Sampled:
 def _describe_one(work: Work, sample: Sample, k: int) -> Description:
     """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
     quantiles = work.study.analysis.quantiles
-    if sample.status[0, 0]:
+    if sample.failed[0, 0]:
         nothing = absent("the scene could not be computed", METHOD, 1)
         return Description(
             mean=nothing,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import TooManyFailures
-from uqsphere.model import Answered, BlackBox, answer, load_black_box, status_text
+from uqsphere.model import STATUS_UNDECIDED, Answered, BlackBox, answer, failed, load_black_box, status_text
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.inputs import Inputs, physical_from_normal
@@ -50,6 +50,7 @@ class Ledger:
     evaluations: dict[str, int] = field(default_factory=dict)
     reused: int = 0
     failures: dict[int, int] = field(default_factory=dict)
+    undecided: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
     stopped_by_time: bool = False
@@ -84,7 +85,7 @@ class Sample:
     @property
     def failed(self) -> Flags:
         """Rows without an answer, (R, n)."""
-        return np.asarray(self.status != 0)
+        return failed(self.status)
 
     def join(self, other: Sample) -> Sample:
         """This sample and the points that continue it."""
@@ -276,11 +277,12 @@ def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64]) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
     ledger = work.ledger
     ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + len(status)
-    codes, counts = np.unique(status[status != 0], return_counts=True)
+    ledger.undecided += int((status == STATUS_UNDECIDED).sum())
+    codes, counts = np.unique(status[failed(status)], return_counts=True)
     for code, number in zip(codes.tolist(), counts.tolist(), strict=True):
         ledger.failures[code] = ledger.failures.get(code, 0) + number
-    failed = sum(ledger.failures.values())
-    if not failed:
+    lost = sum(ledger.failures.values())
+    if not lost:
         return
     reasons = "; ".join(
         f"{number} x {status_text(code, work.study.black_box)}" for code, number in sorted(ledger.failures.items())
@@ -288,12 +290,12 @@ def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64]) -> None:
     policy = work.study.analysis.on_failure
     if policy == "abort":
         raise TooManyFailures(
-            f'{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '
+            f'{lost} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '
             'narrow or truncate the inputs, or choose on_failure = "bound" or "drop"'
         )
-    if policy == "drop" and failed > MOST_DROPPED * ledger.total and ledger.total >= 1000:
+    if policy == "drop" and lost > MOST_DROPPED * ledger.total and ledger.total >= 1000:
         raise TooManyFailures(
-            f"{failed} of {ledger.total} evaluations failed ({reasons}), more than {MOST_DROPPED:.0%} of them: "
+            f"{lost} of {ledger.total} evaluations failed ({reasons}), more than {MOST_DROPPED:.0%} of them: "
             'too many to leave out; narrow the inputs, or choose on_failure = "bound"'
         )
 
