@@ -14,6 +14,7 @@ import os
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +24,18 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
-__all__ = ["MODES", "Answers", "Motion", "Scaled", "integrate", "motion", "solve", "thread_count"]
+__all__ = [
+    "MODES",
+    "Answers",
+    "Motion",
+    "Scaled",
+    "integrate",
+    "motion",
+    "scaled_arguments",
+    "solve",
+    "thread_count",
+    "wishes",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -105,7 +117,15 @@ def thread_count(threads: int | None = None) -> int:
     return max(1, os.cpu_count() or 1)
 
 
-def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
+def wishes(quantities: Collection[str] | None) -> int:
+    """What an integrator has to follow for these quantities, or for all: sum of layout.WANT_*."""
+    wanted = 0
+    for name in _WANTED if quantities is None else quantities:
+        wanted |= _WANTED.get(name, 0)
+    return wanted
+
+
+def scaled_arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
     """What the kernel needs of `rows`, in scaled variables."""
     time = scene.scales.time[rows]
     pulse = scene.pulse
@@ -240,8 +260,16 @@ def integrate(
     threads: int | None = None,
     quantities: Collection[str] | None = None,
 ) -> Scaled:
-    """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
+    """Integrate a batch in scaled variables; what `quantities` does not name is not followed.
+
+    Where there is no compiler, `uqsphere.mechanics.plain` does it: slower, and without the status 7.
+    """
     from uqsphere.mechanics.layout import empty_answers
+
+    if find_spec("numba") is None:
+        from uqsphere.mechanics.plain import integrate_plain
+
+        return integrate_plain(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)
@@ -249,10 +277,8 @@ def integrate(
     steps = np.zeros(len(scene), dtype=np.int64)
     if len(rows) == 0:
         return Scaled(answers=answers, others=others, status=status, steps=steps)
-    wanted = 0
-    for name in _WANTED if quantities is None else quantities:
-        wanted |= _WANTED.get(name, 0)
-    arguments = _arguments(scene, rows)
+    wanted = wishes(quantities)
+    arguments = scaled_arguments(scene, rows)
     inner, inner_others = empty_answers(len(rows)), empty_answers(len(rows))
     inner_status = np.zeros(len(rows), dtype=np.int64)
     inner_steps = np.zeros(len(rows), dtype=np.int64)
@@ -303,7 +329,15 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
         answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
         only = np.zeros(1, dtype=np.int64)
         found = _march(
-            _arguments(scene, np.array([row])), only, MODES[fidelity], tolerance, False, answers, status, steps, keep=1
+            scaled_arguments(scene, np.array([row])),
+            only,
+            MODES[fidelity],
+            tolerance,
+            False,
+            answers,
+            status,
+            steps,
+            keep=1,
         )
         if status[0] == 0 and found is not None:
             return replace(found, end=float(answers[0, ANSWER_END]))

@@ -114,10 +114,17 @@ def _root(piece, face, level, a, b):
     """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
     apart()
     at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
+    # an end may be the root itself, to the last bit: there is then nothing left to bracket
+    if at_a == 0.0:
+        return a
+    if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
+        return b
     for _ in range(100):
         if abs(b - a) < 1e-14 or at_b == at_a:
             break
         c = b - at_b * (b - a) / (at_b - at_a)
+        if c == b:
+            return b
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
         at_c = value(piece, face, c) - level

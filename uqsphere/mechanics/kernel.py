@@ -210,8 +210,10 @@ def march(
                 continue
             r = row[j]
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
-            allowed = 100.0 * local * min(size[0, j], mass[row[j]] * size[1, j])
-            crossed = touching[j] == 0 and mode == 0 and not gliding[j] and impulse > allowed
+            allowed = 100.0 * local * size[0, j]
+            if mode == 0:
+                allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
+            crossed = touching[j] == 0 and mode != 1 and not gliding[j] and impulse > allowed
             if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:

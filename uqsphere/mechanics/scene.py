@@ -36,7 +36,7 @@ UNDECIDED: Final = 7
 
 def answered(status: Codes) -> npt.NDArray[np.bool_]:
     """Whether rows have numbers that may be used, (n,)."""
-    return (status == 0) | (status == UNDECIDED)
+    return np.asarray((status == 0) | (status == UNDECIDED))
 
 
 #: columns without which there is no scene; lengths are needed by finite bars only
