@@ -59,7 +59,13 @@ _WANTED: Final[dict[str, int]] = {
 _WANTED_ALL: Final = 31
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
-_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.2, 0.1
+_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
+
+
+#: steps after which the errors of single steps may have added up
+_MANY_STEPS = 1_000
+#: change of a time over that of its threshold, both relative, that is no longer smooth
+_JUMP = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +171,7 @@ def _march(
 
     share = _LOCAL_DIFFERENCE if wanted & 2 else _LOCAL
     if wanted & (8 | 16) and not np.isfinite(arguments["horizon"]).all():
-        share = _LOCAL_TAIL
+        share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     motion = None
@@ -203,7 +209,38 @@ def _march(
     return motion
 
 
-def _doubtful(answers: Array, status: npt.NDArray[np.int64], block: npt.NDArray[np.int64]) -> list[tuple[float, Any]]:
+def _jumping(answers: Array, tolerance: float) -> npt.NDArray[np.bool_]:
+    """Whether width or rise time of rows change by far more than a threshold does that is moved a little."""
+    from uqsphere.mechanics.layout import ANSWER_RISE, ANSWER_RISES, ANSWER_WIDTH, ANSWER_WIDTHS
+
+    jumps = np.zeros(len(answers), dtype=bool)
+    for main, sides in ((ANSWER_WIDTH, ANSWER_WIDTHS), (ANSWER_RISE, ANSWER_RISES)):
+        for side in range(2):
+            with np.errstate(invalid="ignore"):
+                moved = np.abs(answers[:, sides + side] - answers[:, main])
+                jumps |= moved > _JUMP * tolerance * np.abs(answers[:, main])
+    return jumps
+
+
+def _other_times(answers: Array) -> Array:
+    """The answers with width and rise time as they are on the other side of the jump, (n, ANSWERS)."""
+    from uqsphere.mechanics.layout import ANSWER_RISE, ANSWER_RISES, ANSWER_WIDTH, ANSWER_WIDTHS
+
+    others = answers.copy()
+    for main, sides in ((ANSWER_WIDTH, ANSWER_WIDTHS), (ANSWER_RISE, ANSWER_RISES)):
+        moved = np.abs(answers[:, sides : sides + 2] - answers[:, [main]])
+        side = np.where(moved[:, 0] > moved[:, 1], sides, sides + 1)
+        others[:, main] = answers[np.arange(len(answers)), side]
+    return others
+
+
+def _doubtful(
+    answers: Array,
+    status: npt.NDArray[np.int64],
+    steps: npt.NDArray[np.int64],
+    block: npt.NDArray[np.int64],
+    tolerance: float,
+) -> list[tuple[float, npt.NDArray[np.int64]]]:
     """Rows of a block whose end of contact has to be looked at more closely: (share of the tolerance, rows).
 
     An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
@@ -215,10 +252,12 @@ def _doubtful(answers: Array, status: npt.NDArray[np.int64], block: npt.NDArray[
     found = answers[block]
     with np.errstate(all="ignore"):
         sharpness = found[:, ANSWER_LOSS_RATE] * found[:, ANSWER_CONTACT] / found[:, ANSWER_X_MAX]
-    sharpness = np.where(np.isfinite(found[:, ANSWER_NEAREST]), np.fmin(sharpness, 0.5), sharpness)
+    # what else deserves a closer look: a face that nearly left, a threshold that is nearly missed, a long motion
+    doubtful = np.isfinite(found[:, ANSWER_NEAREST]) | (steps[block] > _MANY_STEPS) | _jumping(found, tolerance)
+    sharpness = np.where(doubtful, np.fmin(sharpness, 0.5), sharpness)
     done = status[block] == 0
     groups = []
-    for low, high, factor in ((1e-2, 1.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
+    for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
         rows = block[done & (sharpness >= low) & (sharpness < high)]
         if len(rows):
             groups.append((factor, rows))
@@ -287,7 +326,7 @@ def integrate(
 
     def run(block: npt.NDArray[np.int64]) -> None:
         _march(arguments, block, mode, tolerance, True, inner, inner_status, inner_steps, wanted=wanted)
-        for factor, again in _doubtful(inner, inner_status, block):
+        for factor, again in _doubtful(inner, inner_status, inner_steps, block, tolerance):
             closer = max(1e-13, factor * tolerance)
             inner[again] = np.nan
             _march(arguments, again, mode, closer, True, inner, inner_status, inner_steps, wanted=wanted)
@@ -300,6 +339,9 @@ def integrate(
                     np.zeros_like(inner_steps), wanted=wanted,
                 )  # fmt: skip
                 inner_status[open_rows] = np.where(other_status[open_rows] == 0, UNDECIDED, other_status[open_rows])
+            jumps = again[_jumping(inner[again], closer) & (inner_status[again] == 0)]
+            inner_others[jumps] = _other_times(inner[jumps])
+            inner_status[jumps] = UNDECIDED
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:

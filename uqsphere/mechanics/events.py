@@ -20,8 +20,10 @@ from uqsphere.mechanics.layout import (
     ANSWER_LOSS_RATE,
     ANSWER_NEAREST,
     ANSWER_RISE,
+    ANSWER_RISES,
     ANSWER_WIDTH,
     ANSWER_WIDTH_CENSORED,
+    ANSWER_WIDTHS,
     ANSWER_X_FIRST,
     ANSWER_X_MAX,
     DEPTH,
@@ -355,6 +357,8 @@ def after_step(
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
             ends, why = found, 1
+            if track[LOST, lane] > before + ends * h:  # a loss after the record's end is none
+                track[LOST, lane], track[DEPTH, lane] = math.nan, math.inf
     if why == 1:
         track[ENDED, lane] = before + ends * h
     return ends, why
@@ -381,8 +385,30 @@ def _outermost(path, scale, start, length, crest, count, ended, level, backward)
 
 
 @compiled(**INNER)
-def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, out):
-    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane."""
+def _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift):
+    """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted."""
+    apart()
+    power = 1.0 if mode == 1 else 2.0 / 3.0
+    width, censored, rise = math.nan, 0.0, math.nan
+    if wanted & WANT_WIDTH:
+        half = largest * 0.5**power * shift
+        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
+        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
+        # the last crossing is the record's end itself where the force is still above
+        width, censored = below - above, 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
+    if wanted & WANT_RISE:
+        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power * shift, False)
+        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power * shift, False)
+        rise = nine - tenth
+    return width, censored, rise
+
+
+@compiled(**INNER)
+def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out):
+    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane.
+
+    unsure: share by which a threshold may be off.
+    """
     apart()
     ended = track[ENDED, lane]
     if math.isnan(ended):
@@ -401,15 +427,15 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     if wanted & WANT_ENERGY:
         out[ANSWER_ENERGY] = track[ENERGY, lane]
     out[ANSWER_DEPTH], out[ANSWER_NEAREST] = track[DEPTH, lane], track[NEAREST, lane]
-    power = 1.0 if mode == 1 else 2.0 / 3.0
-    if wanted & WANT_WIDTH:
-        half = largest * 0.5**power
-        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
-        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
-        # the last crossing is the record's end itself where the force is still above
-        out[ANSWER_WIDTH] = below - above
-        out[ANSWER_WIDTH_CENSORED] = 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
-    if wanted & WANT_RISE:
-        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power, False)
-        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power, False)
-        out[ANSWER_RISE] = nine - tenth
+    if wanted & (WANT_WIDTH | WANT_RISE) == 0:
+        return
+    for k in range(3):
+        # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
+        # later, the answer is a jump
+        shift = 1.0 + (k - 1.0) * unsure
+        width, censored, rise = _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift)
+        if k == 1:
+            out[ANSWER_WIDTH], out[ANSWER_WIDTH_CENSORED], out[ANSWER_RISE] = width, censored, rise
+        else:
+            side = k // 2
+            out[ANSWER_WIDTHS + side], out[ANSWER_RISES + side] = width, rise

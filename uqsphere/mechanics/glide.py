@@ -19,7 +19,7 @@ from uqsphere.mechanics.compiled import compiled
 from uqsphere.mechanics.series import INNER, LANES, TERMS
 from uqsphere.mechanics.vectors import apart
 
-__all__ = ["GLIDE_ROOM", "SMALL_MU", "glide"]
+__all__ = ["GLIDE_ROOM", "SMALL_MU", "calm_after", "glide"]
 
 #: mass number below which the slow motion is looked for
 SMALL_MU = 0.02
@@ -113,6 +113,13 @@ def _residual(lane, h, mu, push, s, theta):
     second = abs(_slope(s, 4, theta) / h - (push_b - force_b + w)) * length
     third = abs(mu * _slope(s, 2, theta) / h - (force_a - force_b)) / (1.5 * math.sqrt(a))
     return max(first, max(second, third))
+
+
+@compiled(**INNER)
+def calm_after(mu, local):
+    """Time that the oscillation which a jump sets off, about mu^0.45, needs at least to fall to the tolerance."""
+    apart()
+    return max(0.0, math.log(mu**0.45 / local))
 
 
 @compiled(**INNER)

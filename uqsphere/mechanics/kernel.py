@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.mechanics import events, layout
 from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.glide import GLIDE_ROOM, SMALL_MU, glide
+from uqsphere.mechanics.glide import GLIDE_ROOM, SMALL_MU, calm_after, glide
 from uqsphere.mechanics.incoming import (
     QUEUE,
     WAVE,
@@ -129,7 +129,7 @@ def march(
             reflect_break(0.0, trips, queue, head, tail, j, end[j])
             stop[j] = next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
-            gliding[j], calm[j] = False, 0.0
+            gliding[j], calm[j] = False, calm_after(mass[r], local)
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
             )
@@ -143,7 +143,9 @@ def march(
             if touching[j] == 1:
                 # the error of `touch_off`, a few thousandths of the force's impulse, is what limits a touch
                 brief = (1e2 * local * min(1.0, 1.0 / inverse_mu[j]) * size[0, j]) ** 0.4
-                proposed[j] = min(proposed[j], brief)
+                # the wave that presses has to be followed as well
+                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
+                proposed[j] = min(proposed[j], min(brief, smooth))
             left = stop[j] - time[j]
             trial = min(min(proposed[j], left), min(trips[0, j], trips[1, j]))
             attempts[j] += 1
@@ -179,9 +181,12 @@ def march(
                 theta[j] = 1.0
                 touch_off(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
             elif mode == 0 and inverse_mu[j] * SMALL_MU > 1.0 and time[j] >= calm[j]:
-                slow, swing = glide(
-                    j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, gliding[j], slow_room
-                )
+                slow, swing = 0.0, math.inf
+                # on the slow motion the forces differ by mu u', and u' is of the order of one
+                if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
+                    slow, swing = glide(
+                        j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, gliding[j], slow_room
+                    )
                 gliding[j] = slow > 0.0
                 if gliding[j]:
                     theta[j] = slow
@@ -283,7 +288,7 @@ def march(
                 else:
                     if gliding[j]:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    gliding[j], calm[j] = False, time[j]
+                    gliding[j], calm[j] = False, time[j] + calm_after(mass[r], local)
                     proposed[j] *= GROWTH
                     enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
@@ -298,7 +303,7 @@ def march(
                 done = settled(mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local)
             if done:
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                              out[r])  # fmt: skip
+                              local, out[r])  # fmt: skip
                 status[r] = layout.OK
                 steps[r] = count[j]
                 row[j] = -1

@@ -27,7 +27,9 @@ TRACKS = 12
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
  ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH,
  ANSWER_NEAREST) = range(13)  # fmt: skip
-ANSWERS = 13
+# width and rise with their thresholds a little lower, then a little higher
+ANSWER_WIDTHS, ANSWER_RISES = 13, 15
+ANSWERS = 17
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
