@@ -64,8 +64,8 @@ class Comparison:
 def _latin(rng: np.random.Generator, count: int, low: float, high: float, linear: bool) -> Array:
     place = (rng.permutation(count) + rng.random(count)) / count
     if linear:
-        return low + (high - low) * place
-    return np.exp(np.log(low) + (np.log(high) - np.log(low)) * place)
+        return np.asarray(low + (high - low) * place)
+    return np.asarray(np.exp(np.log(low) + (np.log(high) - np.log(low)) * place))
 
 
 def hard_scenes(count: int, seed: int = 0) -> list[Scene]:

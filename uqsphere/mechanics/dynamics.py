@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.doubts import doubtful, jumping, other_ends, other_times
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
@@ -60,12 +61,6 @@ _WANTED_ALL: Final = 31
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
-
-
-#: steps after which the errors of single steps may have added up
-_MANY_STEPS = 1_000
-#: change of a time over that of its threshold, both relative, that is no longer smooth
-_JUMP = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,75 +204,6 @@ def _march(
     return motion
 
 
-def _jumping(answers: Array, tolerance: float) -> npt.NDArray[np.bool_]:
-    """Whether width or rise time of rows change by far more than a threshold does that is moved a little."""
-    from uqsphere.mechanics.layout import ANSWER_RISE, ANSWER_RISES, ANSWER_WIDTH, ANSWER_WIDTHS
-
-    jumps = np.zeros(len(answers), dtype=bool)
-    for main, sides in ((ANSWER_WIDTH, ANSWER_WIDTHS), (ANSWER_RISE, ANSWER_RISES)):
-        for side in range(2):
-            with np.errstate(invalid="ignore"):
-                moved = np.abs(answers[:, sides + side] - answers[:, main])
-                jumps |= moved > _JUMP * tolerance * np.abs(answers[:, main])
-    return jumps
-
-
-def _other_times(answers: Array) -> Array:
-    """The answers with width and rise time as they are on the other side of the jump, (n, ANSWERS)."""
-    from uqsphere.mechanics.layout import ANSWER_RISE, ANSWER_RISES, ANSWER_WIDTH, ANSWER_WIDTHS
-
-    others = answers.copy()
-    for main, sides in ((ANSWER_WIDTH, ANSWER_WIDTHS), (ANSWER_RISE, ANSWER_RISES)):
-        moved = np.abs(answers[:, sides : sides + 2] - answers[:, [main]])
-        side = np.where(moved[:, 0] > moved[:, 1], sides, sides + 1)
-        others[:, main] = answers[np.arange(len(answers)), side]
-    return others
-
-
-def _doubtful(
-    answers: Array,
-    status: npt.NDArray[np.int64],
-    steps: npt.NDArray[np.int64],
-    block: npt.NDArray[np.int64],
-    tolerance: float,
-) -> list[tuple[float, npt.NDArray[np.int64]]]:
-    """Rows of a block whose end of contact has to be looked at more closely: (share of the tolerance, rows).
-
-    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
-    face leaves; where this is more than the tolerance of the time itself, or where a face nearly left, the row is
-    integrated again.
-    """
-    from uqsphere.mechanics.layout import ANSWER_CONTACT, ANSWER_LOSS_RATE, ANSWER_NEAREST, ANSWER_X_MAX
-
-    found = answers[block]
-    with np.errstate(all="ignore"):
-        sharpness = found[:, ANSWER_LOSS_RATE] * found[:, ANSWER_CONTACT] / found[:, ANSWER_X_MAX]
-    # what else deserves a closer look: a face that nearly left, a threshold that is nearly missed, a long motion
-    doubtful = np.isfinite(found[:, ANSWER_NEAREST]) | (steps[block] > _MANY_STEPS) | _jumping(found, tolerance)
-    sharpness = np.where(doubtful, np.fmin(sharpness, 0.5), sharpness)
-    done = status[block] == 0
-    groups = []
-    for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
-        rows = block[done & (sharpness >= low) & (sharpness < high)]
-        if len(rows):
-            groups.append((factor, rows))
-    return groups
-
-
-def _other_ends(answers: Array, tolerance: float) -> Array:
-    """What `graze` of the kernel gives the other answer of rows that the tolerance does not decide, else 0; (n,).
-
-    Undecided is a row in which a face leaves by less than the tolerance of the largest approach, or comes as close
-    to leaving: whether contact is lost there cannot be said.
-    """
-    from uqsphere.mechanics.layout import ANSWER_DEPTH, ANSWER_NEAREST, ANSWER_X_MAX
-
-    bound = tolerance * answers[:, ANSWER_X_MAX]
-    with np.errstate(invalid="ignore"):
-        nearly, barely = answers[:, ANSWER_NEAREST] <= bound, answers[:, ANSWER_DEPTH] <= bound
-    return np.where(nearly, bound, np.where(barely, -bound, 0.0)) * (1.0 + 1e-9)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
     """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.layout`, status (n,) and steps (n,) of n rows.
@@ -326,11 +252,11 @@ def integrate(
 
     def run(block: npt.NDArray[np.int64]) -> None:
         _march(arguments, block, mode, tolerance, True, inner, inner_status, inner_steps, wanted=wanted)
-        for factor, again in _doubtful(inner, inner_status, inner_steps, block, tolerance):
+        for factor, again in doubtful(inner, inner_status, inner_steps, block, tolerance):
             closer = max(1e-13, factor * tolerance)
             inner[again] = np.nan
             _march(arguments, again, mode, closer, True, inner, inner_status, inner_steps, wanted=wanted)
-            graze = _other_ends(inner, tolerance)
+            graze = other_ends(inner, tolerance)
             open_rows = again[(inner_status[again] == 0) & (graze[again] != 0.0)]
             if len(open_rows):
                 other_status = inner_status.copy()
@@ -339,8 +265,8 @@ def integrate(
                     np.zeros_like(inner_steps), wanted=wanted,
                 )  # fmt: skip
                 inner_status[open_rows] = np.where(other_status[open_rows] == 0, UNDECIDED, other_status[open_rows])
-            jumps = again[_jumping(inner[again], closer) & (inner_status[again] == 0)]
-            inner_others[jumps] = _other_times(inner[jumps])
+            jumps = again[jumping(inner[again], closer) & (inner_status[again] == 0)]
+            inner_others[jumps] = other_times(inner[jumps])
             inner_status[jumps] = UNDECIDED
 
     workers = min(thread_count(threads), len(blocks))

@@ -28,6 +28,7 @@ from uqsphere.mechanics.incoming import (
     reflect_break,
 )
 from uqsphere.mechanics.lookout import look, settled
+from uqsphere.mechanics.record import finish
 from uqsphere.mechanics.series import LANES, ORDER, PAIR, TERMS, evaluate, expand, longest, touch_off, unlike_root
 from uqsphere.mechanics.vectors import bare
 from uqsphere.mechanics.vectors import row as row_of
@@ -302,7 +303,7 @@ def march(
             if not done and steady[j] >= 0.0 and touching[j] == 0:
                 done = settled(mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local)
             if done:
-                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
+                finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               local, out[r])  # fmt: skip
                 status[r] = layout.OK
                 steps[r] = count[j]

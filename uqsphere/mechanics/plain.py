@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numpy.polynomial import chebyshev
 
 from uqsphere.mechanics import layout
+from uqsphere.mechanics.plain_series import DEGREE, THETAS, TO_INTEGRALS, TO_TERMS, apply, crossing, tops, value_at
 from uqsphere.mechanics.plain_waves import Waves, incoming
 from uqsphere.mechanics.scene import Scene
 
@@ -31,81 +31,9 @@ __all__ = ["integrate_plain", "march_plain"]
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
-#: degree of a step's polynomials, and the points at which they satisfy the equations
-DEGREE: Final = 12
-_SIDES: Final = -np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)
-THETAS: Final = 0.5 + 0.5 * _SIDES
-#: values at the points to Chebyshev coefficients; values to integrals from the step's start to the points
-TO_TERMS: Final = np.linalg.inv(chebyshev.chebvander(_SIDES, DEGREE))
-_TO_INTEGRALS: Final = np.stack(
-    [0.5 * chebyshev.chebval(_SIDES, chebyshev.chebint(column, lbnd=-1.0)) for column in TO_TERMS.T], axis=1
-)
-#: points at which a step is looked at for events
-_GRID: Final = np.linspace(0.0, 1.0, 33)
-_TO_GRID: Final = chebyshev.chebvander(2.0 * _GRID - 1.0, DEGREE)
-_TO_SLOPES: Final = np.stack(
-    [chebyshev.chebval(2.0 * _GRID - 1.0, 2.0 * chebyshev.chebder(term)) for term in np.eye(DEGREE + 1)], axis=1
-)
 _ROUNDS: Final = 60
-_SEARCHES: Final = 14
 _MOST_STEPS: Final = 400_000
 _HALF: Final = 2.0 / 3.0
-
-
-def apply(matrix: Array, values: Array) -> Array:
-    """Every row of `values` (n, m) times `matrix` (k, m), term after term: (n, k), the same bits for any n."""
-    total = values[:, :1] * matrix[None, :, 0]
-    for j in range(1, matrix.shape[1]):
-        total = total + values[:, j : j + 1] * matrix[None, :, j]
-    return total
-
-
-def value_at(terms: Array, theta: Array) -> Array:
-    """Chebyshev series (n, 13), one per row, at theta (n,) of the step."""
-    side = 2.0 * theta - 1.0
-    high, higher = np.zeros_like(side), np.zeros_like(side)
-    for k in range(DEGREE, 0, -1):
-        high, higher = terms[:, k] + 2.0 * side * high - higher, high
-    return np.asarray(terms[:, 0] + side * high - higher)
-
-
-def _derivative(terms: Array) -> Array:
-    """Series of the derivatives by theta."""
-    slopes = np.zeros_like(terms)
-    for k in range(DEGREE - 1, -1, -1):
-        above = slopes[:, k + 2] if k + 2 <= DEGREE else 0.0
-        slopes[:, k] = above + 2.0 * (k + 1.0) * terms[:, k + 1]
-    slopes[:, 0] *= 0.5
-    return 2.0 * slopes
-
-
-def _root(terms: Array, low: Array, high: Array) -> Array:
-    """Where series change sign between low and high, (n,): regula falsi with the Illinois rule."""
-    at_low, at_high = value_at(terms, low), value_at(terms, high)
-    for _ in range(_SEARCHES):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            middle = high - at_high * (high - low) / (at_high - at_low)
-        inside = (middle >= np.minimum(low, high)) & (middle <= np.maximum(low, high))
-        middle = np.where(inside, middle, 0.5 * (low + high))
-        at = value_at(terms, middle)
-        crossed = (at < 0.0) != (at_high < 0.0)
-        low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
-        high, at_high = middle, at
-    return high
-
-
-def _tops(terms: Array, above: Array, ends: Array) -> tuple[Index, Array, Array]:
-    """Local maxima of series before `ends` that may exceed `above` (n,): rows, theta, values."""
-    grid, bends = apply(_TO_GRID, terms), apply(_TO_SLOPES, terms)
-    width = _GRID[1]
-    turns = (bends[:, :-1] > 0.0) & (bends[:, 1:] <= 0.0) & (_GRID[None, :-1] < ends[:, None])
-    # a bend rises by less than its slopes would in the whole of its part
-    reach = np.maximum(grid[:, :-1] + bends[:, :-1] * width, grid[:, 1:] - bends[:, 1:] * width)
-    found, part = np.nonzero(turns & (reach >= above[:, None]))
-    if len(found) == 0:
-        return found, np.zeros(0), np.zeros(0)
-    theta = np.minimum(_root(_derivative(terms[found]), _GRID[part], _GRID[part + 1]), ends[found])
-    return found, theta, value_at(terms[found], theta)
 
 
 @dataclass(kw_only=True)
@@ -154,8 +82,8 @@ def _collocate(
     last = np.full(len(h), np.inf)
     for _ in range(_ROUNDS):
         rate_x, rate_u = _slopes(mode, mu, push, x, u, free)
-        new_x = np.stack([x0[face, :, None] + h[:, None] * apply(_TO_INTEGRALS, rate_x[face]) for face in range(2)])
-        new_u = u0[:, None] + h[:, None] * apply(_TO_INTEGRALS, rate_u)
+        new_x = np.stack([x0[face, :, None] + h[:, None] * apply(TO_INTEGRALS, rate_x[face]) for face in range(2)])
+        new_u = u0[:, None] + h[:, None] * apply(TO_INTEGRALS, rate_u)
         change = np.abs(new_x - x).max(axis=(0, 2))
         # a row that has converged, or runs away, keeps what it has: its bits must not depend on the others
         moving = ~done & (change < 1e6)
@@ -173,7 +101,7 @@ def _measure(mode: int, wanted: int, rows: _Rows, live: Index, terms: Array, end
     for face in range(2):
         for theta in (np.zeros_like(ends), ends):
             top = np.maximum(top, value_at(terms[face], theta))
-        found, _, values = _tops(terms[face], top, ends)
+        found, _, values = tops(terms[face], top, ends)
         np.maximum.at(top, found, values)
     rows.top[live] = top
     if wanted & (layout.WANT_DIFFERENCE | layout.WANT_ENERGY):
@@ -209,30 +137,6 @@ def _measure_forces(mode: int, rows: _Rows, live: Index, terms: Array, ends: Arr
         kept[live] = np.maximum(kept[live], best)
 
 
-def _crossing(terms: Array, level: Array, falling: bool, begin: Array) -> Array:
-    """First theta after `begin` at which a series passes `level` downwards (or upwards), NaN if it does not."""
-    sign = -1.0 if falling else 1.0
-    moved = terms * sign
-    moved[:, 0] -= sign * level
-    grid = apply(_TO_GRID, moved)
-    passed = (grid >= 0.0) & (_GRID[None, :] > begin[:, None])
-    first = np.where(passed.any(axis=1), passed.argmax(axis=1), len(_GRID))
-    # theta by which a value above the level is known, on the grid or at the top of a bend between its points
-    known = np.where(first < len(_GRID), _GRID[np.minimum(first, len(_GRID) - 1)], np.inf)
-    found, theta, values = _tops(moved, np.zeros(len(terms)), np.ones(len(terms)))
-    reached = (values >= 0.0) & (theta > begin[found])
-    np.minimum.at(known, found[reached], theta[reached])
-    answer = np.full(len(terms), np.nan)
-    picked = np.flatnonzero(np.isfinite(known))
-    if len(picked) == 0:
-        return answer
-    high = known[picked]
-    low = np.maximum(np.maximum(np.ceil(high * (len(_GRID) - 1) - 1e-9) - 1.0, 0.0) / (len(_GRID) - 1), begin[picked])
-    already = value_at(moved[picked], low) >= 0.0
-    answer[picked] = np.where(already, low, _root(moved[picked], low, high))
-    return answer
-
-
 def _level_times(rows: _Rows, level: Array, last: bool, n: int) -> Array:
     """Time at which the larger approach first reaches `level` (n,), or falls below it for the last time."""
     answer = np.full(n, np.nan)
@@ -244,7 +148,7 @@ def _level_times(rows: _Rows, level: Array, last: bool, n: int) -> Array:
             if last:
                 # the way back: the same series, read from its end
                 terms = terms * np.where(np.arange(DEGREE + 1) % 2 == 1, -1.0, 1.0)[None, :]
-            at = _crossing(terms, level[live], False, 1.0 - span if last else np.zeros(len(live)))
+            at = crossing(terms, level[live], False, 1.0 - span if last else np.zeros(len(live)))
             at = np.where(value_at(terms, 1.0 - span if last else np.zeros(len(live))) >= level[live],
                           1.0 - span if last else 0.0, at)  # fmt: skip
             at = np.where(at <= 1.0 if last else at <= span, at, np.nan)
@@ -292,7 +196,7 @@ def _events(
             picked = np.flatnonzero(chosen)
             if len(picked) == 0:
                 continue
-            at = _crossing(terms[face][picked], np.zeros(len(picked)), falling, clear[picked])
+            at = crossing(terms[face][picked], np.zeros(len(picked)), falling, clear[picked])
             earlier = picked[at < ends[picked]]
             why[earlier] = 2 + face
             ends[earlier] = at[at < ends[picked]]
@@ -303,7 +207,7 @@ def _events(
         below = np.zeros(n)
         for _ in range(8):  # while one face falls below, the other may rise again
             for face in range(2):
-                at = _crossing(terms[face], low, True, np.nan_to_num(below, nan=2.0))
+                at = crossing(terms[face], low, True, np.nan_to_num(below, nan=2.0))
                 under = value_at(terms[face], np.nan_to_num(below, nan=1.0)) <= low * (1.0 + 1e-12)
                 below = np.where(np.isnan(below) | under, below, at)
         ending = tail & (below <= ends)
@@ -362,7 +266,7 @@ def _advance(
     if len(kept):
         _accept(mode, wanted, arguments, rows, waves, live[kept], start[kept], h[kept], left[kept], push[:, kept],
                 x[:, kept], terms[:, kept], terms_u[kept], local)  # fmt: skip
-    return live[np.isnan(rows.ended[live]) & (status[live] == 0)]
+    return np.asarray(live[np.isnan(rows.ended[live]) & (status[live] == 0)])
 
 
 def _accept(

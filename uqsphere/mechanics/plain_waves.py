@@ -55,7 +55,7 @@ class Waves:
     def next_stop(self, live: Index, time: Array, horizon: Array) -> Array:
         """The next time after `time` at which a wave jumps or the record ends."""
         later = self.stops[live] > (time + 1e-12 * (1.0 + time))[:, None]
-        return np.minimum(np.where(later, self.stops[live], np.inf).min(axis=1), horizon)
+        return np.asarray(np.minimum(np.where(later, self.stops[live], np.inf).min(axis=1), horizon))
 
     def leave(self, live: Index, start: Array, h: Array, ends: Array, values: Array) -> None:
         """Keep the waves (2, n, points) of a step of rows `live` that ends at theta = ends."""
@@ -127,8 +127,8 @@ def _all_stops(breaks: Array, trips: Array, horizon: Array) -> tuple[Array, Inde
         found.append(sorted(times))
     width = max([1, *(len(times) for times in found)])
     stops = np.full((n, width), np.inf)
-    for row, times in enumerate(found):
-        stops[row, : len(times)] = times
+    for row, ascending in enumerate(found):
+        stops[row, : len(ascending)] = ascending
     return stops, np.asarray(crowded, dtype=np.int64)
 
 
