@@ -12,7 +12,7 @@ from typing import Any
 from uqsphere.console import Progress, plain, table
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_estimate, format_value, lookup, parse_value
-from uqsphere.study import Study, json_schema, load_study
+from uqsphere.study import Study, json_schema, load_study, shipped_studies
 
 #: exit code of a finished run that misses a target
 MISSED = 3
@@ -29,19 +29,9 @@ def _warn(study: Study) -> None:
         print(f"warning: {plain(text)}", file=sys.stderr)
 
 
-def _templates() -> dict[str, Path]:
-    """Shipped studies by name: beside the package when installed, in the repository otherwise."""
-    package = Path(__file__).parent
-    for folder in (package / "templates", package.parent / "studies"):
-        found = {path.stem: path for path in sorted(folder.glob("*.toml"))}
-        if found:
-            return found
-    return {}
-
-
 def command_new(chosen: argparse.Namespace) -> int:
     """Write a shipped study to a new file."""
-    found = _templates()
+    found = shipped_studies()
     if chosen.template not in found:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
@@ -391,6 +381,36 @@ def command_list(chosen: argparse.Namespace) -> int:
         _document(content)
     else:
         print(text)
+    return 0
+
+
+def command_bench(chosen: argparse.Namespace) -> int:
+    """Measure speed against error, or sweep hard cases."""
+    if chosen.sweep is not None:
+        return _sweep(chosen)
+    from uqsphere.bench import run_bench
+
+    content = run_bench(chosen.out, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr))
+    text = content.pop("text")
+    if chosen.json:
+        _document(content)
+    else:
+        print(text)
+        print(f"\nwritten to {chosen.out}")
+    return 0
+
+
+def _sweep(chosen: argparse.Namespace) -> int:
+    from uqsphere.bench.sweep import compare_closer, compare_plain, sweep_table
+
+    if not 1 <= chosen.sweep <= 1_000_000:
+        raise UsageError(f"--sweep takes 1 to 1,000,000 scenes, found {chosen.sweep}")
+    found = (compare_plain if chosen.plain else compare_closer)(chosen.sweep)
+    if chosen.json:
+        errors = {name: [float(e) for e in error if e == e] for name, error in found.errors.items()}
+        _document({"errors_over_tolerance": errors, "status": found.status.tolist(), "wrong_and_silent": found.silent})
+    else:
+        print(sweep_table(found))
     return 0
 
 

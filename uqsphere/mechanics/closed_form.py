@@ -17,12 +17,14 @@ from uqsphere.mechanics.scene import Scene
 
 __all__ = [
     "closed_form_applies",
+    "largest_approach",
     "linear_approaches",
     "loading_approach",
     "loading_time",
     "massless_approach",
     "relaxing_approach",
     "relaxing_time",
+    "scaled_answers",
     "solve_closed",
 ]
 
@@ -228,6 +230,20 @@ def solve_closed(scene: Scene, fidelity: str = "massless") -> Answers:
         horizon = np.where(good, scene.record_end / scales.time, 1.0)
     scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
     return to_si(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), linear=False)
+
+
+def largest_approach(theta: Any) -> Array:
+    """Scaled approach at the end of a rectangular pulse of length theta: the largest of the massless sphere.
+
+    >>> largest_approach([0.8, np.inf]).round(6).tolist()
+    [0.620178, 1.0]
+    """
+    return loading_approach(theta)
+
+
+def scaled_answers(scene: Scene) -> Array:
+    """Scaled answers (n, 10) of `dynamics.to_si` for scenes inside the domain."""
+    return _scaled_answers(scene.scales.pulse_number, scene.record_end / scene.scales.time)
 
 
 def _scaled_answers(theta: Array, horizon: Array) -> Array:
