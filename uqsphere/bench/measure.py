@@ -93,19 +93,25 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
         return dynamics.integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=1, quantities=quantities)
 
     ours("full", 1e-6)
-    turns: list[tuple[str, float | None, Callable[[], Any]]] = [
-        ("full", t, lambda t=t: _scaled(chosen, ours("full", t)))
-        for t in tolerances  # type: ignore[misc]
-    ]
+
+    def turn(fidelity: str, tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
+        return fidelity, tolerance, lambda: _scaled(chosen, ours(fidelity, tolerance))
+
+    def plain_turn(tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
+        return (
+            "full, numpy path",
+            tolerance,
+            lambda: _scaled(chosen, integrate_plain(few, tolerance=tolerance, quantities=quantities)),
+        )
+
+    few = _part(scene, min(slow_rows * 8, len(scene)))
+    turns = [turn("full", tolerance) for tolerance in tolerances]
     for fidelity in ("linear", "massless"):
         if fidelity == "massless" and closed_form.closed_form_applies(scene, fidelity):
             turns.append((fidelity, None, lambda: closed_form.scaled_answers(scene)[:, :1]))
         else:
-            turns.append((fidelity, 1e-6, lambda f=fidelity: _scaled(chosen, ours(f, 1e-6))))  # type: ignore[misc]
-    few = _part(scene, min(slow_rows * 8, len(scene)))
-    for t in tolerances[1::3]:
-        turns.append(("full, numpy path", t, lambda t=t: _scaled(  # type: ignore[misc]
-            chosen, integrate_plain(few, tolerance=t, quantities=quantities))))  # fmt: skip
+            turns.append(turn(fidelity, 1e-6))
+    turns += [plain_turn(tolerance) for tolerance in tolerances[1::3]]
     for name, tolerance, run in turns:
         seconds = _best_time(run, 1 if "numpy" in name else rounds)
         entries += _entries(chosen, name, tolerance, run(), exact, seconds)

@@ -101,8 +101,8 @@ def _solve_row(
             return [2.0 * f(t, inside) - p1 - y[2], y[2] - p2 - 2.0 * h(t), (p1 - p2) / mu]
 
         events = [_leaves(face) for face in range(2)] if contact and begin > 0.0 else None
-        found = solve_ivp(slope, (begin, end), state, method=method, rtol=tolerance, atol=0.01 * tolerance,
-                          dense_output=True, events=events)  # fmt: skip
+        options: dict[str, Any] = {"rtol": tolerance, "atol": 0.01 * tolerance, "dense_output": True}
+        found = solve_ivp(slope, (begin, end), state, method=method, events=events, **options)
         pieces.append((begin, found.sol))
         for face in range(2):
             rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])

@@ -61,15 +61,13 @@ def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
         lines += [f"## Scene {scene['name']}: {scene['text']}", ""]
         gaps = ", ".join(f"{name} {gap:.1g}" for name, gap in scene["reference_gap"].items())
         lines += [f"The reference and the plain integrator, another method, differ by at most: {gaps}.", ""]
-        rows = [
+        listed = [
             (e.contender, "-" if e.tolerance is None else f"{e.tolerance:.0e}", e.quantity, _time(e.seconds_per_row),
              f"{e.median:.1e}", f"{e.worst:.1e}", str(e.rows))
             for e in entries if e.scene == scene["name"]
         ]  # fmt: skip
-        lines += [
-            *_rows(("contender", "tolerance", "quantity", "time a row", "median error", "worst", "rows"), rows),
-            "",
-        ]
+        header = ("contender", "tolerance", "quantity", "time a row", "median error", "worst", "rows")
+        lines += [*_rows(header, listed), ""]
     lines += ["## Ratios in this run, per core, at equal median error", ""]
     rows = [
         (r["scene"], r["quantity"], r["rival"], f"{r['error']:.0e}",
@@ -83,9 +81,8 @@ def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
         lines.append(f"- {name}: " + ", ".join(f"{at:g} → {cost:,.3g} us" for at, cost in points))
     lines += ["", "Microseconds a row of scene A (for mu and theta, around the other number of scene A), p_max, 1e-6;"]
     lines += ["wall time for threads, processor time otherwise.", ""]
-    lines += _rows(
-        ("what", "found", "aim"), [(k, f"{v['found']:,.3g}", v["aim"]) for k, v in content["limits"].items()]
-    )
+    found = [(name, f"{limit['found']:,.3g}", limit["aim"]) for name, limit in content["limits"].items()]
+    lines += _rows(("what", "found", "aim"), found)
     return "\n".join(lines)
 
 

@@ -7,6 +7,7 @@ All functions are elementwise in the scaled variables of theory (8): approach x 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -86,6 +87,13 @@ def loading_time(x: Any) -> Array:
     return np.where(x < _SERIES_BELOW_X, _series(small), closed)
 
 
+@lru_cache(maxsize=1)
+def _table() -> tuple[Array, Array]:
+    """Times and z = -ln(1 - sqrt(x)) of a loading, close enough that two rounds of Newton's iteration finish it."""
+    z = np.concatenate([np.linspace(0.3, 3.0, 3000), np.linspace(3.0, 100.0, 1000)[1:]])
+    return _time_at_root(-np.expm1(-z), z), z
+
+
 def loading_approach(s: Any) -> Array:
     """Scaled approach x of the massless sphere at the time s of an endless step; inverse of `loading_time`.
 
@@ -108,19 +116,23 @@ def loading_approach(s: Any) -> Array:
     s = np.asarray(s, dtype=float)
     if not bool(np.all(s >= 0.0)):
         raise ValueError("the time of a loading must not be negative")
+    # beyond s = 60 the approach is 1 to the last bit
+    large = np.clip(s, _SERIES_BELOW_S, 60.0)
+    z = np.interp(large, *_table())
+    for _ in range(2):
+        y = -np.expm1(-z)
+        z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
+    approach = np.square(np.expm1(-z))
+    early = s < _SERIES_BELOW_S
+    if not early.any():
+        return np.asarray(approach)
     small = np.minimum(s, _SERIES_BELOW_S)
     x = small - 0.4 * small**2.5
     for _ in range(2):
         excess = _series(x) - small
         root = np.sqrt(x)
         x = x - excess * (1.0 - x * root) / (1.0 - 0.75 * excess * root)
-    # beyond s = 60 the approach is 1 to the last bit
-    large = np.clip(s, _SERIES_BELOW_S, 60.0)
-    z = 1.5 * large + (math.sqrt(3.0) * math.pi / 6.0 - 0.5 * math.log(3.0))
-    for _ in range(6):
-        y = -np.expm1(-z)
-        z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
-    return np.asarray(np.where(s < _SERIES_BELOW_S, x, np.square(np.expm1(-z))))
+    return np.asarray(np.where(early, x, approach))
 
 
 def relaxing_approach(start: Any, after: Any) -> Array:
