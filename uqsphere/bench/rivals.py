@@ -102,7 +102,8 @@ def _solve_row(
 
         events = [_leaves(face) for face in range(2)] if contact and begin > 0.0 else None
         options: dict[str, Any] = {"rtol": tolerance, "atol": 0.01 * tolerance, "dense_output": True}
-        found = solve_ivp(slope, (begin, end), state, method=method, events=events, **options)
+        solve: Any = solve_ivp
+        found = solve(slope, (begin, end), state, method=method, events=events, **options)
         pieces.append((begin, found.sol))
         for face in range(2):
             rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])

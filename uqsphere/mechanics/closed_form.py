@@ -89,8 +89,8 @@ def loading_time(x: Any) -> Array:
 
 @lru_cache(maxsize=1)
 def _table() -> tuple[Array, Array]:
-    """Times and z = -ln(1 - sqrt(x)) of a loading, close enough that two rounds of Newton's iteration finish it."""
-    z = np.concatenate([np.linspace(0.3, 3.0, 3000), np.linspace(3.0, 100.0, 1000)[1:]])
+    """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration finishes it."""
+    z = np.concatenate([np.linspace(0.3, 4.0, 24_000), np.linspace(4.0, 100.0, 8_000)[1:]])
     return _time_at_root(-np.expm1(-z), z), z
 
 
@@ -119,9 +119,8 @@ def loading_approach(s: Any) -> Array:
     # beyond s = 60 the approach is 1 to the last bit
     large = np.clip(s, _SERIES_BELOW_S, 60.0)
     z = np.interp(large, *_table())
-    for _ in range(2):
-        y = -np.expm1(-z)
-        z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
+    y = -np.expm1(-z)
+    z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
     approach = np.square(np.expm1(-z))
     early = s < _SERIES_BELOW_S
     if not early.any():
