@@ -170,6 +170,7 @@ def run(
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
     from uqsphere.runner.margins import find_margins
+    from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
     from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
@@ -178,10 +179,10 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
 
     ledger = work.ledger
     pilot = first_look(work)
-    work = replace(work, fidelity=pilot.chosen)
+    work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
     ledger.seconds["pilot"] = ledger.elapsed
-    sampled = sample_distributions(work, more_to_come=bool(work.scene_names))
+    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=propose(pilot))
     ledger.seconds["sampling"] = ledger.elapsed
     if notice is not None:
         for name, limit in sampled.limits.items():

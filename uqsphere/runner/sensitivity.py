@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.model import is_answered
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
@@ -133,7 +134,8 @@ def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDA
     answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, np.stack(blocks).reshape(-1, d))
     q = len(work.quantities)
     values = answered.values.reshape(REPLICATES, count, d + 2, q)
-    return values, (answered.status != 0).reshape(REPLICATES, count, d + 2).any(axis=2)
+    failed = ~is_answered(answered.status).reshape(REPLICATES, count, d + 2)
+    return values, np.asarray(failed.any(axis=2))
 
 
 def _more(start: int, widths: list[float], asked: float) -> int:
