@@ -25,6 +25,7 @@ FLOORS = {
     "uqsphere.plan": 6,
     "uqsphere.runner": 6,
     "uqsphere.report": 7,
+    "uqsphere.bench": 7,
     "uqsphere.commands": 8,
     "uqsphere.cli": 9,
     "uqsphere.__main__": 10,

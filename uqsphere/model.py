@@ -20,6 +20,7 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
+    from uqsphere.mechanics.dynamics import Answers
     from uqsphere.mechanics.fallback import Fallback
     from uqsphere.mechanics.scene import Scene
 
@@ -35,6 +36,7 @@ __all__ = [
     "load_black_box",
     "model_digest",
     "scene_of",
+    "solve_scene",
     "status_text",
 ]
 
@@ -102,14 +104,20 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     )
 
 
-def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Answered:
-    """Answers of one fidelity for all rows of a scene: in closed form where there is one."""
+def solve_scene(
+    scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
+) -> Answers:
+    """Answers of one fidelity for all rows of a scene: in closed form where there is one, else integrated."""
     from uqsphere.mechanics import closed_form, dynamics
 
     if closed_form.closed_form_applies(scene, fidelity):
-        answers = closed_form.solve_closed(scene, fidelity)
-    else:
-        answers = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+        return closed_form.solve_closed(scene, fidelity)
+    return dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+
+
+def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Answered:
+    """The same as a table with a column per quantity."""
+    answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     none = np.zeros(len(scene), dtype=bool)
     return Answered(
         values=np.stack([answers.values[name] for name in quantities], axis=1),

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.fallback import Fallback, fit_error_law
-from uqsphere.model import FIDELITIES, is_answered, scene_of
+from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Study
 
@@ -21,14 +21,15 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Pilot", "first_look"]
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 #: points of the pilot; the comparison with other fidelities and tolerances uses the first of them
 POINTS = 512
 COMPARED = 256
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
 SHARE = 0.2
-#: cost of a row in steps of the integrator: what a row takes before its first step, and what a closed form takes.
-#: Counted and not timed, so that no choice depends on the clock
+#: cost of a row in steps of the integrator: what a row takes before its first step, and what one in closed form takes
+#: altogether.  Counted and not timed, so that no choice depends on the clock
 START_STEPS = 10.0
 CLOSED_STEPS = 3.0
 #: an error law is dropped if more than this share of the rows it has not seen err by more than it says
@@ -135,9 +136,10 @@ def _worst(errors: Mapping[str, float | None]) -> float:
     return max(found, default=0.0)
 
 
-def row_cost(answers: Answers, closed: bool) -> float:
-    """Mean cost of a row in steps of the integrator."""
-    return CLOSED_STEPS if closed else START_STEPS + float(np.mean(answers.steps))
+def row_cost(answers: Answers) -> float:
+    """Mean cost of a row in steps of the integrator, drawing the row included."""
+    steps = float(np.mean(answers.steps))
+    return START_STEPS + steps if steps > 0.0 else CLOSED_STEPS
 
 
 def _straight(cheap: Array, full: Array) -> tuple[float | None, tuple[float, float]]:
@@ -156,7 +158,7 @@ def _candidate(
     """What the compared rows say of a cheaper fidelity, alone and mixed with `full`."""
     quantities, bound = work.quantities, allowed_error(work.study)
     gaps = _differences(cheap, full, quantities, scatter)
-    known = np.asarray(~np.isnan(gaps).any(axis=1))
+    known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
     lines = {name: _straight(cheap.values[name][known], full.values[name][known]) for name in quantities}
     outlasts = [
         bool((cheap.censored[name] | full.censored[name]).any()) for name in quantities if name in full.censored
@@ -188,7 +190,7 @@ def _candidate(
 
 def _error_law(alone: Candidate, gaps: Array, scene: Scene, bound: float) -> Fallback | None:
     """Which rows to leave to `full`, by a law fitted to one half of the rows; None if the other half contradicts it."""
-    known = np.asarray(~np.isnan(gaps).any(axis=1))
+    known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
     half = np.arange(len(known)) < len(known) // 2
     mu, theta = scene.scales.mass_number, scene.scales.pulse_number
     if (known & half).sum() < 8 or not np.isfinite(gaps[known]).all():
@@ -196,7 +198,8 @@ def _error_law(alone: Candidate, gaps: Array, scene: Scene, bound: float) -> Fal
     law, masses, pulses = fit_error_law(mu[known & half], theta[known & half], gaps[known & half])
     anything = Fallback(coefficients=law, bounds=(np.inf,) * len(law), mass_range=masses, pulse_range=pulses)
     said = anything.estimate(scene)
-    if (np.abs(gaps) > said).any(axis=1)[known & ~half].mean() > BROKEN:
+    beyond: Flags = np.asarray((np.abs(gaps) > said).any(axis=1))
+    if beyond[known & ~half].mean() > BROKEN:
         return None
     if alone.fits:
         # it serves by itself: only rows that look worse than any of the pilot's are left to `full`
@@ -229,7 +232,6 @@ def first_look(work: Work) -> Pilot:
     study = work.study
     if study.black_box:
         return Pilot(chosen="black box", why="the model is the user's own")
-    from uqsphere.mechanics import closed_form, dynamics
     from uqsphere.mechanics.validity import check_validity
 
     inputs = sub_inputs(work.all_inputs, work.scene_names)
@@ -241,11 +243,7 @@ def first_look(work: Work) -> Pilot:
 
     def solve(scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
         evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
-        if closed_form.closed_form_applies(scene, fidelity):
-            return closed_form.solve_closed(scene, fidelity)
-        return dynamics.solve(
-            scene, fidelity=fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities
-        )
+        return solve_scene(scene, fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities)
 
     evaluations: dict[str, int] = {}
     tolerance = study.model.tolerance
@@ -257,7 +255,7 @@ def first_look(work: Work) -> Pilot:
     for fidelity in FIDELITIES[:-1]:
         if asked in ("auto", fidelity) and count > 1:
             cheap = solve(few, fidelity, tolerance, work.quantities)
-            cost = row_cost(cheap, closed_form.closed_form_applies(few, fidelity)) / row_cost(full, False)
+            cost = row_cost(cheap) / row_cost(full)
             candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, cost))
     taken = _choose(tuple(candidates), bound) if asked == "auto" else None
     chosen, measured = (taken.fidelity if taken else "full") if asked == "auto" else asked, {}
