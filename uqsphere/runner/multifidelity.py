@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Description, Estimate
 from uqsphere.uq.reliability import LimitState, exceedance, miss, reliability_index, target_met
 
-__all__ = ["Control", "Plan", "follow", "propose", "report_of"]
+__all__ = ["Control", "Plan", "follow", "propose", "verdict", "weigh"]
 
 Array = npt.NDArray[np.float64]
 #: half-width over what is asked, by quantity and limit, of what is not accurate enough yet
@@ -110,34 +109,50 @@ def propose(pilot: Pilot) -> Control:
     return Control(plan=Plan(candidate=candidate, ratio=ratio), text="")
 
 
-def _needed(excess: dict[str, float], size: int) -> float:
+def _needed(excess: dict[str, float], size: int, rate: float) -> float:
     """Evaluations at which the last of the accuracies would be reached; one that has no width yet takes two stages."""
     widest = max(excess.values(), default=1.0)
-    return size * max(widest, 1.0) ** (1.0 / RATE) if math.isfinite(widest) else 4.0 * size
+    return size * max(widest, 1.0) ** (1.0 / rate) if math.isfinite(widest) else 4.0 * size
+
+
+def weigh(
+    plan: Plan, plain: dict[str, float], controlled: dict[str, float], size: int, rate: float = RATE
+) -> tuple[bool, int, int]:
+    """Whether the control pays, and the evaluations of full to the accuracy asked for, with it and without.
+
+    `plain` and `controlled` are half-widths over what is asked after `size` evaluations of full, and fall with
+    their number to the power of -`rate`.  Without the
+    control a stage is not rounded up, with it it is: what is doubtful speaks for plain sampling.
+    """
+    without = max(2.0 * size, _needed(plain, size, rate))
+    within = size * 2.0 ** math.ceil(math.log2(_needed(controlled, size, rate) / size) - 1e-9)
+    return within * plan.row_cost <= WORTHWHILE * without, int(within), _round(without)
+
+
+def verdict(plan: Plan, pays: bool, gain: dict[str, float], size: int, within: int, without: int) -> str:
+    """What came of the trial, in words."""
+    least = min(gain, key=lambda name: gain[name])
+    fidelity, named = plan.candidate.fidelity, f"{within:,} evaluations of full and {plan.ratio} of"
+    if pays:
+        return (
+            f"{fidelity} is used as a control variate: tried on {size:,} evaluations, it promised the accuracy asked "
+            f"for with {named} {fidelity} for each, in place of some {without:,} evaluations of full"
+        )
+    return (
+        f"{fidelity} was tried as a control variate on {size:,} evaluations and saves nothing: of what is not accurate "
+        f"enough yet it changes the interval of {least} by a factor of {1.0 / gain[least]:.2g}, and would take {named} "
+        f"{fidelity} for each, in place of some {without:,} evaluations of full"
+    )
 
 
 def _judge(control: Control, plan: Plan, plain: dict[str, float], controlled: dict[str, float], size: int) -> Control:
-    """Use the control, or not, by what both ways would cost from here on to the accuracy asked for.
-
-    Without it a stage is not rounded up, with it it is: what is doubtful speaks for plain sampling.
-    """
+    """Use the control, or not, by what both ways would cost from here on to the accuracy asked for."""
     gain = {name: min(ratio, 1e6) / controlled.get(name, 1.0) for name, ratio in plain.items()}
-    without = max(2.0 * size, _needed(plain, size))
-    within = size * 2.0 ** math.ceil(math.log2(_needed(controlled, size) / size) - 1e-9)
-    least = min(gain, key=lambda name: gain[name])
-    fidelity, named = plan.candidate.fidelity, f"{within:,.0f} evaluations of full and {plan.ratio} of"
-    if within * plan.row_cost <= WORTHWHILE * without:
-        text = (
-            f"{fidelity} is used as a control variate: tried on {size:,} evaluations, it promised the accuracy asked "
-            f"for with {named} {fidelity} for each, in place of some {_round(without):,} evaluations of full"
-        )
-        return replace(control, used=True, text=text, gain=gain, forecast=_round(without))
-    text = (
-        f"{fidelity} was tried as a control variate on {size:,} evaluations and saves nothing: of what is not accurate "
-        f"enough yet it narrows the interval of {least} by a factor of {gain[least]:.2g}, and would take {named} "
-        f"{fidelity} for each, in place of some {_round(without):,} evaluations of full"
-    )
-    return Control(plan=None, used=False, text=text, gain=gain, forecast=_round(without))
+    pays, within, without = weigh(plan, plain, controlled, size)
+    text = verdict(plan, pays, gain, size, within, without)
+    if pays:
+        return replace(control, used=True, text=text, gain=gain, forecast=without)
+    return Control(plan=None, used=False, text=text, gain=gain, forecast=without)
 
 
 def _round(value: float) -> int:
@@ -287,59 +302,3 @@ def _probability(
         counted=not isinstance(limit.strength, Law),
         method=f"{_method(plan)}, strength integrated",
     )
-
-
-# --- what is reported -----------------------------------------------------------------------------
-
-
-def report_of(work: Work, pilot: Pilot, control: Control) -> dict[str, Any]:
-    """What was considered, which share fell back, and what was saved, for results.json."""
-    considered = {
-        c.fidelity: {
-            "error": c.error,
-            "worst": c.worst,
-            "correlation": c.correlation,
-            "cost": c.cost,
-            "fits": c.fits,
-            "mixed_error": c.mixed_error,
-            "fallback_share": c.fallback_share,
-        }
-        for c in pilot.candidates
-    }
-    ledger = work.ledger
-    fallback = None
-    saved: dict[str, Any] = {"full_evaluations": 0, "cost_share": 0.0, "text": "nothing is saved"}
-    later = {name: number - pilot.evaluations.get(name, 0) for name, number in ledger.evaluations.items()}
-    if pilot.fallback is not None:
-        spared, by_full = later.get(pilot.chosen, 0), ledger.fallback
-        rows = spared + by_full
-        fallback = by_full / rows if rows else 0.0
-        cost = {c.fidelity: c.cost for c in pilot.candidates}[pilot.chosen]
-        left = (by_full + spared * cost) / rows if rows else 1.0
-        saved = {
-            "full_evaluations": spared,
-            "cost_share": 1.0 - left,
-            "text": f"{spared:,} evaluations of full are spared, {1.0 - left:.0%} of the cost after the pilot",
-        }
-    elif control.used and control.plan is not None and control.forecast is not None and control.sample is not None:
-        taken = control.sample.status.size // control.plan.ratio
-        left = taken * control.plan.row_cost / control.forecast
-        saved = {
-            "full_evaluations": control.forecast - taken,
-            "cost_share": 1.0 - left,
-            "text": f"{taken:,} evaluations of full in place of some {control.forecast:,} that sampling alone was "
-            f"forecast to take, {1.0 - left:.0%} of their cost",
-        }
-    return {
-        "considered": considered,
-        "fallback_share": fallback,
-        "control": {
-            "fidelity": control.plan.candidate.fidelity if control.used and control.plan else None,
-            "used": bool(control.used),
-            "ratio": control.plan.ratio if control.used and control.plan else None,
-            "gain": control.gain,
-            "text": control.text,
-        },
-        "saved": saved,
-        "undecided": ledger.undecided,
-    }

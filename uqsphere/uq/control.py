@@ -21,7 +21,15 @@ import numpy as np
 from uqsphere.uq.estimates import Description, Estimate, absent, share, student
 from uqsphere.uq.families import Array
 
-__all__ = ["Controlled", "best_ratio", "control", "describe_controlled", "predicted_cost", "probability"]
+__all__ = [
+    "Controlled",
+    "best_ratio",
+    "control",
+    "controlled_indices",
+    "describe_controlled",
+    "predicted_cost",
+    "probability",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,3 +234,41 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
         method=method,
         evaluations=dear.size,
     )
+
+
+def _indices(outputs: Array) -> Array:
+    """First and total indices of every replicate, (2, R, d), from outputs (R, N, d + 2) in the blocks A, AB_j, B."""
+    a, mixed, b = outputs[:, :, :1], outputs[:, :, 1:-1], outputs[:, :, -1:]
+    base = np.concatenate([a, b], axis=1)
+    mean, variance = base.mean(axis=1, keepdims=True), base.var(axis=1)
+    first = ((b - mean) * (mixed - a)).mean(axis=1) / variance
+    total = 0.5 * ((a - mixed) ** 2).mean(axis=1) / variance
+    return np.stack([first, total])
+
+
+def controlled_indices(dear: Array, cheap: Array, cheap_many: Array, *, method: str) -> dict[str, list[Estimate]]:
+    """First and total Sobol' indices {"first": [...], "total": [...]} by pick and freeze, controlled by a cheap model.
+
+    First indices after Saltelli et al. (Comput. Phys. Commun. 181, 2010, 259, table 2 (b)), total ones after
+    Jansen (table 2 (f) there).  A model that does not vary in a replicate is answered by absent estimates.
+
+    Parameters
+    ----------
+    dear, cheap : (R, N, d + 2) arrays
+        Outputs of both models at the same base points, in the blocks of `uqsphere.uq.sensitivity.mix`.
+    cheap_many : (R, M, d + 2) array
+        The cheap model at the base points continued.
+    """
+    replicates, d = len(dear), dear.shape[2] - 2
+    with np.errstate(all="ignore"):
+        one, two, three = (_indices(outputs) for outputs in (dear, cheap, cheap_many))
+    if not (np.isfinite(one).all() and np.isfinite(two).all() and np.isfinite(three).all()):
+        nothing = [absent("the output does not vary", method, dear.size)] * d
+        return {"first": nothing, "total": list(nothing)}
+    return {
+        order: [
+            _estimate(control(one[k, :, j], two[k, :, j], three[k, :, j]), replicates, method, dear.size)
+            for j in range(d)
+        ]
+        for k, order in enumerate(("first", "total"))
+    }
