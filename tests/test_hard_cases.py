@@ -91,7 +91,7 @@ def grazing_scene() -> tuple[Scene, np.ndarray]:
         scene = scaled_scene(np.full(len(theta), 0.03), theta)
         return np.asarray(solve(scene, tolerance=1e-12).values["contact_time"] / scene.scales.time) - theta
 
-    theta = np.linspace(0.5, 8.0, 400)
+    theta = np.linspace(0.05, 3.0, 600)
     jump = int(np.abs(np.diff(times(theta))).argmax())
     low, high = theta[jump], theta[jump + 1]
     for _ in range(40):

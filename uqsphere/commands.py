@@ -201,6 +201,8 @@ def _cautions(results: dict[str, Any]) -> list[str]:
 
 def _summary(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal."""
+    from uqsphere.runner.results import savings
+
     parts = [plain(results["study"]["title"]), ""]
     rows: list[tuple[str, ...]] = []
     for name, limit in results["limits"].items():
@@ -246,6 +248,7 @@ def _summary(results: dict[str, Any]) -> str:
         parts += ["before you rely on it:", *(f"- {text}" for text in cautions), ""]
     model = results["model"]
     parts.append(f"model: {model['chosen']} ({plain(model['why'])})")
+    parts += [f"{label}: {plain(text)}" for label, text in savings(model)]
     counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
     parts.append(f"evaluations: {counts}; failed: {model['failures']:,}")
     return "\n".join(parts)
