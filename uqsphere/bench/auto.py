@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.console import table
+from uqsphere.runner.results import savings
 
 __all__ = ["Comparison", "compare", "main"]
 
@@ -65,14 +66,15 @@ def _farthest(one: dict[str, Any], other: dict[str, Any]) -> float:
     return max(ratios)
 
 
-def compare(path: str | Path, overrides: Sequence[str] = (), *, model: str | None = None) -> Comparison:
+def compare(path: str | Path, overrides: Sequence[str] = ()) -> Comparison:
     """Run a study as it is and with the full model.
 
     Parameters
     ----------
     path : study file
     overrides : settings of the form "analysis.budget.evaluations=50000" that both runs get
-    model : "FILE.py:FUNCTION" of a black-box study, which has no other model to choose
+
+    A black box, which has no other model to choose, is NAME of the file NAME.py beside the study NAME.toml.
     """
     import uqsphere
 
@@ -80,7 +82,10 @@ def compare(path: str | Path, overrides: Sequence[str] = (), *, model: str | Non
     seconds: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         for forced in ((), ('model.fidelity="full"',)):
-            study = uqsphere.load_study(path, [*overrides, *(() if model else forced)])
+            study = uqsphere.load_study(path, overrides)
+            model = f"{Path(path).with_suffix('.py')}:{Path(path).stem}" if study.black_box else None
+            if forced and model is None:
+                study = uqsphere.load_study(path, [*overrides, *forced])
             started = time.process_time()
             runs.append(uqsphere.run(study, out=Path(folder) / str(len(runs)), threads=1, model=model).results)
             seconds.append(time.process_time() - started)
@@ -129,14 +134,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []
     for path in given.studies:
-        module = path.with_suffix(".py")
-        found = compare(path, given.overrides, model=f"{module}:{path.stem}" if module.is_file() else None)
+        found = compare(path, given.overrides)
         rows.append(_row(found))
-        notes += [
-            f"{found.study}: {text}"
-            for text in (found.model["why"], found.model["control"]["text"], found.model["saved"]["text"])
-            if text
-        ]
+        notes.append(f"{found.study}: {found.model['why']}")
+        notes += [f"{found.study}: {label}: {text}" for label, text in savings(found.model)]
     header = (
         "study",
         "chosen",

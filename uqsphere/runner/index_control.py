@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.multifidelity import Control, Plan, verdict, weigh
+from uqsphere.runner.multifidelity import Control, Plan, needed, verdict, weigh
 from uqsphere.runner.pilot import Pilot
 from uqsphere.runner.work import Work
 from uqsphere.uq.control import controlled_indices
@@ -101,6 +101,9 @@ def sharpen(
         pays, within, without = weigh(plan, before, after, size, RATE)
         text = verdict(plan, pays, gain, size, within, without)
         control = replace(control, used=pays, text=text, forecast=without)
+    elif lacking:
+        before = {name: width(plain[name]) / work.study.analysis.accuracy.sobol for name in lacking}
+        control = replace(control, forecast=round(needed(before, size, RATE)))
     return control, found if control.used else plain
 
 
@@ -165,6 +168,9 @@ def _saved(control: Control, indices: IndexControl) -> dict[str, Any]:
     if not forecast:
         return {"full_evaluations": 0, "cost_share": 0.0, "text": "nothing is saved"}
     share = 1.0 - cost / forecast
+    if share <= 0.0:
+        text = f"nothing is saved: sampling alone would have taken some {forecast:,} evaluations of full"
+        return {"full_evaluations": 0, "cost_share": 0.0, "text": text}
     text = (
         f"{taken:,} evaluations of full in place of some {forecast:,} that sampling alone was forecast to take, "
         f"{_per_cent(share)} of their cost"

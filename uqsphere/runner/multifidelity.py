@@ -18,7 +18,7 @@ from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Description, Estimate
 from uqsphere.uq.reliability import LimitState, exceedance, miss, reliability_index, target_met
 
-__all__ = ["Control", "Plan", "follow", "propose", "verdict", "weigh"]
+__all__ = ["Control", "Plan", "follow", "needed", "propose", "verdict", "weigh"]
 
 Array = npt.NDArray[np.float64]
 #: half-width over what is asked, by quantity and limit, of what is not accurate enough yet
@@ -109,7 +109,7 @@ def propose(pilot: Pilot) -> Control:
     return Control(plan=Plan(candidate=candidate, ratio=ratio), text="")
 
 
-def _needed(excess: dict[str, float], size: int, rate: float) -> float:
+def needed(excess: dict[str, float], size: int, rate: float) -> float:
     """Evaluations at which the last of the accuracies would be reached; one that has no width yet takes two stages."""
     widest = max(excess.values(), default=1.0)
     return size * max(widest, 1.0) ** (1.0 / rate) if math.isfinite(widest) else 4.0 * size
@@ -124,8 +124,8 @@ def weigh(
     their number to the power of -`rate`.  Without the
     control a stage is not rounded up, with it it is: what is doubtful speaks for plain sampling.
     """
-    without = max(2.0 * size, _needed(plain, size, rate))
-    within = size * 2.0 ** math.ceil(math.log2(_needed(controlled, size, rate) / size) - 1e-9)
+    without = max(2.0 * size, needed(plain, size, rate))
+    within = size * 2.0 ** math.ceil(math.log2(needed(controlled, size, rate) / size) - 1e-9)
     return within * plan.row_cost <= WORTHWHILE * without, int(within), _round(without)
 
 
@@ -217,10 +217,11 @@ def follow(
         descriptions=_descriptions(work, plan, sample, fresh),
         limits=_limits(work, plan, points, sample, drawn, fresh, plain[1]),
     )
+    size = n * REPLICATES
     if control.used is None:
-        controlled = excess(control.descriptions, control.limits)
-        control = _judge(control, plan, lacking, controlled, n * REPLICATES)
-    return control
+        return _judge(control, plan, lacking, excess(control.descriptions, control.limits), size)
+    # the more points there are, the better is known what sampling alone would have taken
+    return replace(control, forecast=_round(needed(lacking, size, RATE)))
 
 
 def _calibrated(work: Work, candidate: Candidate, sample: Sample) -> Sample:
