@@ -26,6 +26,7 @@ FLOORS = {
     "uqsphere.runner": 6,
     "uqsphere.report": 7,
     "uqsphere.bench": 8,
+    "uqsphere.summary": 8,
     "uqsphere.commands": 9,
     "uqsphere.cli": 10,
     "uqsphere.__main__": 11,
