@@ -219,7 +219,7 @@ def command_export(chosen: argparse.Namespace) -> int:
 def command_history(chosen: argparse.Namespace) -> int:
     """One deterministic scene over time."""
     from uqsphere.report.detail import write_history
-    from uqsphere.runner.deterministic import history_of
+    from uqsphere.runner.deterministic import history_of, history_summary
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
