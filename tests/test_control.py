@@ -119,6 +119,14 @@ def test_a_control_that_does_not_vary_leaves_the_plain_answer() -> None:
     assert (found.value, found.alpha, found.std_error) == (2.5, 0.0, found.plain_error)
 
 
+def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
+    # shares that the points hit exactly leave nothing to see: the error is that of one row and of the cells
+    same = np.full(16, 0.25) + 1e-9 * np.arange(16)
+    found = probability(same, same, np.full(16, 0.25), sizes=(N, 100 * N), counted=True, method="x")
+    assert found is not None
+    assert found.std_error >= 1.0 / (16 * N)
+
+
 def test_a_bound_on_alpha_is_kept_and_its_error_is_right() -> None:
     rng = np.random.default_rng(8)
     dear, many = rng.normal(size=(4000, 16)), np.zeros((4000, 16))
