@@ -31,7 +31,7 @@ TRIED = 256
 #: fall of the half-widths of quantiles and probabilities with the points, in the shipped studies 0.6 to 0.8
 RATE = 0.75
 #: most evaluations of the cheap model for each of the full one, and most they may cost together over that one
-MOST_RATIO, MOST_COST = 32, 0.7
+MOST_RATIO, MOST_COST = 16, 0.7
 #: the forecast cost with the control over that without, from which on it is not used
 WORTHWHILE = 0.8
 
