@@ -207,5 +207,5 @@ def collocate(
     middle = float((np.abs(series[NODES // 2 - 1 : NODES // 2 + 2]).max(axis=0) / scale).max())
     return Piece(
         start=start, length=length, power=power, states=series, waves=waves,
-        tail=tail, expected=min(tail, max(1e2 * middle * middle, 1e-30)),
+        tail=tail, expected=max(1e-30, min(tail, 1e2 * middle * middle)),
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """The kernel over the whole range of inputs: against the reference, and against itself at a closer tolerance.
 
-    python -m uqsphere.bench.sweep --count 2000 --seed 1 --reference
+    python -m uqsphere.bench.sweep_compare --count 2000 --seed 1 --reference
 
 A row is wrong and silent if its status is 0 and a quantity is off by more than five times the tolerance.
 """
@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.bench.sweep_scenes import Design, as_inputs, design, rows_of
+from uqsphere.bench.sweep_strata import Design, as_inputs, design, rows_of
 from uqsphere.mechanics.dynamics import Answers, solve
 from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.quantities import OUTPUTS
@@ -246,7 +246,7 @@ def table(found: Comparison) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table of one sweep."""
-    parser = argparse.ArgumentParser(prog="python -m uqsphere.bench.sweep", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m uqsphere.bench.sweep_compare", description=__doc__)
     parser.add_argument("--count", type=int, default=500, help="scenes (default 500)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the design (default 1)")
     parser.add_argument("--tolerance", type=float, default=1e-6, help="tolerance of the kernel (default 1e-6)")
