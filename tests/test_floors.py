@@ -25,9 +25,11 @@ FLOORS = {
     "uqsphere.plan": 6,
     "uqsphere.runner": 6,
     "uqsphere.report": 7,
-    "uqsphere.commands": 8,
-    "uqsphere.cli": 9,
-    "uqsphere.__main__": 10,
+    "uqsphere.bench": 8,
+    "uqsphere.summary": 8,
+    "uqsphere.commands": 9,
+    "uqsphere.cli": 10,
+    "uqsphere.__main__": 11,
 }
 #: the root names the package's version and hands out its public names lazily: every floor may read the version
 PUBLIC = "uqsphere"

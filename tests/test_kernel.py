@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import dynamics
 from uqsphere.mechanics.dynamics import Answers, motion, solve
-from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
 
 SOLVER = 5.0
 EXACT = 1e-12
@@ -260,7 +260,8 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     medians = []
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
-        assert (found.status == 0).all()
+        assert answered(found.status).all()
+        assert (found.status == UNDECIDED).mean() < 0.02
         for name in ("p_max", "first_peak", "pulse_width", "rise_time", "force_imbalance", "energy"):
             error = relative(found.values[name], exact.values[name]) / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
@@ -372,7 +373,7 @@ def test_extremes_end_and_say_how() -> None:
     mu, theta = (grid.ravel() for grid in np.meshgrid(10.0 ** np.arange(-6.0, 3.0), 10.0 ** np.arange(-3.0, 2.0)))
     for tolerance in (1e-3, 1e-6):
         found = solve(scaled_scene(mu, theta), tolerance=tolerance)
-        assert (found.status == 0).all()
+        assert answered(found.status).all()
         assert np.isfinite(found.values["p_max"]).all()
     long = solve(scaled_scene([1e-3, 1.0, 100.0], [1e3, 1e3, 1e3]), tolerance=1e-6)
     assert (long.status == 0).all()

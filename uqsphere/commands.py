@@ -11,8 +11,9 @@ from typing import Any
 
 from uqsphere.console import Progress, plain, table
 from uqsphere.errors import AccessError, UsageError
-from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_estimate, format_value, lookup, parse_value
-from uqsphere.study import Study, json_schema, load_study
+from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_value, lookup, parse_value
+from uqsphere.study import Study, json_schema, load_study, shipped_studies
+from uqsphere.summary import summary_of
 
 #: exit code of a finished run that misses a target
 MISSED = 3
@@ -29,19 +30,9 @@ def _warn(study: Study) -> None:
         print(f"warning: {plain(text)}", file=sys.stderr)
 
 
-def _templates() -> dict[str, Path]:
-    """Shipped studies by name: beside the package when installed, in the repository otherwise."""
-    package = Path(__file__).parent
-    for folder in (package / "templates", package.parent / "studies"):
-        found = {path.stem: path for path in sorted(folder.glob("*.toml"))}
-        if found:
-            return found
-    return {}
-
-
 def command_new(chosen: argparse.Namespace) -> int:
     """Write a shipped study to a new file."""
-    found = _templates()
+    found = shipped_studies()
     if chosen.template not in found:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
@@ -177,88 +168,9 @@ def command_run(chosen: argparse.Namespace) -> int:
     if chosen.json:
         _document(found.results)
     else:
-        print(_summary(found.results))
+        print(summary_of(found.results))
         print(f"\nreport: {page}")
     return 0 if found.met else MISSED
-
-
-def _estimate(entry: dict[str, Any], name: str = "") -> str:
-    if entry["value"] is None:
-        return f"- ({entry.get('reason', 'not known')})"
-    low = entry["low"] if entry["low"] is not None else entry["value"]
-    high = entry["high"] if entry["high"] is not None else entry["value"]
-    return format_estimate(entry["value"], low, high, name)
-
-
-def _cautions(results: dict[str, Any]) -> list[str]:
-    """What weakens the answers, as the report says it at length."""
-    found = []
-    if results["model"]["failures"]:
-        found.append(f"{results['model']['failures']:,} evaluations failed")
-    for check in results["validity"]:
-        for grade, share in (
-            ("failure", check.get("share_failure", 0.0)),
-            ("warning", check.get("share_warning", 0.0)),
-        ):
-            if share:
-                found.append(f"{grade}: {plain(check['text'])}")
-                break
-    missed = results["accuracy"]["missed"]
-    if missed:
-        found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")
-    return found
-
-
-def _summary(results: dict[str, Any]) -> str:
-    """The answers of a run for the terminal."""
-    parts = [plain(results["study"]["title"]), ""]
-    rows: list[tuple[str, ...]] = []
-    for name, limit in results["limits"].items():
-        verdict = (
-            {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]]
-            if limit["target"] is not None
-            else "no target"
-        )
-        target = f"{limit['target']:g}" if limit["target"] is not None else "-"
-        rows.append(
-            (name, limit["aim"], _estimate(limit["miss"]), target, verdict, _estimate(limit["margin"]["median"]))
-        )
-    if rows:
-        parts += [
-            table(("limit", "aim", "probability of missing it (95 %)", "target", "verdict", "median margin"), rows),
-            "",
-        ]
-    rows = []
-    for name, entry in results["quantities"].items():
-        rows.append((name, "mean", _estimate(entry["mean"], name)))
-        rows.append(("", "standard deviation", _estimate(entry["sd"], name)))
-        rows += [("", f"{100 * float(p):.12g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
-        if entry["censored_share"]["value"]:
-            rows.append(("", "censored share", _estimate(entry["censored_share"])))
-    parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), ""]
-    rows = [
-        (quantity, name, _estimate(entry["first"][name]), _estimate(entry["total"][name]))
-        for quantity, entry in results["sensitivity"].items()
-        for name in entry["first"]
-    ]
-    if rows:
-        parts += [table(("quantity", "input", "first-order index", "total index"), rows), ""]
-    rows = [
-        (name, f"{float(p):g}", _estimate(e, entry["solve"]))
-        for name, entry in results["margins"].items()
-        for p, e in entry["values"].items()
-    ]
-    if rows:
-        solve = next(iter(results["margins"].values()))["solve"]
-        parts += [table(("limit", "probability of exceedance", f"at {solve}"), rows), ""]
-    cautions = _cautions(results)
-    if cautions:
-        parts += ["before you rely on it:", *(f"- {text}" for text in cautions), ""]
-    model = results["model"]
-    parts.append(f"model: {model['chosen']} ({plain(model['why'])})")
-    counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
-    parts.append(f"evaluations: {counts}; failed: {model['failures']:,}")
-    return "\n".join(parts)
 
 
 def command_report(chosen: argparse.Namespace) -> int:
@@ -283,7 +195,7 @@ def command_show(chosen: argparse.Namespace) -> int:
     if chosen.json:
         _document(found.results)
     else:
-        print(_summary(found.results))
+        print(summary_of(found.results))
     return 0
 
 
@@ -391,6 +303,36 @@ def command_list(chosen: argparse.Namespace) -> int:
         _document(content)
     else:
         print(text)
+    return 0
+
+
+def command_bench(chosen: argparse.Namespace) -> int:
+    """Measure speed against error, or sweep hard cases."""
+    if chosen.sweep is not None:
+        return _sweep(chosen)
+    from uqsphere.bench import run_bench
+
+    content = run_bench(chosen.out, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr))
+    text = content.pop("text")
+    if chosen.json:
+        _document(content)
+    else:
+        print(text)
+        print(f"\nwritten to {chosen.out}")
+    return 0
+
+
+def _sweep(chosen: argparse.Namespace) -> int:
+    from uqsphere.bench.sweep import compare_closer, compare_plain, sweep_table
+
+    if not 1 <= chosen.sweep <= 1_000_000:
+        raise UsageError(f"--sweep takes 1 to 1,000,000 scenes, found {chosen.sweep}")
+    found = (compare_plain if chosen.plain else compare_closer)(chosen.sweep)
+    if chosen.json:
+        errors = {name: [float(e) for e in error if e == e] for name, error in found.errors.items()}
+        _document({"errors_over_tolerance": errors, "status": found.status.tolist(), "wrong_and_silent": found.silent})
+    else:
+        print(sweep_table(found))
     return 0
 
 

@@ -20,18 +20,23 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
+    from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.fallback import Fallback
     from uqsphere.mechanics.scene import Scene
 
 __all__ = [
+    "ANSWERED",
     "FIDELITIES",
     "STATUS_NOT_FINITE",
     "Answered",
     "BlackBox",
     "answer",
     "evaluate",
+    "is_answered",
     "load_black_box",
     "model_digest",
     "scene_of",
+    "solve_scene",
     "status_text",
 ]
 
@@ -42,15 +47,42 @@ BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
 FIDELITIES = ("massless", "linear", "full")
 #: status of a row whose black box gave a number that is not finite
 STATUS_NOT_FINITE = 6
+#: status of a row whose contact may be lost at either of two times: it carries the likelier one
+STATUS_UNDECIDED = 7
+#: a row with one of these has numbers
+ANSWERED = frozenset({0, STATUS_UNDECIDED})
+#: how a row was answered: by the fidelity asked for, by `full` in its place, or by `full` after it had failed
+ROUTE_ASKED, ROUTE_FULL, ROUTE_BOTH = 0, 1, 2
+
+
+def is_answered(status: Any) -> npt.NDArray[np.bool_]:
+    """Whether rows of a status carry numbers.
+
+    >>> is_answered([0, 3, 7]).tolist()
+    [True, False, True]
+    """
+    return np.asarray(np.isin(np.asarray(status), list(ANSWERED)), dtype=bool)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Answered:
-    """Answers of n rows: values and censored flags (n, q) in the order of the quantities asked, status (n,)."""
+    """Answers of n rows.
+
+    Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
+    row was answered (n,): all by the fidelity asked for if None.  others (n, q): the other answer of rows whose
+    status is 7; None if there is none.
+    """
 
     values: Array
     censored: npt.NDArray[np.bool_]
     status: npt.NDArray[np.int64]
+    route: npt.NDArray[np.int64] | None = None
+    others: Array | None = None
+
+    @property
+    def routes(self) -> npt.NDArray[np.int64]:
+        """The route of every row, (n,)."""
+        return np.zeros(len(self.status), dtype=np.int64) if self.route is None else self.route
 
 
 def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
@@ -74,6 +106,29 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     )
 
 
+def solve_scene(
+    scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
+) -> Answers:
+    """Answers of one fidelity for all rows of a scene: in closed form where there is one, else integrated."""
+    from uqsphere.mechanics import closed_form, dynamics
+
+    if closed_form.closed_form_applies(scene, fidelity):
+        return closed_form.solve_closed(scene, fidelity)
+    return dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+
+
+def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Answered:
+    """The same as a table with a column per quantity."""
+    answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+    none = np.zeros(len(scene), dtype=bool)
+    return Answered(
+        values=np.stack([answers.values[name] for name in quantities], axis=1),
+        censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
+        status=answers.status,
+        others=np.stack([answers.others[name] for name in quantities], axis=1) if answers.others else None,
+    )
+
+
 def _answer_scene(
     study: Study,
     names: Sequence[str],
@@ -82,20 +137,31 @@ def _answer_scene(
     fidelity: str,
     tolerance: float,
     threads: int | None,
+    fallback: Fallback | None,
 ) -> Answered:
-    from uqsphere.mechanics import closed_form, dynamics
+    """Answers of the fidelity, and of `full` for the rows that the error estimate or a failure leaves to it."""
 
-    scene = scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
-    if closed_form.closed_form_applies(scene, fidelity):
-        answers = closed_form.solve_closed(scene, fidelity)
-    else:
-        answers = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
-    none = np.zeros(len(rows), dtype=bool)
-    return Answered(
-        values=np.stack([answers.values[name] for name in quantities], axis=1),
-        censored=np.stack([answers.censored.get(name, none) for name in quantities], axis=1),
-        status=answers.status,
-    )
+    def scene_at(which: Any) -> Scene:
+        some = rows[which]
+        return scene_of(study, {name: some[:, k] for k, name in enumerate(names)}, len(some))
+
+    everything = scene_at(slice(None))
+    if fallback is None or fidelity == "full":
+        return _solve(everything, quantities, fidelity, tolerance, threads)
+    route = np.where(fallback.doubtful(everything), ROUTE_FULL, ROUTE_ASKED)
+    values = np.full((len(rows), len(quantities)), np.nan)
+    censored = np.zeros(values.shape, dtype=bool)
+    status = np.zeros(len(rows), dtype=np.int64)
+
+    def put(which: npt.NDArray[np.int64], by: str) -> None:
+        if len(which):
+            found = _solve(scene_at(which), quantities, by, tolerance, threads)
+            values[which], censored[which], status[which] = found.values, found.censored, found.status
+
+    put(np.flatnonzero(route == ROUTE_ASKED), fidelity)
+    route[~is_answered(status)] = ROUTE_BOTH
+    put(np.flatnonzero(route != ROUTE_ASKED), "full")
+    return Answered(values=values, censored=censored, status=status, route=route)
 
 
 _redirect_lock = threading.Lock()
@@ -166,6 +232,7 @@ def answer(
     tolerance: float = 1e-6,
     threads: int | None = None,
     black_box: BlackBox | None = None,
+    fallback: Fallback | None = None,
 ) -> Answered:
     """Answers of n rows.
 
@@ -176,6 +243,7 @@ def answer(
     quantities : q names of `uqsphere.quantities.OUTPUTS`, or the black box's outputs.
     fidelity, tolerance, threads : see `uqsphere.mechanics.dynamics.solve`.
     black_box : the user's model, for a black-box study.
+    fallback : which rows a cheaper fidelity leaves to `full`; none if None.
 
     Raises
     ------
@@ -193,7 +261,7 @@ def answer(
             **{name: rows[:, k] for k, name in enumerate(names)},
         }
         return _answer_black_box(list(columns), np.stack(list(columns.values()), axis=1), quantities, black_box)
-    return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads)
+    return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads, fallback)
 
 
 def evaluate(
@@ -221,6 +289,7 @@ def evaluate(
     pandas.DataFrame
         n rows; a column per quantity in SI (NaN where the row failed), `status` (0 ok, else a code of
         `uqsphere.mechanics.scene.STATUS`) and `censored` (whether any quantity asked for is a lower bound).
+        Only if a row has two answers, status 7: the other one in columns named as the quantities with `_other`.
 
     Raises
     ------
@@ -257,6 +326,9 @@ def evaluate(
     frame = pd.DataFrame({name: found.values[:, k] for k, name in enumerate(quantities)})
     frame["status"] = found.status
     frame["censored"] = np.asarray(found.censored.any(axis=1), dtype=bool)
+    if found.others is not None:
+        for k, name in enumerate(quantities):
+            frame[f"{name}_other"] = found.others[:, k]
     return frame
 
 

@@ -7,6 +7,7 @@ All functions are elementwise in the scaled variables of theory (8): approach x 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -17,12 +18,14 @@ from uqsphere.mechanics.scene import Scene
 
 __all__ = [
     "closed_form_applies",
+    "largest_approach",
     "linear_approaches",
     "loading_approach",
     "loading_time",
     "massless_approach",
     "relaxing_approach",
     "relaxing_time",
+    "scaled_answers",
     "solve_closed",
 ]
 
@@ -84,6 +87,13 @@ def loading_time(x: Any) -> Array:
     return np.where(x < _SERIES_BELOW_X, _series(small), closed)
 
 
+@lru_cache(maxsize=1)
+def _table() -> tuple[Array, Array]:
+    """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration finishes it."""
+    z = np.concatenate([np.linspace(0.3, 4.0, 24_000), np.linspace(4.0, 100.0, 8_000)[1:]])
+    return _time_at_root(-np.expm1(-z), z), z
+
+
 def loading_approach(s: Any) -> Array:
     """Scaled approach x of the massless sphere at the time s of an endless step; inverse of `loading_time`.
 
@@ -106,19 +116,22 @@ def loading_approach(s: Any) -> Array:
     s = np.asarray(s, dtype=float)
     if not bool(np.all(s >= 0.0)):
         raise ValueError("the time of a loading must not be negative")
+    # beyond s = 60 the approach is 1 to the last bit
+    large = np.clip(s, _SERIES_BELOW_S, 60.0)
+    z = np.interp(large, *_table())
+    y = -np.expm1(-z)
+    z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
+    approach = np.square(np.expm1(-z))
+    early = s < _SERIES_BELOW_S
+    if not early.any():
+        return np.asarray(approach)
     small = np.minimum(s, _SERIES_BELOW_S)
     x = small - 0.4 * small**2.5
     for _ in range(2):
         excess = _series(x) - small
         root = np.sqrt(x)
         x = x - excess * (1.0 - x * root) / (1.0 - 0.75 * excess * root)
-    # beyond s = 60 the approach is 1 to the last bit
-    large = np.clip(s, _SERIES_BELOW_S, 60.0)
-    z = 1.5 * large + (math.sqrt(3.0) * math.pi / 6.0 - 0.5 * math.log(3.0))
-    for _ in range(6):
-        y = -np.expm1(-z)
-        z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
-    return np.asarray(np.where(s < _SERIES_BELOW_S, x, np.square(np.expm1(-z))))
+    return np.asarray(np.where(early, x, approach))
 
 
 def relaxing_approach(start: Any, after: Any) -> Array:
@@ -228,6 +241,20 @@ def solve_closed(scene: Scene, fidelity: str = "massless") -> Answers:
         horizon = np.where(good, scene.record_end / scales.time, 1.0)
     scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
     return to_si(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), linear=False)
+
+
+def largest_approach(theta: Any) -> Array:
+    """Scaled approach at the end of a rectangular pulse of length theta: the largest of the massless sphere.
+
+    >>> largest_approach([0.8, np.inf]).round(6).tolist()
+    [0.620178, 1.0]
+    """
+    return loading_approach(theta)
+
+
+def scaled_answers(scene: Scene) -> Array:
+    """Scaled answers (n, 10) of `dynamics.to_si` for scenes inside the domain."""
+    return _scaled_answers(scene.scales.pulse_number, scene.record_end / scene.scales.time)
 
 
 def _scaled_answers(theta: Array, horizon: Array) -> Array:

@@ -21,11 +21,15 @@ __all__ = ["cache_folder", "compiled"]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
+#: files with compiled code, or with numbers that it takes in
+_SOURCES = ("compiled", "events", "glide", "incoming", "kernel", "layout", "lookout", "record", "series", "vectors")
+
+
 @lru_cache(maxsize=1)
 def _sources() -> str:
     """Fingerprint of every compiled source: numba itself looks at the file of the outermost function alone."""
     digest = hashlib.sha256(f"{sys.version_info[:3]} {metadata.version('numba')}".encode())
-    for name in ("compiled", "events", "kernel", "series", "vectors"):
+    for name in _SOURCES:
         digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
     return digest.hexdigest()[:16]
 

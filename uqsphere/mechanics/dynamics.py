@@ -13,17 +13,30 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.doubts import doubtful, jumping, other_ends, other_times
+from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
-__all__ = ["MODES", "Answers", "Motion", "integrate", "motion", "solve", "thread_count"]
+__all__ = [
+    "MODES",
+    "Answers",
+    "Motion",
+    "Scaled",
+    "integrate",
+    "motion",
+    "scaled_arguments",
+    "solve",
+    "thread_count",
+    "wishes",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,16 +49,18 @@ _CAPACITIES = (1024, 16_384, 262_144)
 _FULL, _NOT_FINITE = 5, 6
 #: what the kernel has to follow beside the largest approaches and the contact time, as it numbers it
 _WANTED: Final[dict[str, int]] = {
-    "pulse_width": 1,
     "rise_time": 1,
     "loading_rate": 1,
     "force_imbalance": 2,
     "energy": 4,
     "specific_energy": 4,
+    "pulse_width": 8,
+    "contact_time": 16,
 }
+_WANTED_ALL: Final = 31
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
-_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.2, 0.1
+_LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,11 +75,14 @@ class Answers:
     censored : mapping of str to (n,) array of bool
         For contact_time and pulse_width: the record ended first, the value is a lower bound.
     status : (n,) array of int
-        0, or a code of `uqsphere.mechanics.scene.STATUS`.
+        0, or a code of `uqsphere.mechanics.scene.STATUS`; rows of 0 and of 7 have values.
     record : (n,) array
-        End of the record [s].
+        End of the record [s], or the time after which nothing that was asked for could change.
     steps : (n,) array of int
         Steps of the integrator.
+    others : mapping of str to (n,) array
+        Where the status is 7, the quantities if contact is decided the other way; NaN elsewhere, empty if no
+        row is undecided.
     """
 
     values: Mapping[str, Array]
@@ -72,11 +90,12 @@ class Answers:
     status: npt.NDArray[np.int64]
     record: Array
     steps: npt.NDArray[np.int64]
+    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 8) of x_1, x_2, u.
+    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 17) of x_1, x_2, u.
 
     They ascend in powers of the share of the step that has passed; `end` is the end of the record, which may
     lie inside the last step.
@@ -99,7 +118,15 @@ def thread_count(threads: int | None = None) -> int:
     return max(1, os.cpu_count() or 1)
 
 
-def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
+def wishes(quantities: Collection[str] | None) -> int:
+    """What an integrator has to follow for these quantities, or for all: sum of layout.WANT_*."""
+    wanted = 0
+    for name in _WANTED if quantities is None else quantities:
+        wanted |= _WANTED.get(name, 0)
+    return wanted
+
+
+def scaled_arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
     """What the kernel needs of `rows`, in scaled variables."""
     time = scene.scales.time[rows]
     pulse = scene.pulse
@@ -117,6 +144,7 @@ def _arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
         "horizon": scene.record_end[rows] / time,
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
+        "graze": np.zeros(len(rows)),
     }
 
 
@@ -130,14 +158,15 @@ def _march(
     status: npt.NDArray[np.int64],
     steps: npt.NDArray[np.int64],
     keep: int = 0,
-    wanted: int = 7,
+    wanted: int = _WANTED_ALL,
 ) -> Motion | None:
     """Run the kernel on rows `order`, with more room for those that run out of it."""
     from uqsphere.mechanics.kernel import march
     from uqsphere.mechanics.series import TERMS
 
     share = _LOCAL_DIFFERENCE if wanted & 2 else _LOCAL
-    share = _LOCAL_TAIL if not np.isfinite(arguments["horizon"]).all() else share
+    if wanted & (8 | 16) and not np.isfinite(arguments["horizon"]).all():
+        share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
     motion = None
@@ -156,6 +185,7 @@ def _march(
             arguments["horizon"],
             arguments["pulse_end"],
             arguments["level"],
+            arguments["graze"],
             local,
             stop_at_loss,
             capacity,
@@ -174,26 +204,17 @@ def _march(
     return motion
 
 
-def _grazing(
-    answers: Array, status: npt.NDArray[np.int64], block: npt.NDArray[np.int64], tolerance: float
-) -> list[tuple[float, npt.NDArray[np.int64]]]:
-    """Rows of a block whose contact ends so gently that its time is less certain than the approach: (tolerance, rows).
+@dataclass(frozen=True, kw_only=True)
+class Scaled:
+    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.layout`, status (n,) and steps (n,) of n rows.
 
-    An error of tolerance x_max in the approach moves the end of contact by that over the rate at which the
-    face leaves; where this is more than the tolerance of the time itself, the row is integrated again.
+    What was not asked for may be NaN.  `others` (n, ANSWERS): the other answer where the status is 7.
     """
-    from uqsphere.mechanics.events import ANSWER_CONTACT, ANSWER_LOSS_RATE, ANSWER_X_MAX
 
-    found = answers[block]
-    with np.errstate(all="ignore"):
-        sharpness = found[:, ANSWER_LOSS_RATE] * found[:, ANSWER_CONTACT] / found[:, ANSWER_X_MAX]
-    done = status[block] == 0
-    groups = []
-    for low, high, factor in ((1e-2, 1.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
-        rows = block[done & (sharpness >= low) & (sharpness < high)]
-        if len(rows):
-            groups.append((max(1e-13, factor * tolerance), rows))
-    return groups
+    answers: Array
+    others: Array
+    status: npt.NDArray[np.int64]
+    steps: npt.NDArray[np.int64]
 
 
 def integrate(
@@ -203,39 +224,50 @@ def integrate(
     tolerance: float = 1e-6,
     threads: int | None = None,
     quantities: Collection[str] | None = None,
-) -> tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.events`, status (n,) and steps (n,) of a batch.
+) -> Scaled:
+    """Integrate a batch in scaled variables; what `quantities` does not name is not followed.
 
-    What `quantities` does not name may be left NaN.
+    Where there is no compiler, `uqsphere.mechanics.plain` does it: slower, and without the status 7.
     """
-    from uqsphere.mechanics.events import empty_answers
+    from uqsphere.mechanics.layout import empty_answers
+
+    if find_spec("numba") is None:
+        from uqsphere.mechanics.plain import integrate_plain
+
+        return integrate_plain(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)
-    answers = empty_answers(len(scene))
+    answers, others = empty_answers(len(scene)), empty_answers(len(scene))
     steps = np.zeros(len(scene), dtype=np.int64)
     if len(rows) == 0:
-        return answers, status, steps
-    wanted = 0
-    for name in _WANTED if quantities is None else quantities:
-        wanted |= _WANTED.get(name, 0)
-    arguments = _arguments(scene, rows)
-    inner_answers = empty_answers(len(rows))
+        return Scaled(answers=answers, others=others, status=status, steps=steps)
+    wanted = wishes(quantities)
+    arguments = scaled_arguments(scene, rows)
+    inner, inner_others = empty_answers(len(rows)), empty_answers(len(rows))
     inner_status = np.zeros(len(rows), dtype=np.int64)
     inner_steps = np.zeros(len(rows), dtype=np.int64)
     blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
+    mode = MODES[fidelity]
 
-    def run(block: npt.NDArray[np.int64], tolerance: float = tolerance) -> None:
-        _march(
-            arguments, block, MODES[fidelity], tolerance, True, inner_answers, inner_status, inner_steps, wanted=wanted
-        )
-        if quantities is None or "contact_time" in quantities:
-            for closer, grazing in _grazing(inner_answers, inner_status, block, tolerance):
-                inner_answers[grazing] = np.nan
+    def run(block: npt.NDArray[np.int64]) -> None:
+        _march(arguments, block, mode, tolerance, True, inner, inner_status, inner_steps, wanted=wanted)
+        for factor, again in doubtful(inner, inner_status, inner_steps, block, tolerance):
+            closer = max(1e-13, factor * tolerance)
+            inner[again] = np.nan
+            _march(arguments, again, mode, closer, True, inner, inner_status, inner_steps, wanted=wanted)
+            graze = other_ends(inner, tolerance)
+            open_rows = again[(inner_status[again] == 0) & (graze[again] != 0.0)]
+            if len(open_rows):
+                other_status = inner_status.copy()
                 _march(
-                    arguments, grazing, MODES[fidelity], closer, True, inner_answers, inner_status, inner_steps,
-                    wanted=wanted,
+                    {**arguments, "graze": graze}, open_rows, mode, closer, True, inner_others, other_status,
+                    np.zeros_like(inner_steps), wanted=wanted,
                 )  # fmt: skip
+                inner_status[open_rows] = np.where(other_status[open_rows] == 0, UNDECIDED, other_status[open_rows])
+            jumps = again[jumping(inner[again], closer) & (inner_status[again] == 0)]
+            inner_others[jumps] = other_times(inner[jumps])
+            inner_status[jumps] = UNDECIDED
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:
@@ -245,8 +277,8 @@ def integrate(
         run(blocks[0][:0])  # compile, or load, once before the threads ask for it
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run, blocks))
-    answers[rows], status[rows], steps[rows] = inner_answers, inner_status, inner_steps
-    return answers, status, steps
+    answers[rows], status[rows], steps[rows], others[rows] = inner, inner_status, inner_steps, inner_others
+    return Scaled(answers=answers, others=others, status=status, steps=steps)
 
 
 def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
@@ -260,12 +292,20 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     _check_request(fidelity, tolerance)
     status = scene.status[[row]].copy()
     if status[0] == 0:
-        from uqsphere.mechanics.events import ANSWER_END, empty_answers
+        from uqsphere.mechanics.layout import ANSWER_END, empty_answers
 
         answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
         only = np.zeros(1, dtype=np.int64)
         found = _march(
-            _arguments(scene, np.array([row])), only, MODES[fidelity], tolerance, False, answers, status, steps, keep=1
+            scaled_arguments(scene, np.array([row])),
+            only,
+            MODES[fidelity],
+            tolerance,
+            False,
+            answers,
+            status,
+            steps,
+            keep=1,
         )
         if status[0] == 0 and found is not None:
             return replace(found, end=float(answers[0, ANSWER_END]))
@@ -310,10 +350,18 @@ def solve(
     _check_request(fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
-    scaled, status, steps = integrate(
-        scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
-    )
-    return to_si(scene, scaled, status, steps, linear=fidelity == "linear", quantities=quantities)
+    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+    linear = fidelity == "linear"
+    solved = to_si(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
+    if not (found.status == UNDECIDED).any():
+        return solved
+    other = to_si(scene, found.others, found.status, found.steps, linear=linear, quantities=quantities)
+    undecided = (solved.status == UNDECIDED) & (other.status == UNDECIDED)
+    # one of the two answers alone is no answer
+    status = np.where((solved.status == UNDECIDED) & ~undecided, _NOT_FINITE, solved.status)
+    values = {name: np.where(answered(status), value, np.nan) for name, value in solved.values.items()}
+    others = {name: np.where(undecided, value, np.nan) for name, value in other.values.items()}
+    return replace(solved, values=values, others=others, status=status)
 
 
 def to_si(
@@ -358,8 +406,8 @@ def to_si(
         if quantities is not None:
             values = {name: value for name, value in values.items() if name in quantities}
         finite = np.logical_and.reduce([np.isfinite(value) for value in (x_max, *values.values())])
-    status = np.where((status == 0) & ~finite, _NOT_FINITE, status)
-    bad = status != 0
+    status = np.where(answered(status) & ~finite, _NOT_FINITE, status)
+    bad = ~answered(status)
     values = {name: np.where(bad, np.nan, value) for name, value in values.items()}
     flags = {"contact_time": contact_censored, "pulse_width": width_censored}
     censored = {name: (flag > 0.0) & ~bad for name, flag in flags.items() if name in values}

@@ -1,45 +1,35 @@
-"""What happens inside the steps of a row: peaks, loss of contact, threshold crossings, the end of the record.
+"""What happens inside the steps of a row: loss of contact, touch, threshold crossings, the end of the record.
 
-A vector loop over all lanes (`look`) says in which steps anything can happen; only those are searched, on the
-series of the step, so that an event is located far better than the steps are long.  A piece is the part of a
-step's series that belongs to one lane, (2, TERMS), powers of theta; all quantities are the scaled ones.
+`uqsphere.mechanics.lookout` says in which steps anything can happen; only those are searched, on the series of
+the step, so that an event is located far better than the steps are long.  A piece is the part of a step's series
+that belongs to one lane, (2, TERMS), powers of theta; all quantities are the scaled ones.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.series import INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.layout import (
+    DEPTH,
+    DIFFERENCE,
+    ENDED,
+    FACE_A,
+    FACE_B,
+    KINDS,
+    LOSS_RATE,
+    LOST,
+    NEAREST,
+    POINTS,
+    SOMETHING,
+    TOUCHED_A,
+    TRACKS,
+    X_FIRST,
+)
+from uqsphere.mechanics.series import INNER, ORDER
 from uqsphere.mechanics.vectors import apart
 
-__all__ = ["ANSWERS", "after_step", "begin", "empty_answers", "finish", "look", "passage"]
-
-#: status of a row
-OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
-
-# what the caller wants beside the largest approaches and the contact time
-WANT_THRESHOLDS, WANT_DIFFERENCE, WANT_ENERGY = 1, 2, 4
-WANT_ALL = 7
-
-# trackers of a lane while its row runs: the first KINDS are the largest values found so far
-FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE = range(10)
-KINDS = 4
-#: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
-SOMETHING = 1 << KINDS
-TRACKS = 10
-
-# answers of a row, scaled: approach, force difference, energy, times
-(ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
- ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE) = range(11)  # fmt: skip
-ANSWERS = 11
-
-#: forces below this share of the largest end the record on infinite bars
-TAIL_SHARE = 0.01
-#: parts into which a step is divided before an event in it is refined
-POINTS = 4
+__all__ = ["after_step", "begin", "combine", "passage", "reach"]
 
 
 @compiled(**INNER)
@@ -62,7 +52,7 @@ def both(piece, face, theta):
 
 
 @compiled(**INNER)
-def _combine(kind, mode, x1, x2, d1, d2):
+def combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives."""
     if kind == FACE_A:
         return x1, d1
@@ -89,7 +79,7 @@ def _measure(kind, mode, piece, theta):
         return both(piece, kind, theta)
     x1, d1 = both(piece, 0, theta)
     x2, d2 = both(piece, 1, theta)
-    return _combine(kind, mode, x1, x2, d1, d2)
+    return combine(kind, mode, x1, x2, d1, d2)
 
 
 @compiled(**INNER)
@@ -102,63 +92,21 @@ def reach(left, left_slope, right, right_slope):
 
 
 @compiled(**INNER)
-def look(mode, wanted, at, rate, track, theta, low, flags, top, least, crest):
-    """What may have happened in each lane's step, as flags, and a bound of the larger approach in it.
-
-    at, rate (POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
-    low (LANES,): the record may end below this approach.
-    """
-    apart()
-    for m in range(PAIR):
-        top[m] = at[0, m]
-        least[m] = -at[0, m]
-    for i in range(POINTS):
-        for c in range(0, PAIR, LANES):
-            for j in range(LANES):
-                m = c + j
-                width = theta[j] / POINTS
-                left, right = at[i, m], at[i + 1, m]
-                left_slope, right_slope = width * rate[i, m], width * rate[i + 1, m]
-                top[m] = max(top[m], reach(left, left_slope, right, right_slope))
-                least[m] = max(least[m], reach(-left, -left_slope, -right, -right_slope))
-    for j in range(LANES):
-        k = LANES + j
-        crest[j] = max(top[j], top[k])
-        flag = 1 << FACE_A if crest[j] > track[FACE_A, j] else 0
-        # `least` is the negative of what the approach can fall to
-        for m in (j, k):
-            if (at[0, m] > 0.0 and least[m] >= 0.0) or (at[0, m] <= 0.0 and top[m] > 0.0):
-                flag |= SOMETHING
-        if min(least[j], least[k]) > -low[j]:
-            flag |= SOMETHING
-        if track[TOUCHED_A, j] + track[TOUCHED_B, j] < 2.0:
-            flag |= SOMETHING
-        flags[j] = flag
-    for kind in range(DIFFERENCE, KINDS):
-        if (kind == DIFFERENCE and wanted & WANT_DIFFERENCE) or (kind == ENERGY and wanted & WANT_ENERGY):
-            for i in range(POINTS):
-                for j in range(LANES):
-                    k = LANES + j
-                    width = theta[j] / POINTS
-                    left, left_slope = _combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
-                    right, right_slope = _combine(
-                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
-                    )
-                    above = reach(left, left_slope, right, right_slope)
-                    below = reach(-left, -left_slope, -right, -right_slope)
-                    if max(above, below) > track[kind, j]:
-                        flags[j] |= 1 << kind
-
-
-@compiled(**INNER)
 def _root(piece, face, level, a, b):
     """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
     apart()
     at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
+    # an end may be the root itself, to the last bit: there is then nothing left to bracket
+    if at_a == 0.0:
+        return a
+    if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
+        return b
     for _ in range(100):
         if abs(b - a) < 1e-14 or at_b == at_a:
             break
         c = b - at_b * (b - a) / (at_b - at_a)
+        if c == b:
+            return b
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
         at_c = value(piece, face, c) - level
@@ -230,10 +178,10 @@ def _largest(kind, mode, piece, end, grid, known):
     """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
     apart()
     width = end / POINTS
-    left, left_slope = _combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
+    left, left_slope = combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
     known = max(known, abs(left))
     for i in range(1, POINTS + 1):
-        right, right_slope = _combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
+        right, right_slope = combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
         known = max(known, abs(right))
         sign = 1.0 if left + right >= 0.0 else -1.0
         top = reach(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
@@ -246,13 +194,13 @@ def _largest(kind, mode, piece, end, grid, known):
 
 
 @compiled(**INNER)
-def _may_pass(grid, face, sign, width):
-    """Whether sign·approach can become positive at all, from its values and slopes at the points of a grid."""
+def _may_pass(grid, face, sign, width, level):
+    """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
     apart()
     for i in range(POINTS):
         left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
         right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
-        if reach(left, left_slope, right, right_slope) >= 0.0:
+        if reach(left, left_slope, right, right_slope) >= -level:
             return True
     return False
 
@@ -265,6 +213,8 @@ def begin(track, lane):
         track[k, lane] = 0.0
     track[LOST, lane] = math.nan
     track[ENDED, lane] = math.nan
+    track[DEPTH, lane] = math.inf
+    track[NEAREST, lane] = math.inf
 
 
 @compiled(**INNER)
@@ -285,43 +235,91 @@ def _both_below(piece, level, theta):
 
 
 @compiled(**INNER)
-def after_step(
-    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, stop_at_loss,
-):  # fmt: skip
-    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+def _lowest(piece, face, end, grid):
+    """Smallest local minimum of a pressed face's approach in [0, end] and its theta, or infinity."""
+    apart()
+    width = end / POINTS
+    least, place = math.inf, 0.0
+    for i in range(POINTS):
+        left, right = grid[face, 1, i], grid[face, 1, i + 1]
+        if left < 0.0 < right:
+            found = _extremum(face, face, piece, i * width, (i + 1) * width, left, right)
+            at = value(piece, face, found)
+            if 0.0 < at < least:
+                least, place = at, found
+    return least, place
 
-    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
-    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
-    `low` > 0 the share of the largest approach below which the record ends.  grid (face, 2, POINTS + 1): values
-    and slopes over [0, theta].
+
+@compiled(**INNER)
+def _faces(track, lane, piece, grid, theta, before, h, near, graze):
+    """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
+
+    graze > 0: an approach that falls below it counts as a loss; graze < 0: an excursion that stays shallower than
+    -graze does not.  The third result says whether a loss was counted, -1 no, else the face.
     """
     apart()
-    ends, why = theta, 0
+    ends, why, lost = theta, 0, -1
     for face in range(2):
-        if flags & SOMETHING == 0:
-            break
         pressed = piece[face, 0] > 0.0
         if pressed and track[TOUCHED_A + face, lane] == 0.0:
             continue
         if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
             continue
-        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS):
+        level = near if pressed else 0.0
+        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS, level):
             continue
         # a face that left at the start of this step is clear of zero a little later
         clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
         found = passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
-        if math.isnan(found):
+        if not math.isnan(found):
+            ends, why = found, 2 + face
             continue
-        ends, why = found, 2 + face
+        if pressed and near > 0.0:
+            least, place = _lowest(piece, face, theta, grid)
+            if least < near and place < ends:
+                track[NEAREST, lane] = min(track[NEAREST, lane], least)
+                if least < graze:
+                    ends, why, lost = place, 1, face
+    if why > 1 and piece[why - 2, 0] > 0.0:
+        face = why - 2
+        _, rate = both(piece, face, ends)
+        # the face now moves freely: it turns after a depth of rate²/(2 acceleration)
+        bend = 0.0
+        for k in range(ORDER, 1, -1):
+            bend = bend * ends + k * (k - 1.0) * piece[face, k]
+        depth = 0.5 * rate * rate / bend if bend > 0.0 else math.inf
+        if depth >= -graze:
+            lost = face
+            if math.isnan(track[LOST, lane]):
+                track[DEPTH, lane] = depth
+    if lost >= 0 and math.isnan(track[LOST, lane]):
+        track[LOST, lane] = before + ends * h
+        _, rate = both(piece, lost, ends)
+        track[LOSS_RATE, lane] = abs(rate) / h
+    return ends, why, lost
+
+
+@compiled(**INNER)
+def after_step(
+    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, graze, stop_at_loss,
+):  # fmt: skip
+    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
+    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
+    `low` > 0 the share of the largest approach below which the record ends; for `near` and `graze` see `_faces`.
+    grid (face, 2, POINTS + 1): values and slopes over [0, theta].
+    """
+    apart()
+    ends, why = theta, 0
+    if flags & SOMETHING:
+        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, graze)
+        if lost >= 0 and stop_at_loss:
+            why = 1
+        elif why == 1:
+            ends, why = theta, 0
     if ends < theta:
         _survey(piece, ends, grid)
-    if why > 1 and piece[why - 2, 0] > 0.0:
-        if math.isnan(track[LOST, lane]):
-            track[LOST, lane] = before + ends * h
-            _, rate = both(piece, why - 2, ends)
-            track[LOSS_RATE, lane] = abs(rate) / h
-        if stop_at_loss:
-            why = 1
     known = track[FACE_A, lane]
     if flags & (1 << FACE_A):
         for face in range(2):
@@ -339,63 +337,8 @@ def after_step(
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
             ends, why = found, 1
+            if track[LOST, lane] > before + ends * h:  # a loss after the record's end is none
+                track[LOST, lane], track[DEPTH, lane] = math.nan, math.inf
     if why == 1:
         track[ENDED, lane] = before + ends * h
     return ends, why
-
-
-@compiled(**INNER)
-def _outermost(path, scale, start, length, crest, count, ended, level, backward):
-    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane."""
-    apart()
-    for i in range(count):
-        n = count - 1 - i if backward else i
-        if crest[n] < level:
-            continue
-        end = min(length[n], ended - start[n]) / scale[n]
-        a, b = (end, 0.0) if backward else (0.0, end)
-        best = math.nan
-        for face in range(2):
-            found = passage(path[n], face, level, 1.0, a, b)
-            if math.isnan(best) or (found > best if backward else found < best):
-                best = found
-        if not math.isnan(best):
-            return start[n] + best * scale[n]
-    return math.nan
-
-
-@compiled(**INNER)
-def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, out):
-    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane."""
-    apart()
-    ended = track[ENDED, lane]
-    if math.isnan(ended):
-        ended = start[count - 1] + length[count - 1]
-    largest = track[FACE_A, lane]
-    out[ANSWER_X_MAX] = largest
-    out[ANSWER_X_FIRST] = track[X_FIRST, lane]
-    out[ANSWER_END] = ended
-    lost = not math.isnan(track[LOST, lane])
-    out[ANSWER_CONTACT] = track[LOST, lane] if lost else ended
-    out[ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
-    out[ANSWER_LOSS_RATE] = track[LOSS_RATE, lane] if lost else math.nan
-    if wanted & WANT_DIFFERENCE:
-        out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
-    if wanted & WANT_ENERGY:
-        out[ANSWER_ENERGY] = track[ENERGY, lane]
-    if wanted & WANT_THRESHOLDS:
-        power = 1.0 if mode == 1 else 2.0 / 3.0
-        half = largest * 0.5**power
-        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
-        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
-        # the last crossing is the record's end itself where the force is still above
-        out[ANSWER_WIDTH] = below - above
-        out[ANSWER_WIDTH_CENSORED] = 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
-        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power, False)
-        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power, False)
-        out[ANSWER_RISE] = nine - tenth
-
-
-def empty_answers(rows: int) -> np.ndarray:
-    """Room for the answers of `rows` rows, not a number until a row is done."""
-    return np.full((rows, ANSWERS), np.nan)

@@ -5,8 +5,7 @@ together, and a lane whose row has ended takes the next one.  A row's answer dep
 that any slice, order or number of threads gives the same bits.
 
 A step never crosses a jump of the pulse or of one of its reflections, is never longer than a round trip, and
-ends where a face leaves or touches.  The waves that leave the faces, which come back as reflections, are kept
-as series until the row is done; over a later step they are read at Chebyshev points and fitted.
+ends where a face leaves or touches.
 """
 
 from __future__ import annotations
@@ -14,217 +13,99 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
-from uqsphere.mechanics import events
+from uqsphere.mechanics import events, layout
 from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.series import INNER, LANES, ORDER, PAIR, TERMS, evaluate, expand, longest, touch_off
-from uqsphere.mechanics.vectors import apart, mix, values_at
+from uqsphere.mechanics.glide import GLIDE_ROOM, SMALL_MU, calm_after, glide
+from uqsphere.mechanics.incoming import (
+    QUEUE,
+    WAVE,
+    add_echo,
+    echo_steps,
+    enter_piece,
+    incident,
+    next_break,
+    reflect_break,
+)
+from uqsphere.mechanics.lookout import look, settled
+from uqsphere.mechanics.record import finish
+from uqsphere.mechanics.series import LANES, ORDER, PAIR, TERMS, evaluate, expand, longest, touch_off, unlike_root
+from uqsphere.mechanics.vectors import bare
+from uqsphere.mechanics.vectors import row as row_of
 
 __all__ = ["march"]
 
-#: points over a step at which a wave that comes back is read
-WAVE = 12
-WAVE_THETAS = 0.5 - 0.5 * np.cos(np.pi * (np.arange(WAVE) + 0.5) / WAVE)
-#: weights (point, degree) that turn the values there into Chebyshev coefficients, and (degree, power) that turn
-#: those into powers of theta
-WAVE_DEGREES = np.ascontiguousarray(np.linalg.inv(chebyshev.chebvander(2.0 * WAVE_THETAS - 1.0, WAVE - 1)).T)
-WAVE_POWERS = np.zeros((WAVE, WAVE))
-for _k in range(WAVE):
-    WAVE_POWERS[_k, : _k + 1] = Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
-#: Chebyshev terms that are kept in any case
-WAVE_LEAST = 4
 #: longest trial step over the last step: without and with waves that come back
 GROWTH, GROWTH_ECHO = 4.0, 1.3
-#: room for jumps that are under way in each bar
-QUEUE = 2048
-
-
-@compiled(**INNER)
-def _echo(start, scale, wave, low, high, begin, h, factor, negligible, push, m, work):
-    """Add `factor` times a wave kept on the steps `low` to `high` to a column of `push`; begin is its time.
-
-    start, scale and wave (steps, TERMS) are those of one lane.  Returns the size of the fit's last two terms; terms
-    that together stay below `negligible` are left out.
-    """
-    apart()
-    values, places, found, fit = work[0], work[1], work[2], work[3]
-    for piece in range(low, high + 1):
-        inverse = 1.0 / scale[piece]
-        shift = (begin - start[piece]) * inverse
-        stretch = h * inverse
-        # all points are read from every step; each step keeps those behind its start
-        for i in range(WAVE):
-            places[i] = shift + stretch * WAVE_THETAS[i]
-        values_at(wave[piece], ORDER, places, found)
-        from_theta = (start[piece] - begin) / h if piece > low else -1.0
-        for i in range(WAVE):
-            values[i] = found[i] if WAVE_THETAS[i] >= from_theta else values[i]
-    degrees = places
-    mix(values, WAVE_DEGREES, degrees)
-    misfit = abs(factor) * (abs(degrees[WAVE - 1]) + abs(degrees[WAVE - 2]))
-    # terms below the error that is allowed are the joints between steps: as powers of theta they would be large
-    dropped = 0.0
-    for k in range(WAVE - 1, WAVE_LEAST - 1, -1):
-        dropped += abs(factor * degrees[k])
-        if dropped > negligible:
-            break
-        degrees[k] = 0.0
-    mix(degrees, WAVE_POWERS, fit)
-    for k in range(WAVE):
-        push[k, m] += factor * fit[k]
-    return misfit
-
-
-@compiled(**INNER)
-def _incident(time, h, cubic, frequency, offset, push):
-    """2 f of the pulse as a series over every lane's step; nothing yet at face B."""
-    apart()
-    for k in range(TERMS):
-        for m in range(PAIR):
-            push[k, m] = 0.0
-    for j in range(LANES):
-        z = time[j] - offset[j]
-        c0, c1, c2, c3 = 2.0 * cubic[0, j], 2.0 * cubic[1, j], 2.0 * cubic[2, j], 2.0 * cubic[3, j]
-        push[0, j] = c0 + z * (c1 + z * (c2 + z * c3))
-        push[1, j] = h[j] * (c1 + z * (2.0 * c2 + z * 3.0 * c3))
-        push[2, j] = h[j] * h[j] * (c2 + z * 3.0 * c3)
-        push[3, j] = h[j] * h[j] * h[j] * c3
-    for j in range(LANES):
-        if frequency[j] > 0.0:
-            angle = frequency[j] * h[j]
-            push[0, j] = 2.0 * math.sin(frequency[j] * time[j])
-            push[1, j] = 2.0 * angle * math.cos(frequency[j] * time[j])
-            for k in range(2, TERMS):
-                push[k, j] = -push[k - 2, j] * angle * angle / (k * (k - 1.0))
-
-
-@compiled(**INNER)
-def _enter_piece(breaks, coefficients, frequencies, row, lane, time, cubic, frequency, offset):
-    """Put the piece of the pulse that begins at or holds `time` into the lane."""
-    apart()
-    pieces = coefficients.shape[1]
-    piece = 0
-    while piece < pieces and breaks[row, piece + 1] <= time:
-        piece += 1
-    frequency[lane] = 0.0
-    for k in range(4):
-        cubic[k, lane] = 0.0
-    if piece < pieces:
-        offset[lane] = breaks[row, piece]
-        frequency[lane] = frequencies[row]
-        for k in range(4):
-            cubic[k, lane] = coefficients[row, piece, k]
-
-
-@compiled(**INNER)
-def _next_break(breaks, row, time, queue, head, tail, lane, horizon):
-    """The next time after `time` at which a step has to end: pulse, reflections, end of the record."""
-    apart()
-    best = horizon
-    near = time + 1e-13 * (1.0 + time)
-    for k in range(breaks.shape[1]):
-        if breaks[row, k] > near and breaks[row, k] < best:
-            best = breaks[row, k]
-    for bar in range(2):
-        while head[bar, lane] < tail[bar, lane] and queue[bar, lane, head[bar, lane] % QUEUE] <= near:
-            head[bar, lane] += 1
-        if head[bar, lane] < tail[bar, lane]:
-            best = min(best, queue[bar, lane, head[bar, lane] % QUEUE])
-    return best
-
-
-@compiled(**INNER)
-def _reflect_break(time, trips, queue, head, tail, lane, horizon):
-    """Note that whatever happens at `time` comes back after a round trip of each bar; False if there is no room."""
-    apart()
-    for bar in range(2):
-        if time + trips[bar, lane] < horizon:
-            if tail[bar, lane] - head[bar, lane] >= QUEUE:
-                return False
-            queue[bar, lane, tail[bar, lane] % QUEUE] = time + trips[bar, lane]
-            tail[bar, lane] += 1
-    return True
-
-
-@compiled(**INNER)
-def _echo_steps(lane, time, h, trips, count, start, length, first, last):
-    """Find the steps on which the waves left that come back during the present step; its length, if need be cut."""
-    apart()
-    near = 1e-13 * (1.0 + time)
-    for bar in range(2):
-        begin = time - trips[bar, lane]
-        if begin < -near:
-            first[bar, lane] = -1
-            continue
-        k = max(first[bar, lane], 0)
-        while k < count - 1 and start[k] + length[k] <= begin + near:
-            k += 1
-        first[bar, lane] = k
-        # no more than a few steps at once: a wave that took many steps to make is not smooth
-        k = min(k + 2, count - 1)
-        h = min(h, max(start[k] + length[k] - begin, 0.1 * h))
-    for bar in range(2):
-        k = first[bar, lane]
-        if k >= 0:
-            while k < count - 1 and start[k] + length[k] < time - trips[bar, lane] + h - near:
-                k += 1
-            last[bar, lane] = k
-    return h
+#: steps a row may take at most
+LIMIT = 1 << 20
 
 
 @compiled()
 def march(
-    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, local,
+    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, local,
     stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
-    """Integrate rows `order` of a batch; answers go to `out` (rows, events.ANSWERS) and `status` (rows).
+    """Integrate rows `order` of a batch; answers go to `out` (rows, layout.ANSWERS) and `status` (rows).
 
-    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of events.WANT_*.  mass (n,): mu.  ends,
+    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of layout.WANT_*.  mass (n,): mu.  ends,
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
-    pulse_end (n,).  level (n,): scale of x that is expected at least.  local: error allowed in one step.
+    pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
+    the rule itself.  local: error allowed in one step.  capacity: steps that are kept of one row.
     kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
     """
-    lanes = LANES
+    lanes, last_point = LANES, layout.POINTS
     keeping = kept_start.shape[0] > 0
-    x = np.zeros((TERMS, PAIR))
-    u = np.zeros((TERMS, LANES))
-    root = np.zeros((TERMS, PAIR))
-    force = np.zeros((TERMS, PAIR))
-    push = np.zeros((TERMS, PAIR))
-    half = np.zeros(PAIR)
-    at = np.zeros((events.POINTS + 1, PAIR))
-    rate = np.zeros((events.POINTS + 1, PAIR))
-    top, least = np.zeros(PAIR), np.zeros(PAIR)
-    at_u, rate_u = np.zeros(LANES), np.zeros(LANES)
-    work = np.zeros((4, WAVE))
-    piece, grid = np.zeros((2, TERMS)), np.zeros((2, 2, events.POINTS + 1))
-    time, h, theta, proposed = np.zeros(lanes), np.ones(lanes), np.zeros(lanes), np.zeros(lanes)
-    row = np.full(lanes, -1)
-    inverse_mu = np.ones(lanes)
-    reflect = np.zeros((2, lanes))
-    trips = np.full((2, lanes), np.inf)
-    end = np.full(lanes, np.inf)
-    stop = np.zeros(lanes)  # the next time at which a step has to end
-    cubic, frequency, offset = np.zeros((4, lanes)), np.zeros(lanes), np.zeros(lanes)
-    count, attempts = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.int64)
-    touching, flags = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.int64)
-    misfit, low, crest = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
-    queue = np.zeros((2, lanes, QUEUE))
-    head, tail = np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64)
+    # numba counts the owners of an array at every call it is passed to: here they are held once for all
+    owned = (
+        np.zeros((TERMS, PAIR)), np.zeros((TERMS, LANES)), np.zeros((TERMS, PAIR)), np.zeros((TERMS, PAIR)),
+        np.zeros((TERMS, PAIR)), np.zeros((layout.POINTS + 1, PAIR)), np.zeros((layout.POINTS + 1, PAIR)),
+        np.zeros((11, PAIR)), np.zeros((4, WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
+        np.zeros((4, lanes)), np.zeros((2, lanes, QUEUE)), np.zeros((2, lanes), dtype=np.int64),
+        np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
+        np.zeros((2, lanes), dtype=np.int64), np.zeros((layout.TRACKS, lanes)), np.ones((2, lanes)),
+        np.zeros((2, 2, layout.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
+        np.zeros((4, lanes), dtype=np.int64),
+    )  # fmt: skip
+    x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
+    at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
+    trips, cubic, queue, track, size = (
+        bare(owned[10]),
+        bare(owned[11]),
+        bare(owned[12]),
+        bare(owned[17]),
+        bare(owned[18]),
+    )
+    grid, columns = bare(owned[19]), owned[20]
+    half, branch = bare(columns[0]), bare(columns[1])
+    head, tail = bare(owned[13]), bare(owned[14])
     # steps that hold the echo of the present step
-    first, last = np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64)
+    first, last = bare(owned[15]), bare(owned[16])
+    numbers, counts = owned[21], owned[22]
+    at_u, rate_u, time, h = bare(numbers[0]), bare(numbers[1]), bare(numbers[2]), bare(numbers[3])
+    theta, proposed, inverse_mu, frequency = bare(numbers[4]), bare(numbers[5]), bare(numbers[6]), bare(numbers[7])
+    offset, misfit, low, near = bare(numbers[8]), bare(numbers[9]), bare(numbers[10]), bare(numbers[11])
+    known, crest, end = bare(numbers[12]), bare(numbers[13]), bare(numbers[14])
+    stop = bare(numbers[15])  # the next time at which a step has to end
+    steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
+    reflect = bare(numbers[17:19])
+    row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
+    touching, gliding = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
+    # time before which the fast oscillation cannot have died out
+    calm, slow_room = np.zeros(lanes), np.zeros((GLIDE_ROOM, TERMS))
+    row[:] = -1
+    inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
     # (t - start)/scale and holds over `length`
-    start, length, scale = np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity))
-    crests = np.empty((lanes, capacity))
-    path = np.empty((lanes, capacity, 2, TERMS))
-    wave = np.empty((2, lanes, capacity, TERMS))
-    track = np.zeros((events.TRACKS, lanes))
-    size = np.ones((2, lanes))
-    store = keeping or wanted & events.WANT_THRESHOLDS != 0
-    share = events.TAIL_SHARE if mode == 1 else events.TAIL_SHARE ** (2.0 / 3.0)
+    kept_steps = (
+        np.empty((lanes, capacity)), np.empty((lanes, capacity)), np.empty((lanes, capacity)),
+        np.empty((lanes, capacity)), np.empty((lanes, capacity, 2, TERMS)), np.empty((2 * lanes * capacity, TERMS)),
+    )  # fmt: skip
+    start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
+    path, wave = bare(kept_steps[4]), bare(kept_steps[5])
+    store = wanted & (layout.WANT_RISE | layout.WANT_WIDTH) != 0
+    share = layout.TAIL_SHARE if mode == 1 else layout.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     while True:
         # ---- fill idle lanes
@@ -245,10 +126,14 @@ def march(
                 head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
             size[0, j], size[1, j] = level[r], 0.1 * level[r]
             events.begin(track, j)
-            _enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
-            _reflect_break(0.0, trips, queue, head, tail, j, end[j])
-            stop[j] = _next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
+            enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
+            reflect_break(0.0, trips, queue, head, tail, j, end[j])
+            stop[j] = next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
+            gliding[j], calm[j] = False, calm_after(mass[r], local)
+            steady[j] = (
+                1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
+            )
         if live == 0:
             break
         # ---- the waves over the trial steps
@@ -259,16 +144,21 @@ def march(
             if touching[j] == 1:
                 # the error of `touch_off`, a few thousandths of the force's impulse, is what limits a touch
                 brief = (1e2 * local * min(1.0, 1.0 / inverse_mu[j]) * size[0, j]) ** 0.4
-                proposed[j] = min(proposed[j], brief)
+                # the wave that presses has to be followed as well
+                smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
+                proposed[j] = min(proposed[j], min(brief, smooth))
             left = stop[j] - time[j]
             trial = min(min(proposed[j], left), min(trips[0, j], trips[1, j]))
             attempts[j] += 1
             h[j] = trial
             misfit[j] = 0.0
-        _incident(time, h, cubic, frequency, offset, push)
+            over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
+            low[j] = share * track[layout.FACE_A, j] if over else -math.inf
+            near[j] = max(100.0 * local * size[0, j], graze[row[j]])
+        incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                trial = _echo_steps(j, time[j], h[j], trips, count[j], start[j], length[j], first, last)
+                trial = echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last)
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -278,24 +168,35 @@ def march(
                     h[j] = trial
                 for bar in range(2):
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
-                        misfit[j] += _echo(start[j], scale[j], wave[bar, j], first[bar, j], last[bar, j],
-                                           time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
-                                           0.1 * local * size[0, j] / h[j], push, bar * LANES + j, work)  # fmt: skip
+                        misfit[j] += add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
+                                              time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
+                                              0.1 * local * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
         expand(mode, h, inverse_mu, push, x, u, root, force, half)
         longest(x, u, size, local, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
-            low[j] = (
-                share * track[events.FACE_A, j]
-                if end[j] == math.inf and (row[j] >= 0 and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12))
-                else -math.inf
-            )
             if row[j] < 0:
                 continue
             if touching[j] == 1:
                 theta[j] = 1.0
                 touch_off(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
+            elif mode == 0 and inverse_mu[j] * SMALL_MU > 1.0 and time[j] >= calm[j]:
+                slow, swing = 0.0, math.inf
+                # on the slow motion the forces differ by mu u', and u' is of the order of one
+                if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
+                    slow, swing = glide(
+                        j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, gliding[j], slow_room
+                    )
+                gliding[j] = slow > 0.0
+                if gliding[j]:
+                    theta[j] = slow
+                elif swing < math.inf:
+                    # the oscillation needs this long to die out
+                    rate_of_decay = 0.75 * math.sqrt(max(x[0, j], x[0, LANES + j]))
+                    calm[j] = time[j] + max(4.0 * h[j], 0.9 * math.log(swing / (local * size[0, j])) / rate_of_decay)
+                else:
+                    calm[j] = time[j] + 8.0 * h[j]
             left = stop[j] - time[j]
             if theta[j] * h[j] >= left * (1.0 - 1e-10):
                 theta[j] = 1.0
@@ -304,19 +205,25 @@ def march(
         for m in range(PAIR):
             at[0, m] = x[0, m]
             rate[0, m] = x[1, m]
-        for i in range(1, events.POINTS + 1):
-            evaluate(x, theta, i / events.POINTS, half, at[i], rate[i])
+        for i in range(1, layout.POINTS + 1):
+            evaluate(x, theta, i / layout.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
-        events.look(mode, wanted, at, rate, track, theta, low, flags, top, least, crest)
-        new = at[events.POINTS]
+        if mode != 1:
+            unlike_root(root, theta, half, at, branch, row_of(room, 0, 0), row_of(room, 1, 0))
+        look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
         for j in range(lanes):
             if row[j] < 0:
                 continue
             r = row[j]
-            if misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
-                proposed[j] = h[j] * (0.5 if theta[j] > 0.0 else 0.05)
-                if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * capacity:
-                    status[r] = events.STUCK
+            impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
+            allowed = 100.0 * local * size[0, j]
+            if mode == 0:
+                allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
+            crossed = touching[j] == 0 and mode != 1 and not gliding[j] and impulse > allowed
+            if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
+                proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
+                if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
+                    status[r] = layout.STUCK
                     row[j] = -1
                     live -= 1
                 continue
@@ -328,15 +235,19 @@ def march(
                 for face in range(2):
                     for k in range(TERMS):
                         piece[face, k] = x[k, face * LANES + j]
-                    for i in range(events.POINTS + 1):
+                    for i in range(layout.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, theta[j], before, h[j], min(trips[0, j], trips[1, j]),
-                    share if low[j] > 0.0 else 0.0, local * size[0, j], stop_at_loss,
+                    share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], graze[r], stop_at_loss,
                 )  # fmt: skip
-            n = count[j]
-            count[j] = n + 1
+            if flags[j] & (1 << layout.FACE_A) == 0:
+                track[layout.FACE_A, j] = known[j]
+                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                    track[layout.X_FIRST, j] = known[j]
+            n = count[j] % capacity
+            count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
             if store:
                 for face in range(2):
@@ -346,7 +257,7 @@ def march(
                 if before + trips[bar, j] < end[j]:
                     for k in range(TERMS):
                         m = bar * LANES + j
-                        wave[bar, j, n, k] = 0.5 * push[k, m] - force[k, m]
+                        wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - force[k, m]
             if keeping and n < kept_start.shape[0]:
                 power = 1.0
                 kept_start[n], kept_length[n] = before, ending * h[j]
@@ -362,12 +273,12 @@ def march(
                 for k in range(ORDER, -1, -1):
                     a, b, w = a * ending + x[k, j], b * ending + x[k, LANES + j], w * ending + u[k, j]
                 touching[j] = 1 if x[0, (why - 2) * LANES + j] <= 0.0 else 0
-                new[j], new[LANES + j], at_u[j] = a, b, w
-                new[(why - 2) * LANES + j] = 0.0
+                at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
+                at[last_point, (why - 2) * LANES + j] = 0.0
                 if mode == 2:  # both faces move alike
-                    new[j], new[LANES + j] = 0.0, 0.0
+                    at[last_point, j], at[last_point, LANES + j] = 0.0, 0.0
             time[j] = stop[j] if at_stop else before + ending * h[j]
-            x[0, j], x[0, LANES + j], u[0, j] = new[j], new[LANES + j], at_u[j]
+            x[0, j], x[0, LANES + j], u[0, j] = at[last_point, j], at[last_point, LANES + j], at_u[j]
             size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
             size[1, j] = max(size[1, j], abs(u[0, j]))
             proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
@@ -376,22 +287,36 @@ def march(
                 if time[j] >= end[j]:
                     done = True
                 else:
+                    if gliding[j]:  # what jumps sets off the fast oscillation
+                        proposed[j] = min(proposed[j], math.sqrt(mass[r]))
+                    gliding[j], calm[j] = False, time[j] + calm_after(mass[r], local)
                     proposed[j] *= GROWTH
-                    _enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
-                    if not _reflect_break(time[j], trips, queue, head, tail, j, end[j]):
-                        status[r] = events.CROWDED
+                    enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
+                    if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
+                        steady[j] = 0.0
+                    if not reflect_break(time[j], trips, queue, head, tail, j, end[j]):
+                        status[r] = layout.CROWDED
                         row[j] = -1
                         live -= 1
                         continue
-                    stop[j] = _next_break(breaks, r, time[j], queue, head, tail, j, end[j])
+                    stop[j] = next_break(breaks, r, time[j], queue, head, tail, j, end[j])
+            if not done and steady[j] >= 0.0 and touching[j] == 0:
+                done = settled(mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local)
             if done:
-                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                              out[r])  # fmt: skip
-                status[r] = events.OK
+                finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
+                              local, out[r])  # fmt: skip
+                status[r] = layout.OK
                 steps[r] = count[j]
                 row[j] = -1
                 live -= 1
-            elif count[j] >= capacity:
-                status[r] = events.FULL
+                continue
+            # what is read again must still be there: the whole path, or the waves of a round trip
+            oldest = 0 if store or keeping else count[j]
+            for bar in range(2):
+                if trips[bar, j] < math.inf and time[j] < end[j]:
+                    oldest = min(oldest, max(first[bar, j], 0))
+            if count[j] - oldest >= capacity or count[j] >= LIMIT:
+                status[r] = layout.FULL
                 row[j] = -1
                 live -= 1
+    return len(owned) + len(kept_steps)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +14,12 @@ from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, Pulse, build_pulse
 from uqsphere.quantities import INPUTS
 
-__all__ = ["STATUS", "Scales", "Scene"]
+__all__ = ["STATUS", "UNDECIDED", "Scales", "Scene", "answered"]
 
 Array = npt.NDArray[np.float64]
 Codes = npt.NDArray[np.int64]
 
-#: what the status of a row means; 0 is the only one whose numbers may be used
+#: what the status of a row means; only rows of 0 and of 7 have numbers
 STATUS: dict[int, str] = {
     0: "ok",
     1: "outside the domain of the model (a size, modulus or ratio without meaning, or a sphere wider than its bar)",
@@ -27,7 +28,16 @@ STATUS: dict[int, str] = {
     4: "too many reflections before the end of the record",
     5: "too many steps before the end of the record",
     6: "the answer is not finite",
+    7: "an event comes at one of two times, and less than the tolerance decides which: the answer may jump",
 }
+#: the status of a row that has two answers
+UNDECIDED: Final = 7
+
+
+def answered(status: Codes) -> npt.NDArray[np.bool_]:
+    """Whether rows have numbers that may be used, (n,)."""
+    return np.asarray((status == 0) | (status == UNDECIDED))
+
 
 #: columns without which there is no scene; lengths are needed by finite bars only
 _NEEDED = (

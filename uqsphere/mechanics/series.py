@@ -19,9 +19,20 @@ from __future__ import annotations
 import math
 
 from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.vectors import apart, derivatives_at, products
+from uqsphere.mechanics.vectors import (
+    apart,
+    derivatives_at,
+    elementwise,
+    larger,
+    products,
+    root_of,
+    row,
+    size_of,
+    smaller,
+    where,
+)
 
-__all__ = ["INNER", "LANES", "ORDER", "PAIR", "TERMS", "evaluate", "expand", "longest", "touch_off"]
+__all__ = ["INNER", "LANES", "ORDER", "PAIR", "TERMS", "evaluate", "expand", "longest", "touch_off", "unlike_root"]
 
 #: for functions that only compiled code calls: no way in from Python needs to be compiled
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -31,8 +42,37 @@ TERMS = ORDER + 1
 #: rows that advance together, and columns of what exists at both faces
 LANES = 16
 PAIR = 2 * LANES
+#: share of the radius of convergence that a step may use
+_CIRCLE = 0.85
 #: Runge-Kutta steps over a touch
 _TOUCH_STEPS = 4
+
+
+# the parts of the recurrences that are done column by column
+_first_root = elementwise(
+    PAIR, 2, lambda x: (root_of(larger(x, 0.0)), where(x > 0.0, 0.5 / root_of(larger(x, 1e-300)), 0.0))
+)
+_odd_root = elementwise(PAIR, 1, lambda x, total, half: (x - 2.0 * total) * half)
+_even_root = elementwise(PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half)
+_spring = elementwise(PAIR, 1, lambda x, first: where(first > 0.0, x, 0.0))
+_next_x = elementwise(
+    LANES,
+    3,
+    lambda push_a, push_b, force_a, force_b, u, h, inverse_mu, share: (
+        h * share * (push_a - force_a - u),
+        h * share * (push_b - force_b + u),
+        h * share * inverse_mu * (force_a - force_b),
+    ),
+)
+_next_massless = elementwise(
+    LANES,
+    3,
+    lambda push_a, push_b, force_a, u, h, share: (
+        (rate := h * share * (0.5 * (push_a + push_b) - force_a)),
+        rate,
+        0.0 * u,
+    ),
+)
 
 
 @compiled(**INNER)
@@ -42,74 +82,99 @@ def expand(mode, h, inverse_mu, push, x, u, root, force, half):
     push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.
     """
     apart()
-    for m in range(PAIR):
-        pressed = x[0, m] > 0.0
-        start = math.sqrt(max(x[0, m], 0.0))
-        root[0, m] = start
-        half[m] = 0.5 / start if pressed else 0.0
+    _first_root(row(root, 0, 0), half, row(x, 0, 0))
     for k in range(TERMS):
-        force_k = force[k]
+        x_k, force_k = row(x, k, 0), row(force, k, 0)
         if mode == 1:
-            for m in range(PAIR):
-                force_k[m] = x[k, m] if x[0, m] > 0.0 else 0.0
+            _spring(force_k, x_k, row(x, 0, 0))
         else:
             if k > 0:
-                root_k = root[k]
+                root_k = row(root, k, 0)
                 products(root, root, k, 1, (k + 1) // 2, root_k)
                 if k % 2 == 0:
-                    for m in range(PAIR):
-                        middle = root[k // 2, m]
-                        root_k[m] = (x[k, m] - 2.0 * root_k[m] - middle * middle) * half[m]
+                    _even_root(root_k, x_k, root_k, row(root, k // 2, 0), half)
                 else:
-                    for m in range(PAIR):
-                        root_k[m] = (x[k, m] - 2.0 * root_k[m]) * half[m]
+                    _odd_root(root_k, x_k, root_k, half)
             products(x, root, k, 0, k + 1, force_k)
         if k == ORDER:
             break
         share = 1.0 / (k + 1.0)
+        push_a, push_b = row(push, k, 0), row(push, k, LANES)
+        x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
         if mode == 2:
-            for j in range(LANES):
-                rate = h[j] * share * (0.5 * (push[k, j] + push[k, LANES + j]) - force_k[j])
-                x[k + 1, j] = rate
-                x[k + 1, LANES + j] = rate
-                u[k + 1, j] = 0.0
+            _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
         else:
-            for j in range(LANES):
-                part = h[j] * share
-                x[k + 1, j] = part * (push[k, j] - force_k[j] - u[k, j])
-                x[k + 1, LANES + j] = part * (push[k, LANES + j] - force_k[LANES + j] + u[k, j])
-                u[k + 1, j] = part * inverse_mu[j] * (force_k[j] - force_k[LANES + j])
+            _next_x(x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share)
+
+
+def _root_16(a):
+    return root_of(root_of(root_of(root_of(a))))
+
+
+def _larger_of(a, b, c, d):
+    return larger(larger(size_of(a), size_of(b)), larger(size_of(c), size_of(d)))
+
+
+def _reached(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, scale_x, scale_u, local):
+    before = larger(larger(size_of(x_15), size_of(y_15)) / scale_x, size_of(u_15) / scale_u)
+    last = larger(larger(size_of(x_16), size_of(y_16)) / scale_x, size_of(u_16) / scale_u)
+    # theta^15 before + theta^16 last = local, by one step of a fixed-point iteration
+    guess = smaller(_root_16(local / (before + last + 1e-300)), 8.0)
+    two = guess * guess
+    four = two * two
+    eight = four * four
+    reached = eight * four * two * guess * (before + guess * last)
+    theta = guess * _root_16(local / (reached + 1e-300))
+    # where a face nearly leaves, x = 0 lies close to the real axis: the last terms may still be small beyond the
+    # circle in which the series holds, and its radius follows from how they grow over four powers
+    late = _larger_of(x_15, y_15, x_16, y_16)
+    radius = root_of(root_of(_larger_of(x_11, y_11, x_12, y_12) / (late + 1e-300)))
+    bounded = where(late > 1e-3 * local * scale_x, smaller(theta, _CIRCLE * radius), theta)
+    # a series that has overflowed says nothing, except that the step was far too long
+    return where(before + last < 1e200, bounded, 0.0)
+
+
+_longest = elementwise(LANES, 1, _reached)
 
 
 @compiled(**INNER)
 def longest(x, u, scale, local, theta):
     """theta (LANES,) up to which the last two terms of every series stay below `local` times its scale (2, LANES)."""
     apart()
-    for j in range(LANES):
-        before = max(
-            max(abs(x[ORDER - 1, j]), abs(x[ORDER - 1, LANES + j])) / scale[0, j], abs(u[ORDER - 1, j]) / scale[1, j]
-        )
-        last = max(max(abs(x[ORDER, j]), abs(x[ORDER, LANES + j])) / scale[0, j], abs(u[ORDER, j]) / scale[1, j])
-        # theta^15 before + theta^16 last = local, by one step of a fixed-point iteration
-        guess = math.sqrt(math.sqrt(math.sqrt(math.sqrt(local / (before + last + 1e-300)))))
-        guess = min(guess, 8.0)
-        two = guess * guess
-        four = two * two
-        eight = four * four
-        reached = eight * four * two * guess * (before + guess * last)
-        root = guess * math.sqrt(math.sqrt(math.sqrt(math.sqrt(local / (reached + 1e-300)))))
-        # a series that has overflowed says nothing, except that the step was far too long
-        theta[j] = root if before + last < 1e200 else 0.0
+    fourth, third, before, last = ORDER - 5, ORDER - 4, ORDER - 1, ORDER
+    _longest(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
+             row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES), row(u, before, 0),
+             row(u, last, 0), row(scale, 0, 0), row(scale, 1, 0), local)  # fmt: skip
 
 
 @compiled(**INNER)
 def evaluate(x, theta, share, place, at, rate):
-    """Series x (TERMS, columns) and its derivative by theta at share·theta, every lane at its own theta."""
+    """Series x (TERMS, columns) and its derivative by theta at share·theta, every lane at its own theta.
+
+    at, rate: rows of `columns` numbers.
+    """
     apart()
     for j in range(LANES):
         place[j] = share * theta[j]
     for c in range(0, x.shape[1], LANES):
         derivatives_at(x, ORDER, x.shape[1], c, place, at, rate)
+
+
+_unlike = elementwise(
+    PAIR, 1, lambda begin, root, x: where((begin > 0.0) & (x > 0.0), x * size_of(root - root_of(larger(x, 0.0))), 0.0)
+)
+
+
+@compiled(**INNER)
+def unlike_root(root, theta, place, at, found, value, slope):
+    """found (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
+
+    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that the series
+    walks between them and goes on, smoothly, with -sqrt(x).  at: approaches at the step's ends, first and last.
+    """
+    apart()
+    evaluate(root, theta, 1.0, place, value, slope)
+    _unlike(found, row(at, 0, 0), value, row(at, at.shape[0] - 1, 0))
 
 
 @compiled(**INNER)

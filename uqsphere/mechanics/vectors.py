@@ -1,7 +1,9 @@
-"""Sums over power series that keep their totals in vector registers: numba alone keeps them in memory.
+"""Arithmetic on the lanes of the integrator, written down in LLVM's own vector terms.
 
-Each function is a loop over terms with one multiplication and one addition per column, written down in LLVM's
-own terms.  Every column goes through the same instructions, so that the bits of a row do not depend on its lane.
+numba's loops over lanes stay scalar wherever arrays might overlap, and its sums live in memory.  `elementwise`
+turns a formula into vector instructions for a row of columns; the other functions are sums over power series
+with their totals in registers.  Every column goes through the same instructions, so that the bits of a row do
+not depend on its lane.
 """
 
 from __future__ import annotations
@@ -9,7 +11,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["apart", "derivatives_at", "mix", "products", "values_at"]
+__all__ = [
+    "apart",
+    "bare",
+    "curves_at",
+    "derivatives_at",
+    "elementwise",
+    "larger",
+    "mix",
+    "products",
+    "root_of",
+    "row",
+    "size_of",
+    "smaller",
+    "values_at",
+    "where",
+]
 
 
 def _tools() -> tuple[Any, Any, Any]:
@@ -29,12 +46,40 @@ _Body = Callable[[Any, list[Any]], list[Any]]
 _VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
 
 
-def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    return context.make_array(kind)(context, builder, array).data
+def _data(context: Any, builder: Any, kind: Any, row: Any) -> Any:
+    """Address of the first number of an array, or of what `row` gave."""
+    return row if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, row).data
+
+
+@intrinsic
+def _row(typing: Any, array: Any, index: Any, first: Any) -> Any:
+    """Address of array[index, first]: a slice would count its owners, which costs more than the arithmetic."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = signature.args[0]
+        given = context.make_array(kind)(context, builder, arguments[0])
+        index, first = (context.cast(builder, arguments[i], signature.args[i], types.int64) for i in (1, 2))
+        width = builder.extract_value(given.shape, 1)
+        return builder.gep(given.data, [builder.add(builder.mul(index, width), first)])
+
+    return types.CPointer(types.float64)(array, index, first), generate
 
 
 def _place(builder: Any, data: Any, index: Any) -> Any:
     return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+
+
+@intrinsic
+def _bare(typing: Any, array: Any) -> Any:
+    """The same array without an owner, whom numba would count at every call; the owner must outlive it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        found = context.make_array(signature.args[0])(context, builder, arguments[0])
+        found.meminfo = ir.Constant(found.meminfo.type, None)
+        found.parent = ir.Constant(found.parent.type, None)
+        return found._getvalue()
+
+    return array(array), generate
 
 
 def _load(builder: Any, data: Any, index: Any) -> Any:
@@ -76,6 +121,134 @@ def _loop(builder: Any, low: Any, high: Any, totals: list[Any], body: _Body) -> 
         phi.add_incoming(result, end)
     builder.position_at_end(after)
     return held
+
+
+class Vector:
+    """One vector of columns inside a formula of `elementwise`, or the outcome of a comparison of two."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def _other(self, other: Any) -> Any:
+        if isinstance(other, Vector):
+            return other.value
+        return ir.Constant(_VECTOR, [float(other)] * _WIDTH)
+
+    def _make(self, name: str, left: Any, right: Any) -> Vector:
+        return Vector(self.builder, getattr(self.builder, name)(left, right))
+
+    def __add__(self, other: Any) -> Vector:
+        return self._make("fadd", self.value, self._other(other))
+
+    def __sub__(self, other: Any) -> Vector:
+        return self._make("fsub", self.value, self._other(other))
+
+    def __mul__(self, other: Any) -> Vector:
+        return self._make("fmul", self.value, self._other(other))
+
+    def __truediv__(self, other: Any) -> Vector:
+        return self._make("fdiv", self.value, self._other(other))
+
+    def __radd__(self, other: Any) -> Vector:
+        return self._make("fadd", self._other(other), self.value)
+
+    def __rsub__(self, other: Any) -> Vector:
+        return self._make("fsub", self._other(other), self.value)
+
+    def __rmul__(self, other: Any) -> Vector:
+        return self._make("fmul", self._other(other), self.value)
+
+    def __rtruediv__(self, other: Any) -> Vector:
+        return self._make("fdiv", self._other(other), self.value)
+
+    def __neg__(self) -> Vector:
+        return 0.0 - self
+
+    def __lt__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fcmp_ordered("<", self.value, self._other(other)))
+
+    def __le__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fcmp_ordered("<=", self.value, self._other(other)))
+
+    def __gt__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fcmp_ordered(">", self.value, self._other(other)))
+
+    def __ge__(self, other: Any) -> Vector:
+        return Vector(self.builder, self.builder.fcmp_ordered(">=", self.value, self._other(other)))
+
+    def __and__(self, other: Vector) -> Vector:
+        return self._make("and_", self.value, other.value)
+
+    def __or__(self, other: Vector) -> Vector:
+        return self._make("or_", self.value, other.value)
+
+
+def where(choice: Vector, yes: Any, no: Any) -> Vector:
+    """`yes` where a comparison holds, `no` elsewhere; at least one of the two is a vector or a number."""
+    return Vector(choice.builder, choice.builder.select(choice.value, choice._other(yes), choice._other(no)))
+
+
+def larger(a: Vector, b: Any) -> Vector:
+    """The larger of two; the second where they cannot be compared."""
+    return where(a > b, a, b)
+
+
+def smaller(a: Vector, b: Any) -> Vector:
+    """The smaller of two; the second where they cannot be compared."""
+    return where(a < b, a, b)
+
+
+def _call(name: str, a: Vector) -> Vector:
+    module, full = a.builder.module, f"{name}.v{_WIDTH}f64"
+    function = module.globals.get(full) or ir.Function(module, ir.FunctionType(_VECTOR, [_VECTOR]), full)
+    return Vector(a.builder, a.builder.call(function, [a.value]))
+
+
+def root_of(a: Vector) -> Vector:
+    """Square root."""
+    return _call("llvm.sqrt", a)
+
+
+def size_of(a: Vector) -> Vector:
+    """Absolute value."""
+    return _call("llvm.fabs", a)
+
+
+def elementwise(columns: int, outputs: int, formula: Callable[..., Any]) -> Any:
+    """A function f(out_1 ... out_k, in_1 ... in_n) for compiled code that applies `formula` to `columns` columns.
+
+    What goes in are arrays of one dimension, rows of arrays of two, as `row` gives them, or single numbers; what
+    comes out may be one of the rows that went in.
+    """
+
+    @intrinsic
+    def apply(typing: Any, *arguments: Any) -> Any:
+        packed = types.StarArgTuple.from_types(arguments)
+
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            kinds = list(signature.args[0])
+            parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
+            rows = [
+                _data(context, builder, kind, part) if isinstance(kind, types.Array | types.CPointer) else None
+                for kind, part in zip(kinds, parts, strict=True)
+            ]
+            numbers = [
+                None if row is not None else _spread(builder, context.cast(builder, part, kind, types.float64))
+                for row, part, kind in zip(rows, parts, kinds, strict=True)
+            ]
+            for place in range(0, columns, _WIDTH):
+                inputs = [
+                    Vector(builder, _load(builder, row, _number(place)) if row is not None else number)
+                    for row, number in zip(rows[outputs:], numbers[outputs:], strict=True)
+                ]
+                results = formula(*inputs)
+                for row, result in zip(rows, results if isinstance(results, tuple) else (results,), strict=False):
+                    builder.store(result.value, _place(builder, row, _number(place)), align=8)
+            return context.get_dummy_value()
+
+        return types.void(packed), generate
+
+    return apply
 
 
 def _zeros(count: int) -> list[Any]:
@@ -197,6 +370,43 @@ def _derivatives_of(columns: int) -> Any:
     return derivatives_at
 
 
+def _curves_of(columns: int) -> Any:
+    """at[m] = sum of x[k, m] t[m]^k, its derivative by t and half its second derivative, from column `first`."""
+    count = columns // _WIDTH
+
+    @intrinsic
+    def curves_at(
+        typing: Any, x: Any, order: Any, width: Any, first: Any, t: Any, at: Any, rate: Any, bend: Any
+    ) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            kinds = signature.args
+            data, *rows = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 4, 5, 6, 7))
+            order, width, first = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (1, 2, 3))
+            places = [builder.add(first, _number(i * _WIDTH)) for i in range(count)]
+            shares = [_load(builder, rows[0], place) for place in places]
+
+            def body(j: Any, totals: list[Any]) -> list[Any]:
+                row = builder.mul(builder.sub(order, j), width)
+                values, rates, bends = [], [], []
+                for i, z in enumerate(shares):
+                    term = _load(builder, data, builder.add(row, places[i]))
+                    bends.append(_multiply_add(builder, totals[2 * count + i], z, totals[count + i]))
+                    rates.append(_multiply_add(builder, totals[count + i], z, totals[i]))
+                    values.append(_multiply_add(builder, totals[i], z, term))
+                return values + rates + bends
+
+            high = builder.add(order, _number(1))
+            totals = _loop(builder, _number(0), high, _zeros(3 * count), body)
+            for kind in range(3):
+                for i in range(count):
+                    builder.store(totals[kind * count + i], _place(builder, rows[1 + kind], places[i]), align=8)
+            return context.get_dummy_value()
+
+        return types.void(x, order, width, first, t, at, rate, bend), generate
+
+    return curves_at
+
+
 @intrinsic
 def _apart(typing: Any) -> Any:
     """Keep the function that calls this out of its callers: a copy at every place of use costs seconds to compile."""
@@ -213,3 +423,6 @@ products: Any = _products_of(32)
 values_at: Any = _values_of(12)
 mix: Any = _mix_of(12)
 derivatives_at: Any = _derivatives_of(16)
+curves_at: Any = _curves_of(16)
+row: Any = _row
+bare: Any = _bare

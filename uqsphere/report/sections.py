@@ -26,6 +26,7 @@ from uqsphere.report.wording import (
     unit_text,
     value_text,
 )
+from uqsphere.runner.results import savings
 
 #: quantities that the end of the record can cut short
 _RECORDED = frozenset({"contact_time", "pulse_width"})
@@ -330,8 +331,11 @@ def model_table(contents: Contents) -> Table:
             else number_text(f"{error:.2g}") + " standard deviations"
         )
         rows.append((f"measured error of {symbol(name)}", text))
+    rows += _ladder_rows(model)
     rows += [(f"evaluations, {name}", _thousands(number)) for name, number in model["evaluations"].items()]
     rows.append(("failed evaluations", _thousands(model["failures"])))
+    if model.get("undecided"):
+        rows.append(("evaluations with two possible answers", _thousands(model["undecided"])))
     for key, label, like in (
         ("mu_median", "mass number μ, median", ""),
         ("theta_median", "pulse number θ = t_i/t_c, median", ""),
@@ -341,6 +345,21 @@ def model_table(contents: Contents) -> Table:
         if key in model.get("numbers", {}):
             rows.append((label, value_text(model["numbers"][key], like)))
     return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows))
+
+
+def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
+    """What was considered beside the model that was chosen, and what the choice saved."""
+    rows = []
+    for name, seen in model.get("considered", {}).items():
+        errors = [error for error in seen["error"].values() if error is not None]
+        ties = [tie for tie in seen["correlation"].values() if tie is not None]
+        text = f"costs {seen['cost']:.2g} of the full model"
+        if errors:
+            text = f"errs by up to {max(errors):.2g} standard deviations, {text}"
+        if ties:
+            text += f"; correlation with it at least {min(ties):.4g}"
+        rows.append((f"considered: {name}", text))
+    return rows + savings(model)
 
 
 def _thousands(number: float) -> str:

@@ -169,7 +169,9 @@ def run(
 
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
+    from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
     from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
@@ -178,10 +180,11 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
 
     ledger = work.ledger
     pilot = first_look(work)
-    work = replace(work, fidelity=pilot.chosen)
+    work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
     ledger.seconds["pilot"] = ledger.elapsed
-    sampled = sample_distributions(work, more_to_come=bool(work.scene_names))
+    proposed = propose(pilot)
+    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.seconds["sampling"] = ledger.elapsed
     if notice is not None:
         for name, limit in sampled.limits.items():
@@ -190,12 +193,15 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
                 notice(f"limit {name}: probability of missing its aim {interval}")
     margins = find_margins(work)
     ledger.seconds["margins"] = ledger.elapsed
-    sensitivity, history, seconds, stopped = find_sensitivity(work, sampled)
+    sensitivity, history, seconds, stopped, index_control = find_sensitivity(
+        work, sampled, IndexControl(plan=proposed.plan)
+    )
     ledger.seconds["sensitivity"] = ledger.elapsed
     found = Findings(
         pilot=pilot,
         sampled=sampled,
         sensitivity=sensitivity,
+        index_control=index_control,
         margins=margins,
         history=sampled.history + history,
         seconds=sampled.seconds + seconds,

@@ -2,20 +2,78 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
-from uqsphere.model import scene_of
+from uqsphere.mechanics.fallback import Fallback, fit_error_law
+from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Study
 
-__all__ = ["Pilot", "first_look"]
+if TYPE_CHECKING:
+    from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.scene import Scene
+
+__all__ = ["Candidate", "Pilot", "first_look"]
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 #: points of the pilot; the comparison with other fidelities and tolerances uses the first of them
 POINTS = 512
-COMPARED = 128
+COMPARED = 256
+#: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
+SHARE = 0.2
+#: cost of a row in steps of the integrator: what a row takes before its first step, and what one in closed form takes
+#: altogether.  Counted and not timed, so that no choice depends on the clock
+START_STEPS = 10.0
+CLOSED_STEPS = 3.0
+#: an error law is dropped if more than this share of the rows it has not seen err by more than it says
+BROKEN = 0.02
+#: how far a row's estimated error may lie above what the mean square of all may be, tried in turn, and the share of
+#: that mean square that the rows the law was fitted to may use up
+ROW_BOUNDS, USED_UP = (3.0, 2.0, 1.0), 0.7
+#: a mixture that costs more than this of the full model is not worth its bookkeeping
+WORTHWHILE = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A cheaper fidelity as the pilot sees it, beside `full` on the same rows.
+
+    Attributes
+    ----------
+    error, worst : root-mean-square and largest difference from `full` over the quantity's standard deviation
+    correlation : with `full`, by quantity
+    calibration : (a, b) by quantity, so that a + b times its answer is the best straight guess at the full one
+    cost : of a row, over that of a row of `full`
+    fits : whether it passes the rule in every row by itself
+    mixed_error : error of the mixture with `full` on rows that the error law has not seen; empty if not tried
+    fallback_share : share of those rows that the mixture leaves to `full`
+    fallback : the error law; None where it cannot be fitted
+    unlike : whether it fails, or outlasts the record, in rows in which `full` does not
+    """
+
+    fidelity: str
+    error: dict[str, float | None]
+    worst: dict[str, float | None]
+    correlation: dict[str, float | None]
+    calibration: dict[str, tuple[float, float]]
+    cost: float
+    fits: bool
+    mixed_error: dict[str, float | None] = field(default_factory=dict)
+    fallback_share: float = 0.0
+    fallback: Fallback | None = None
+    unlike: bool = False
+
+    @property
+    def mixed_cost(self) -> float:
+        """Cost of a row of the mixture over that of a row of `full`."""
+        return self.fallback_share + (1.0 - self.fallback_share) * self.cost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,36 +86,152 @@ class Pilot:
     validity: list[dict[str, Any]] = field(default_factory=list)
     numbers: dict[str, float] = field(default_factory=dict)
     evaluations: dict[str, int] = field(default_factory=dict)
+    candidates: tuple[Candidate, ...] = ()
+    fallback: Fallback | None = None
 
 
-def _tightest(study: Study) -> float:
+def allowed_error(study: Study) -> float:
+    """Largest error of a fidelity, over the standard deviation, that the study's accuracy allows."""
     asked = study.analysis.accuracy
-    return min(asked.mean, asked.quantile, asked.sobol, asked.probability)
+    return SHARE * min(asked.mean, asked.quantile, asked.sobol, asked.probability)
 
 
-def _errors(other: Any, full: Any, quantities: tuple[str, ...], rows: slice) -> dict[str, float | None]:
-    """Root-mean-square difference of two models over the quantity's standard deviation, row by row."""
-    errors: dict[str, float | None] = {}
-    good = (full.status[rows] == 0) & (other.status[rows] == 0)
-    for name in quantities:
-        exact, approximate = full.values[name][rows][good], other.values[name][rows][good]
-        scatter = float(np.std(full.values[name][full.status == 0])) if (full.status == 0).sum() > 1 else 0.0
-        difference = float(np.sqrt(np.mean((exact - approximate) ** 2))) if len(exact) else np.inf
-        ratio = difference / scatter if scatter > 0.0 else (0.0 if difference == 0.0 else np.inf)
-        errors[name] = ratio if np.isfinite(ratio) else None
-    return errors
+def _differences(other: Answers, full: Answers, quantities: tuple[str, ...], scatter: Array) -> Array:
+    """Differences of two models over the standard deviation, (n, q); NaN where one has no answer.
+
+    An answer that outlasts the record in one model alone is off by at least one standard deviation.
+    """
+    columns = []
+    good = is_answered(full.status) & is_answered(other.status)
+    none = np.zeros(len(good), dtype=bool)
+    for name, sd in zip(quantities, scatter, strict=True):
+        gap = other.values[name] - full.values[name]
+        with np.errstate(all="ignore"):
+            gap = np.where(gap == 0.0, 0.0, gap / sd)
+        unlike = other.censored.get(name, none) != full.censored.get(name, none)
+        gap = np.where(unlike, np.copysign(np.maximum(np.abs(gap), 1.0), gap), gap)
+        columns.append(np.where(good, gap, np.nan))
+    return np.stack(columns, axis=1)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _summary(gaps: Array, quantities: tuple[str, ...], how: str = "rms") -> dict[str, float | None]:
+    """Root mean square, or largest, of the differences (n, q) by quantity; None where there is none."""
+    known = gaps[~np.isnan(gaps).any(axis=1)]
+    if len(known) == 0:
+        return dict.fromkeys(quantities)
+    found = np.sqrt(np.mean(known**2, axis=0)) if how == "rms" else np.abs(known).max(axis=0)
+    return {name: _finite(value) for name, value in zip(quantities, found, strict=True)}
+
+
+def _passes(errors: Mapping[str, float | None], bound: float) -> bool:
+    return all(error is not None and error < bound for error in errors.values())
+
+
+def _worst(errors: Mapping[str, float | None]) -> float:
+    found = [np.inf if e is None else e for e in errors.values()]
+    return max(found, default=0.0)
+
+
+def row_cost(answers: Answers) -> float:
+    """Mean cost of a row in steps of the integrator, drawing the row included."""
+    steps = float(np.mean(answers.steps))
+    return START_STEPS + steps if steps > 0.0 else CLOSED_STEPS
+
+
+def _straight(cheap: Array, full: Array) -> tuple[float | None, tuple[float, float]]:
+    """Correlation, and (a, b) of the line a + b cheap through the answers of `full`."""
+    x, y = cheap - cheap.mean(), full - full.mean()
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if not (xx > 0.0 and yy > 0.0):
+        return None, (float(full.mean()), 0.0)
+    slope = xy / xx
+    return xy / float(np.sqrt(xx * yy)), (float(full.mean() - slope * cheap.mean()), slope)
+
+
+def _candidate(
+    fidelity: str, cheap: Answers, full: Answers, scene: Scene, work: Work, scatter: Array, cost: float
+) -> Candidate:
+    """What the compared rows say of a cheaper fidelity, alone and mixed with `full`."""
+    quantities, bound = work.quantities, allowed_error(work.study)
+    gaps = _differences(cheap, full, quantities, scatter)
+    known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
+    lines = {name: _straight(cheap.values[name][known], full.values[name][known]) for name in quantities}
+    outlasts = [
+        bool((cheap.censored[name] | full.censored[name]).any()) for name in quantities if name in full.censored
+    ]
+    error = _summary(gaps, quantities)
+    alone = Candidate(
+        fidelity=fidelity,
+        error=error,
+        worst=_summary(gaps, quantities, "largest"),
+        correlation={name: line[0] for name, line in lines.items()},
+        calibration={name: line[1] for name, line in lines.items()},
+        cost=cost,
+        fits=_passes(error, bound),
+        unlike=any(outlasts) or not bool(known.all()),
+    )
+    fallback = _error_law(alone, gaps, scene, bound)
+    if fallback is None:
+        return alone
+    judged = np.arange(len(known)) >= len(known) // 2
+    by_full = fallback.doubtful(scene) | ~known
+    mixed = np.where(by_full[:, None], 0.0, gaps)
+    return replace(
+        alone,
+        mixed_error=_summary(mixed[judged], quantities),
+        fallback_share=float(by_full[judged].mean()),
+        fallback=fallback,
+    )
+
+
+def _error_law(alone: Candidate, gaps: Array, scene: Scene, bound: float) -> Fallback | None:
+    """Which rows to leave to `full`, by a law fitted to one half of the rows; None if the other half contradicts it."""
+    known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
+    half = np.arange(len(known)) < len(known) // 2
+    mu, theta = scene.scales.mass_number, scene.scales.pulse_number
+    if (known & half).sum() < 8 or not np.isfinite(gaps[known]).all():
+        return None
+    law, masses, pulses = fit_error_law(mu[known & half], theta[known & half], gaps[known & half])
+    anything = Fallback(coefficients=law, bounds=(np.inf,) * len(law), mass_range=masses, pulse_range=pulses)
+    said = anything.estimate(scene)
+    beyond: Flags = np.asarray((np.abs(gaps) > said).any(axis=1))
+    if beyond[known & ~half].mean() > BROKEN:
+        return None
+    if alone.fits:
+        # it serves by itself: only rows that look worse than any of the pilot's are left to `full`
+        return replace(anything, bounds=tuple(float(value) for value in said[known].max(axis=0)))
+    for factor in ROW_BOUNDS:
+        some = replace(anything, bounds=(factor * bound,) * len(law))
+        rest = np.where(some.doubtful(scene)[:, None], 0.0, gaps)[known & half]
+        if np.sqrt(np.mean(rest**2, axis=0)).max() <= USED_UP * bound:
+            return some
+    return some
+
+
+def _choose(candidates: tuple[Candidate, ...], bound: float) -> Candidate | None:
+    """The cheapest that passes the rule, alone or mixed with `full`."""
+    served = [
+        c
+        for c in candidates
+        if c.mixed_cost <= WORTHWHILE and (c.fits or (c.fallback is not None and _passes(c.mixed_error, bound)))
+    ]
+    return min(served, key=lambda c: c.mixed_cost) if served else None
 
 
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
-    A cheaper fidelity is taken when its error over the quantity's standard deviation is below a fifth of
-    the tightest accuracy that the study asks for, in every quantity asked for.
+    A cheaper fidelity is taken when its error over the quantity's standard deviation is below a fifth of the
+    tightest accuracy that the study asks for, in every quantity asked for; where that holds in some rows alone,
+    and an error law tells which, the other rows are left to `full`, row by row.
     """
     study = work.study
     if study.black_box:
         return Pilot(chosen="black box", why="the model is the user's own")
-    from uqsphere.mechanics import closed_form, dynamics
     from uqsphere.mechanics.validity import check_validity
 
     inputs = sub_inputs(work.all_inputs, work.scene_names)
@@ -65,74 +239,99 @@ def first_look(work: Work) -> Pilot:
     points = draw(inputs, seed=study.seed, task="pilot", start=0, count=count, replicates=1)
     values = {name: points.physical[0, :, k] for k, name in enumerate(work.scene_names)}
     scene = scene_of(study, values, count)
+    few = scene_of(study, {name: column[:COMPARED] for name, column in values.items()}, min(COMPARED, count))
+
+    def solve(scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
+        evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
+        return solve_scene(scene, fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities)
+
+    evaluations: dict[str, int] = {}
     tolerance = study.model.tolerance
-    full = dynamics.solve(scene, fidelity="full", tolerance=tolerance, threads=work.threads)
-    evaluations = {"full": count}
-    compared = slice(0, min(COMPARED, count))
-    few = scene_of(study, {name: column[compared] for name, column in values.items()}, min(COMPARED, count))
-
-    def cheaper(fidelity: str) -> Any:
-        evaluations[fidelity] = evaluations.get(fidelity, 0) + len(few)
-        if closed_form.closed_form_applies(few, fidelity):
-            return closed_form.solve_closed(few, fidelity)
-        return dynamics.solve(
-            few, fidelity=fidelity, tolerance=tolerance, threads=work.threads, quantities=work.quantities
-        )
-
-    bound = 0.2 * _tightest(study)
-    asked = study.model.fidelity
-    measured: dict[str, dict[str, float | None]] = {}
-    for fidelity in ("massless", "linear"):
+    full = solve(scene, "full", tolerance, None)
+    same = _first(full, len(few))
+    scatter = np.array([_scatter(full, name) for name in work.quantities])
+    asked, bound = study.model.fidelity, allowed_error(study)
+    candidates = []
+    for fidelity in FIDELITIES[:-1]:
         if asked in ("auto", fidelity) and count > 1:
-            measured[fidelity] = _errors(cheaper(fidelity), full, work.quantities, compared)
-    chosen = asked
-    if asked == "auto":
-        fits = [name for name, errors in measured.items() if all(e is not None and e < bound for e in errors.values())]
-        chosen = fits[0] if fits and count > 1 else "full"
-    if chosen == "full" and count > 1:
-        closer = dynamics.solve(
-            few,
-            fidelity="full",
-            tolerance=max(1e-12, 0.01 * tolerance),
-            threads=work.threads,
-            quantities=work.quantities,
-        )
-        evaluations["full"] += len(few)
-        measured["full"] = _errors(full, closer, work.quantities, compared)
-    numbers = {
-        "mu_median": float(np.nanmedian(scene.scales.mass_number)),
-        "theta_median": float(np.nanmedian(scene.scales.pulse_number))
-        if study.options["pulse.shape"] != "step"
-        else None,
-        "P_0_median": float(np.nanmedian(scene.scales.force)),
-        "t_c_median": float(np.nanmedian(scene.scales.time)),
-    }
+            cheap = solve(few, fidelity, tolerance, work.quantities)
+            cost = row_cost(cheap) / row_cost(full)
+            candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, cost))
+    taken = _choose(tuple(candidates), bound) if asked == "auto" else None
+    chosen, measured = (taken.fidelity if taken else "full") if asked == "auto" else asked, {}
+    if taken:
+        measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
+    elif chosen != "full":
+        measured = candidates[0].error if candidates else {}
+    elif count > 1:
+        closer = solve(few, "full", max(1e-12, 0.01 * tolerance), work.quantities)
+        measured = _summary(_differences(same, closer, work.quantities, scatter), work.quantities)
     return Pilot(
         chosen=chosen,
-        why=_why(asked, chosen, measured, bound),
-        measured_error=measured.get(chosen, {}),
+        why=_why(asked, chosen, taken, measured, tuple(candidates), bound),
+        measured_error=measured,
         validity=[_check(row) for row in check_validity(scene, full)],
-        numbers={name: value for name, value in numbers.items() if value is not None},
+        numbers=_numbers(scene),
         evaluations=evaluations,
+        candidates=tuple(candidates) if asked == "auto" else (),
+        fallback=taken.fallback if taken else None,
     )
 
 
-def _worst(errors: dict[str, float | None]) -> float:
-    found = [np.inf if e is None else e for e in errors.values()]
-    return max(found, default=0.0)
+def _first(answers: Answers, count: int) -> Answers:
+    """The first rows of a batch of answers."""
+    return replace(
+        answers,
+        values={name: column[:count] for name, column in answers.values.items()},
+        censored={name: column[:count] for name, column in answers.censored.items()},
+        status=answers.status[:count],
+        record=answers.record[:count],
+        steps=answers.steps[:count],
+    )
 
 
-def _why(asked: str, chosen: str, measured: dict[str, dict[str, float | None]], bound: float) -> str:
+def _scatter(full: Answers, name: str) -> float:
+    known = full.values[name][is_answered(full.status)]
+    return float(np.std(known)) if len(known) > 1 else 0.0
+
+
+def _numbers(scene: Scene) -> dict[str, float]:
+    """Medians of the numbers that tell one scene from another; no pulse number where the pulse never ends."""
+    scales = scene.scales
+    found = {
+        "mu_median": scales.mass_number,
+        "theta_median": scales.pulse_number if scene.shape != "step" else None,
+        "P_0_median": scales.force,
+        "t_c_median": scales.time,
+    }
+    return {name: float(np.nanmedian(column)) for name, column in found.items() if column is not None}
+
+
+def _why(
+    asked: str,
+    chosen: str,
+    taken: Candidate | None,
+    measured: Mapping[str, float | None],
+    candidates: tuple[Candidate, ...],
+    bound: float,
+) -> str:
+    """Why a fidelity was taken, in a clause."""
     if asked != "auto":
         return f"the study asks for {asked}"
-    if not measured.get(chosen):
+    if not measured:
         return "nothing is random, so there is no scatter to compare the error of a cheaper model with"
-    if chosen != "full":
+    if taken and taken.fallback_share > 0.0:
         return (
-            f"its error on the pilot sample, {_worst(measured[chosen]):.2g} of the standard deviation, is below "
+            f"its error on the pilot sample, {_worst(measured):.2g} of the standard deviation, is below the "
+            f"{bound:.2g} that the accuracy asked for allows once rows whose estimated error is larger are left to "
+            f"full ({taken.fallback_share:.0%} of them)"
+        )
+    if taken:
+        return (
+            f"its error on the pilot sample, {_worst(measured):.2g} of the standard deviation, is below "
             f"the {bound:.2g} that the accuracy asked for allows"
         )
-    tried = ", ".join(f"{name} {_worst(errors):.2g}" for name, errors in measured.items() if name != "full")
+    tried = ", ".join(f"{c.fidelity} {_worst(c.error):.2g}" for c in candidates)
     return (
         f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
         f"allows (worst quantity on the pilot sample: {tried})"

@@ -12,6 +12,7 @@ from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.pilot import Pilot
@@ -28,6 +29,7 @@ __all__ = [
     "build_results",
     "csv_text",
     "damage_of",
+    "savings",
     "tables",
     "versions",
     "write_results",
@@ -44,6 +46,7 @@ class Findings:
     pilot: Pilot
     sampled: Sampled
     sensitivity: dict[str, Sensitivity]
+    index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -179,6 +182,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             "failures": sum(ledger.failures.values()),
             "failure_reasons": {str(code): number for code, number in sorted(ledger.failures.items())},
             "numbers": found.pilot.numbers,
+            **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
         "validity": found.pilot.validity,
         "speed_error": found.history,
@@ -186,6 +190,24 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "warnings": list(study.warnings),
         "paper": found.paper,
     }
+
+
+def savings(model: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What cheaper fidelities did for the run, for people: (label, text) rows off the "model" of results.json.
+
+    >>> savings({"fallback_share": 0.25})
+    [('left to full', '25 % of the rows')]
+    """
+    rows = []
+    if model.get("fallback_share") is not None:
+        rows.append(("left to full", f"{100.0 * model['fallback_share']:.3g} % of the rows"))
+    if model.get("control", {}).get("text"):
+        rows.append(("control variate", str(model["control"]["text"])))
+    if model.get("control", {}).get("indices"):
+        rows.append(("control variate, indices", str(model["control"]["indices"])))
+    if model.get("saved", {}).get("full_evaluations"):
+        rows.append(("saved", str(model["saved"]["text"])))
+    return rows
 
 
 # --- files ----------------------------------------------------------------------------------------

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import out_of_reach
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, reached
 
 __all__ = ["METHOD", "Sampled", "sample_distributions"]
@@ -35,12 +37,13 @@ class Sampled:
     stopped: str
     history: list[dict[str, Any]]
     seconds: list[float]
+    control: Control = field(default_factory=lambda: Control(plan=None, text="", used=False))
 
 
 def _describe_one(work: Work, sample: Sample, k: int) -> Description:
     """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
     quantiles = work.study.analysis.quantiles
-    if sample.status[0, 0]:
+    if sample.failed[0, 0]:
         nothing = absent("the scene could not be computed", METHOD, 1)
         return Description(
             mean=nothing,
@@ -103,16 +106,17 @@ def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, 
 
 
 def _record(
-    descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int
+    descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int, controlled: str
 ) -> list[dict[str, Any]]:
     """Rows of the speed-error table that this stage gives."""
     rows = []
+    method = f"{METHOD}, controlled by {controlled}" if controlled else METHOD
 
     def add(quantity: str, error: float, kind: str) -> None:
         if np.isfinite(error):
             rows.append(
                 {
-                    "method": METHOD,
+                    "method": method,
                     "quantity": quantity,
                     "evaluations": evaluations,
                     "error": float(error),
@@ -171,10 +175,11 @@ def _hopeless(
     return bool(finite) and all(out_of_reach(course[name], 1.0, affordable) for name in finite)
 
 
-def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
+def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
     """Sample until the accuracy is reached; a study without scatter is evaluated once.
 
-    Stages double the points of every replicate; a stage that would pass the budget is not begun.
+    Stages double the points of every replicate; a stage that would pass the budget is not begun.  A control
+    variate that is proposed is tried at the second stage, and kept to the end if it pays.
     """
     study = work.study
     budget = study.analysis.budget.evaluations * (SHARE if more_to_come else 1.0)
@@ -188,9 +193,10 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
     limits: dict[str, LimitAnswer] = {}
     missed: list[str] = []
     course: dict[str, list[tuple[int, float]]] = {}
+    control = control or Control(plan=None, text="", used=False)
     while True:
         count = FIRST if start == 0 else start
-        if start and work.ledger.total + REPLICATES * count > budget:
+        if start and work.ledger.total + affordable_rows(control, count) > budget:
             stopped = "evaluations"
             break
         try:
@@ -212,8 +218,15 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
         start += count
         descriptions = _describe(work, sample)
         limits = judge_limits(work, points, sample)
+        try:
+            control = follow(work, control, points, sample, (descriptions, limits), partial(_excess, work), budget)
+        except OutOfBudget:
+            control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
+        if control.used:
+            descriptions, limits = control.descriptions, control.limits
         missed = _missed(work, descriptions, limits)
-        rows = _record(descriptions, limits, sample.status.size)
+        helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
+        rows = _record(descriptions, limits, sample.status.size, helper)
         history += rows
         seconds += [work.ledger.elapsed] * len(rows)
         if not missed:
@@ -240,4 +253,5 @@ def sample_distributions(work: Work, *, more_to_come: bool) -> Sampled:
         stopped=stopped,
         history=history,
         seconds=seconds,
+        control=control,
     )

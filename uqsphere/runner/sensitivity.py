@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.model import is_answered
+from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
@@ -110,7 +112,7 @@ def _refused(work: Work, reason: str) -> Sensitivity:
     )
 
 
-def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
     from scipy.special import ndtri
 
@@ -130,10 +132,11 @@ def _pick_and_freeze(work: Work, start: int, count: int) -> tuple[Array, npt.NDA
             inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate, start=start
         )
         blocks.append(mix(physical(a), physical(b)))
-    answered = evaluate_points(work, f"sensitivity.{start}", work.scene_names, np.stack(blocks).reshape(-1, d))
+    answered = evaluate_points(work, key, work.scene_names, np.stack(blocks).reshape(-1, d))
     q = len(work.quantities)
     values = answered.values.reshape(REPLICATES, count, d + 2, q)
-    return values, (answered.status != 0).reshape(REPLICATES, count, d + 2).any(axis=2)
+    failed = ~is_answered(answered.status).reshape(REPLICATES, count, d + 2)
+    return values, np.asarray(failed.any(axis=2))
 
 
 def _more(start: int, widths: list[float], asked: float) -> int:
@@ -185,19 +188,24 @@ def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
 
 
 def find_sensitivity(
-    work: Work, sampled: Sampled
-) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str]:
-    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped."""
+    work: Work, sampled: Sampled, control: IndexControl | None = None
+) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str, IndexControl]:
+    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped; the control variate.
+
+    A control variate that is proposed is tried where the first stage is not accurate enough.
+    """
     names = work.scene_names
     if not names:
-        return {q: _refused(work, "no input of the model is random") for q in work.quantities}, [], [], "accuracy"
+        refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
+        return refused, [], [], "accuracy", IndexControl(used=False)
     tied = _dependent(work)
     if tied:
         reason = (
             f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
             "dependent inputs: remove the dependence to see what each would do alone"
         )
-        return {q: _refused(work, reason) for q in work.quantities}, [], [], "accuracy"
+        refused = {q: _refused(work, reason) for q in work.quantities}
+        return refused, [], [], "accuracy", IndexControl(used=False)
     methods = work.study.analysis.methods
     asked = work.study.analysis.accuracy.sobol
     history: list[dict[str, Any]] = []
@@ -228,13 +236,14 @@ def find_sensitivity(
     budget = work.study.analysis.budget
     values: Array | None = None
     failed: npt.NDArray[np.bool_] | None = None
+    control = control or IndexControl(used=False)
     while "sobol" in methods or "auto" in methods:
         count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
-        if work.ledger.total + REPLICATES * count * (len(names) + 2) > budget.evaluations:
+        if work.ledger.total + control.rows(REPLICATES * count * (len(names) + 2)) > budget.evaluations:
             stopped = "evaluations"
             break
         try:
-            more, bad = _pick_and_freeze(work, start, count)
+            more, bad = _pick_and_freeze(work, f"sensitivity.{start}", start, count)
         except OutOfBudget:
             stopped = "time"
             break
@@ -242,8 +251,13 @@ def find_sensitivity(
         failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
         start += count
         clean = _clean(values, failed)
+        found = {quantity: _sampled(clean[..., k]) for k, quantity in enumerate(work.quantities)}
+        lacking = [q for q in work.quantities if not _accurate(found[q], expanded[q], asked)]
+        try:
+            control, found = sharpen(work, control, _pick_and_freeze, values, failed, found, lacking)
+        except OutOfBudget:
+            control = IndexControl(used=False, text="the control variate was cut short by the time budget")
         for k, quantity in enumerate(work.quantities):
-            found[quantity] = _sampled(clean[:, :, :, k])
             widths = [
                 e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None
             ]
@@ -279,6 +293,7 @@ def find_sensitivity(
         history,
         seconds,
         stopped,
+        control,
     )
 
 

@@ -13,7 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import TooManyFailures
-from uqsphere.model import Answered, BlackBox, answer, load_black_box, status_text
+from uqsphere.mechanics.fallback import Fallback
+from uqsphere.model import (
+    ROUTE_ASKED,
+    ROUTE_FULL,
+    STATUS_UNDECIDED,
+    Answered,
+    BlackBox,
+    answer,
+    is_answered,
+    load_black_box,
+    status_text,
+)
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.inputs import Inputs, physical_from_normal
@@ -45,11 +56,16 @@ class OutOfBudget(Exception):
 
 @dataclass(kw_only=True)
 class Ledger:
-    """What a run has spent so far, and what it has to report of it."""
+    """What a run has spent so far, and what it has to report of it.
+
+    `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`.
+    """
 
     evaluations: dict[str, int] = field(default_factory=dict)
     reused: int = 0
     failures: dict[int, int] = field(default_factory=dict)
+    undecided: int = 0
+    fallback: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
     stopped_by_time: bool = False
@@ -84,7 +100,7 @@ class Sample:
     @property
     def failed(self) -> Flags:
         """Rows without an answer, (R, n)."""
-        return np.asarray(self.status != 0)
+        return np.asarray(~is_answered(self.status))
 
     def join(self, other: Sample) -> Sample:
         """This sample and the points that continue it."""
@@ -103,12 +119,15 @@ class Work:
     store: Store | None
     ledger: Ledger
     fidelity: str
+    fallback: Fallback | None = None
     threads: int | None = None
     model: str | None = None
     black_box: BlackBox | None = None
     executor: Executor | None = None
     progress: Callable[[str, int, int], None] | None = None
     seconds: float = float("inf")
+    #: the rows only help to answer for others: one without an answer is no failure of the study
+    spare: bool = False
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -175,10 +194,21 @@ def _remote(
     fidelity: str,
     tolerance: float,
     reference: str | None,
+    fallback: Fallback | None,
 ) -> Answered:
     """One chunk in a worker process: one thread, the black box loaded there."""
     box = _loaded(reference) if reference else None
-    return answer(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=1, black_box=box)
+    return answer(
+        study,
+        names,
+        rows,
+        quantities,
+        fidelity=fidelity,
+        tolerance=tolerance,
+        threads=1,
+        black_box=box,
+        fallback=fallback,
+    )
 
 
 def _answers(work: Work, names: tuple[str, ...], rows: Array, fidelity: str) -> Answered:
@@ -191,6 +221,7 @@ def _answers(work: Work, names: tuple[str, ...], rows: Array, fidelity: str) -> 
         tolerance=work.study.model.tolerance,
         threads=work.threads,
         black_box=work.black_box,
+        fallback=work.fallback,
     )
 
 
@@ -214,6 +245,7 @@ def _chunks(
                 fidelity,
                 work.study.model.tolerance,
                 work.model,
+                work.fallback,
             ),
         )
         for k in todo
@@ -246,9 +278,12 @@ def evaluate_points(
     for k in range(count):
         expected = len(rows[k * CHUNK : (k + 1) * CHUNK])
         packed = work.store.load(f"{key}.{k}") if work.store is not None else None
-        if packed is not None and packed.shape == (expected, 2 * q + 1):
+        if packed is not None and packed.shape == (expected, 2 * q + 2):
             parts[k] = Answered(
-                values=packed[:, :q], censored=packed[:, q : 2 * q] > 0.0, status=packed[:, 2 * q].astype(np.int64)
+                values=packed[:, :q],
+                censored=packed[:, q : 2 * q] > 0.0,
+                status=packed[:, 2 * q].astype(np.int64),
+                route=packed[:, 2 * q + 1].astype(np.int64),
             )
             work.ledger.reused += expected
         else:
@@ -256,7 +291,9 @@ def evaluate_points(
     for k, answered in _chunks(work, names, rows, fidelity, todo):
         parts[k] = answered
         if work.store is not None:
-            packed = np.concatenate([answered.values, answered.censored, answered.status[:, None]], axis=1)
+            packed = np.concatenate(
+                [answered.values, answered.censored, answered.status[:, None], answered.routes[:, None]], axis=1
+            )
             work.store.save(f"{key}.{k}", packed)
         if work.progress is not None:
             work.progress(key.split(".")[0], min((k + 1) * CHUNK, len(rows)), len(rows))
@@ -267,16 +304,24 @@ def evaluate_points(
         values=np.concatenate([parts[k].values for k in range(count)]),
         censored=np.concatenate([parts[k].censored for k in range(count)]),
         status=np.concatenate([parts[k].status for k in range(count)]),
+        route=np.concatenate([parts[k].routes for k in range(count)]),
     )
-    _account(work, fidelity, whole.status)
+    _account(work, fidelity, whole.status, whole.routes)
     return whole
 
 
-def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64]) -> None:
+def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64], routes: npt.NDArray[np.int64]) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
     ledger = work.ledger
-    ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + len(status)
-    codes, counts = np.unique(status[status != 0], return_counts=True)
+    by_full = int((routes != ROUTE_ASKED).sum())
+    ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + int((routes != ROUTE_FULL).sum())
+    if by_full:
+        ledger.evaluations["full"] = ledger.evaluations.get("full", 0) + by_full
+        ledger.fallback += by_full
+    if work.spare:
+        return
+    ledger.undecided += int((status == STATUS_UNDECIDED).sum())
+    codes, counts = np.unique(status[~is_answered(status)], return_counts=True)
     for code, number in zip(codes.tolist(), counts.tolist(), strict=True):
         ledger.failures[code] = ledger.failures.get(code, 0) + number
     failed = sum(ledger.failures.values())

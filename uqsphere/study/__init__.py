@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from uqsphere.study.nouns import (
@@ -32,12 +33,23 @@ __all__ = [
     "json_schema",
     "law_with_mean",
     "load_study",
+    "shipped_studies",
 ]
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and "
-    "meanings."""
+    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and
+    meanings."""
     from uqsphere.study.editor import build_schema
 
     return build_schema()
+
+
+def shipped_studies() -> dict[str, Path]:
+    """Shipped studies by name: beside the package when installed, in the repository otherwise."""
+    package = Path(__file__).parent.parent
+    for folder in (package / "templates", package.parent / "studies"):
+        found = {path.stem: path for path in sorted(folder.glob("*.toml"))}
+        if found:
+            return found
+    return {}

@@ -1,0 +1,156 @@
+"""Scenes from the ends of everything that can be asked: right to the tolerance, or a status that says why not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_kernel import scaled_scene
+
+from uqsphere.bench.sweep import compare_closer, hard_scenes, sweep_table
+from uqsphere.mechanics.dynamics import integrate, solve
+from uqsphere.mechanics.layout import ANSWER_X_MAX
+from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
+
+#: granite between steel bars; what a test varies is put in its place
+NUMBERS = {
+    "sphere.E": 52e9,
+    "sphere.nu": 0.25,
+    "sphere.radius": 10e-3,
+    "sphere.density": 2650.0,
+    "bars.E": 210e9,
+    "bars.nu": 0.3,
+    "bars.density": 7850.0,
+    "bars.diameter": 40e-3,
+    "striker.speed": 1.0,
+    "striker.length": 0.4,
+    "bars.incident_length": 1.5,
+    "bars.receiving_length": 1.5,
+    "bars.incident_end": 1.0,
+    "bars.receiving_end": 1.0,
+}
+
+
+def scene_with(**numbers: float) -> Scene:
+    values = NUMBERS | {name.replace("__", "."): value for name, value in numbers.items()}
+    return Scene(columns={name: np.array([value]) for name, value in values.items()})
+
+
+def test_no_row_of_the_sweep_is_wrong_and_silent() -> None:
+    found = compare_closer(200, seed=7)
+    assert found.silent == [], sweep_table(found)
+    assert np.isin(found.status, [0, 4, 5, UNDECIDED]).all()
+    assert (found.status == 0).mean() > 0.93
+
+
+def test_the_scenes_of_the_sweep_cover_what_is_promised() -> None:
+    scenes = hard_scenes(4000, seed=9)
+    mu = np.concatenate([scene.scales.mass_number for scene in scenes])
+    assert mu.min() < 2e-7
+    assert mu.max() > 5e2
+    assert all((scene.status == 0).all() for scene in scenes)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sphere__E", 5e-324),
+        ("sphere__density", 5e-324),
+        ("sphere__radius", 1e-160),
+        ("striker__speed", 5e-324),
+        ("striker__speed", 1e300),
+        ("bars__density", 1e-300),
+    ],
+)
+def test_scales_that_overflow_have_a_status_and_no_number(name: str, value: float) -> None:
+    found = solve(scene_with(**{name: value}), quantities=("p_max", "contact_time"))
+    assert found.status[0] in STATUS
+    assert found.status[0] != 0
+    assert np.isnan(found.values["p_max"][0])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("sphere__nu", 0.4999), ("sphere__E", 1e6), ("sphere__E", 1e12), ("sphere__radius", 1e-4),
+     ("striker__speed", 1e-6), ("striker__speed", 100.0), ("sphere__density", 1.0)],
+)  # fmt: skip
+def test_ends_of_the_inputs_are_answered(name: str, value: float) -> None:
+    scene = scene_with(**{name: value})
+    found, closer = (solve(scene, tolerance=tolerance) for tolerance in (1e-6, 1e-9))
+    assert found.status[0] == 0
+    for quantity in ("p_max", "contact_time", "energy"):
+        assert found.values[quantity][0] == pytest.approx(closer.values[quantity][0], rel=5e-6)
+
+
+# ---- answers that jump
+
+
+def grazing_scene() -> tuple[Scene, np.ndarray]:
+    """A pulse so long that contact is just lost, one that just keeps it, found by halving, and one far from both."""
+
+    def times(theta: np.ndarray) -> np.ndarray:
+        scene = scaled_scene(np.full(len(theta), 0.3), theta)
+        return np.asarray(solve(scene, tolerance=1e-12).values["contact_time"] / scene.scales.time) - theta
+
+    theta = np.linspace(1.7, 1.8, 21)
+    jump = int(np.abs(np.diff(times(theta))).argmax())
+    low, high = theta[jump], theta[jump + 1]
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        early, at = times(np.array([low, middle]))
+        low, high = (middle, high) if abs(early - at) < 0.5 else (low, middle)
+    return scaled_scene([0.3] * 3, [low, high, 1.05 * high]), np.array([low, high])
+
+
+def test_a_grazing_separation_has_two_answers() -> None:
+    scene, theta = grazing_scene()
+    assert theta[1] - theta[0] < 1e-9
+    found = solve(scene, tolerance=1e-6)
+    assert (found.status[:2] == UNDECIDED).all()
+    assert found.status[2] == 0
+    assert answered(found.status).all()
+    exact = solve(scene, tolerance=1e-12).values["contact_time"][:2]
+    assert exact[1] > 1.1 * exact[0] or exact[0] > 1.1 * exact[1]
+    # less than the tolerance lies between the two rows: both have both answers, in either order
+    for row in range(2):
+        pair = sorted([found.values["contact_time"][row], found.others["contact_time"][row]])
+        assert pair == pytest.approx(sorted(exact), rel=1e-4)
+    assert np.isnan(found.others["contact_time"][2])
+    assert set(found.others) == set(found.values)
+
+
+def test_a_row_that_is_decided_has_one_answer() -> None:
+    found = solve(scaled_scene([0.03, 1.0], [3.0, 3.0]))
+    assert (found.status == 0).all()
+    assert found.others == {}
+
+
+# ---- nothing that is not needed
+
+
+def test_the_largest_pressure_alone_needs_no_tail() -> None:
+    scene = scaled_scene([3e-3], [3.0])
+    alone, tail = solve(scene, quantities=("p_max",)), solve(scene, quantities=("p_max", "contact_time"))
+    assert alone.steps[0] < 0.6 * tail.steps[0]
+    assert alone.values["p_max"][0] == pytest.approx(tail.values["p_max"][0], rel=1e-7)
+
+
+def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> None:
+    steps = []
+    for horizon in (20.0, 40.0, 80.0):
+        base = scaled_scene([1e-4], [3.0])
+        columns = {name: column for name, column in base.columns.items() if not name.startswith("striker.length")}
+        scene = Scene(columns=columns, shape="step", infinite=True, horizon=float(horizon * base.scales.time[0]))
+        found = solve(scene, tolerance=1e-6)
+        assert found.status[0] == 0
+        assert found.values["P_max"][0] / scene.scales.force[0] == pytest.approx(1.0, abs=2e-3)
+        steps.append(int(found.steps[0]))
+    # 40 t_c are some 1,100 oscillations: once they have died out, time costs next to nothing
+    assert steps[2] - steps[1] < 40
+    assert steps[1] < 1.3 * steps[0]
+
+
+def test_the_record_before_the_first_echo_keeps_no_waves() -> None:
+    scene = scene_with()
+    first = Scene(columns=scene.columns, first_loading_only=True)
+    assert integrate(first, quantities=("p_max",)).steps[0] < integrate(scene, quantities=("p_max",)).steps[0]
+    assert integrate(first, quantities=("p_max",)).answers[0, ANSWER_X_MAX] > 0.0

@@ -1,0 +1,109 @@
+"""What the numbers of a benchmark were measured on, and what a process of its own needs to start and to hold."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["describe_machine", "massless_rate", "memory_of", "peak_rate", "ready_seconds"]
+
+
+def describe_machine() -> dict[str, Any]:
+    """Processor, processors this process may use, Python and packages; nothing that names a machine or a user."""
+    from uqsphere.mechanics.dynamics import thread_count
+
+    model = platform.processor() or platform.machine()
+    cpu = Path("/proc/cpuinfo")
+    if cpu.is_file():
+        names = [
+            line.split(":", 1)[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")
+        ]
+        model = names[0] if names else model
+    packages = {}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "heyoka"):
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            packages[name] = "absent (extra: bench)" if name == "heyoka" else "absent"
+    return {
+        "processor": model,
+        "processors": thread_count(None),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "packages": packages,
+    }
+
+
+_READY = """
+import time; begin = time.perf_counter()
+from uqsphere.bench.scenes import scattered_scene
+from uqsphere.mechanics.dynamics import integrate
+integrate(scattered_scene(16), quantities=("p_max",))
+print(time.perf_counter() - begin)
+"""
+_MEMORY = """
+import sys, resource
+import numpy as np
+from uqsphere.bench.scenes import scattered_scene
+from uqsphere.mechanics.dynamics import solve
+rows, chunk, done = int(sys.argv[1]), 65536, 0
+best = 0.0
+while done < rows:
+    size = min(chunk, rows - done)
+    best = max(best, float(solve(scattered_scene(size, seed=done), quantities=("p_max",)).values["p_max"].max()))
+    done += size
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+"""
+
+
+def _child(program: str, *arguments: str) -> float:
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    return float(done.stdout)
+
+
+def ready_seconds() -> float:
+    """Wall seconds in which a new process imports, loads the compiled code and solves 16 rows."""
+    return min(_child(_READY) for _ in range(2))
+
+
+def memory_of(rows: int) -> float:
+    """Largest resident memory [MB] of a process that solves `rows` rows of scene A in chunks, as a run does."""
+    return _child(_MEMORY, str(rows))
+
+
+def massless_rate(rows: int = 200_000) -> float:
+    """Rows of the massless closed form per second and core: the largest pressure of scene A."""
+    from uqsphere.bench.scenes import scattered_scene
+    from uqsphere.mechanics.closed_form import largest_approach
+
+    theta = scattered_scene(rows).scales.pulse_number
+    best = np.inf
+    for _ in range(7):
+        begin = time.process_time()
+        largest_approach(theta)
+        best = min(best, time.process_time() - begin)
+    return float(rows / best)
+
+
+def peak_rate() -> float | None:
+    """Multiplications with an addition that one core does in a second on vectors held in its first cache."""
+    from importlib.util import find_spec
+
+    if find_spec("numba") is None:
+        return None
+    from uqsphere.mechanics.peak import vector_work
+
+    vector_work(10)
+    rounds, best = 20_000, np.inf
+    for _ in range(7):
+        begin = time.process_time()
+        operations = vector_work(rounds)
+        best = min(best, (time.process_time() - begin) / operations)
+    return float(1.0 / best)

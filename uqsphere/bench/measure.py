@@ -1,0 +1,182 @@
+"""Speed against error, measured side by side in one process: contenders take turns, the best of several rounds counts.
+
+Times are processor seconds of one thread.  Errors are relative, against the compiled integrator at its tightest
+tolerance, which is itself compared with the plain integrator, a method of another family.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
+from uqsphere.bench.scenes import BenchScene, scattered_scene
+from uqsphere.mechanics import closed_form, dynamics, layout
+from uqsphere.mechanics.plain import integrate_plain
+from uqsphere.mechanics.scene import Scene
+
+__all__ = ["Entry", "cost_tables", "measure_scene", "ratio_at_error", "reference_gap"]
+
+Array = npt.NDArray[np.float64]
+
+TIGHTEST: Final = 1e-12
+_COLUMNS: Final = {"p_max": layout.ANSWER_X_MAX, "contact_time": layout.ANSWER_CONTACT}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One contender at one tolerance on one scene: processor seconds per row and relative errors."""
+
+    scene: str
+    contender: str
+    tolerance: float | None
+    rows: int
+    seconds_per_row: float
+    median: float
+    worst: float
+    quantity: str
+
+
+def _part(scene: Scene, rows: int) -> Scene:
+    columns = {name: column[:rows] for name, column in scene.columns.items()}
+    return Scene(columns=columns, shape=scene.shape, infinite=scene.infinite)
+
+
+def _best_time(run: Callable[[], Any], rounds: int) -> float:
+    best = np.inf
+    for _ in range(rounds):
+        begin = time.process_time()
+        run()
+        best = min(best, time.process_time() - begin)
+    return float(best)
+
+
+def _pressure_error(x: Array, exact: Array) -> Array:
+    """Relative error of p_max, which goes with the root of the approach."""
+    return np.abs(np.sqrt(np.maximum(x, 0.0) / exact) - 1.0)
+
+
+def _entries(
+    chosen: BenchScene, contender: str, tolerance: float | None, answers: Array, exact: Array, seconds: float
+) -> list[Entry]:
+    """answers, exact: columns x_max and contact time."""
+    found = []
+    for k, name in enumerate(chosen.quantities):
+        truth = exact[: len(answers), k]
+        error = _pressure_error(answers[:, k], truth) if name == "p_max" else np.abs(answers[:, k] / truth - 1.0)
+        found.append(
+            Entry(
+                scene=chosen.name, contender=contender, tolerance=tolerance, rows=len(answers),
+                seconds_per_row=seconds / len(answers), median=float(np.median(error)), worst=float(error.max()),
+                quantity=name,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _scaled(chosen: BenchScene, found: dynamics.Scaled) -> Array:
+    return found.answers[:, [_COLUMNS[name] for name in chosen.quantities]]
+
+
+def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, slow_rows: int) -> list[Entry]:
+    """Every contender on one scene; the slow ones on the first `slow_rows` rows."""
+    scene, quantities = chosen.scene, chosen.quantities
+    exact = _scaled(chosen, dynamics.integrate(scene, tolerance=TIGHTEST, quantities=quantities))
+    entries: list[Entry] = []
+
+    def ours(fidelity: str, tolerance: float) -> dynamics.Scaled:
+        return dynamics.integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=1, quantities=quantities)
+
+    ours("full", 1e-6)
+
+    def turn(fidelity: str, tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
+        return fidelity, tolerance, lambda: _scaled(chosen, ours(fidelity, tolerance))
+
+    def plain_turn(tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
+        return (
+            "full, numpy path",
+            tolerance,
+            lambda: _scaled(chosen, integrate_plain(few, tolerance=tolerance, quantities=quantities)),
+        )
+
+    few = _part(scene, min(slow_rows * 8, len(scene)))
+    turns = [turn("full", tolerance) for tolerance in tolerances]
+    for fidelity in ("linear", "massless"):
+        if fidelity == "massless" and closed_form.closed_form_applies(scene, fidelity):
+            turns.append((fidelity, None, lambda: closed_form.scaled_answers(scene)[:, :1]))
+        else:
+            turns.append(turn(fidelity, 1e-6))
+    turns += [plain_turn(tolerance) for tolerance in tolerances[1::3]]
+    for name, tolerance, run in turns:
+        seconds = _best_time(run, 1 if "numpy" in name else rounds)
+        entries += _entries(chosen, name, tolerance, run(), exact, seconds)
+    contact = "contact_time" in quantities
+    for method in METHODS:
+        for t in (1e-3, 1e-6, 1e-9, 1e-12) if method == "DOP853" else (1e-3, 1e-6, 1e-9):
+            rows = slow_rows if method != "Radau" else max(1, slow_rows // 4)
+            begin = time.process_time()
+            answers = solve_scipy(scene, rows, method, t, contact=contact)
+            seconds = time.process_time() - begin
+            entries += _entries(chosen, f"solve_ivp {method}", t, answers[:, : len(quantities)], exact, seconds)
+    if heyoka_present() and not contact:
+        for t in (1e-3, 1e-6, 1e-9, 1e-12):
+            peaks, run = solve_heyoka(scene, min(64, len(scene)), t)
+            entries += _entries(chosen, "heyoka", t, peaks[:, None], exact, _best_time(run, rounds))
+    return entries
+
+
+def reference_gap(chosen: BenchScene, rows: int) -> dict[str, float]:
+    """Largest relative difference of the two integrators at 1e-11, by quantity, on the first rows of a scene."""
+    few = _part(chosen.scene, rows)
+    ours = _scaled(chosen, dynamics.integrate(few, tolerance=TIGHTEST, quantities=chosen.quantities))
+    other = _scaled(chosen, integrate_plain(few, tolerance=1e-11, quantities=chosen.quantities))
+    return {name: float(np.abs(other[:, k] / ours[:, k] - 1.0).max()) for k, name in enumerate(chosen.quantities)}
+
+
+def ratio_at_error(entries: list[Entry], scene: str, quantity: str, rival: str, error: float) -> float | None:
+    """How many times as fast `full` is as a rival, both at the same median error; None beyond what was measured.
+
+    Between measured points the time is a straight line over the error, both as logarithms.
+    """
+    times = []
+    for contender in (rival, "full"):
+        points = sorted(
+            (max(e.median, 1e-16), e.seconds_per_row)
+            for e in entries
+            if (e.scene, e.contender, e.quantity) == (scene, contender, quantity)
+        )
+        errors = np.log([point[0] for point in points])
+        if len(points) == 0 or not errors[0] - 1e-9 <= np.log(error) <= errors[-1] + 1e-9:
+            return None
+        times.append(float(np.exp(np.interp(np.log(error), errors, np.log([point[1] for point in points])))))
+    return times[0] / times[1]
+
+
+def cost_tables(*, largest: int, rounds: int) -> dict[str, list[tuple[float, float]]]:
+    """Microseconds a row of `full` at 1e-6, p_max alone, against rows, threads (wall time), mu and theta."""
+
+    def cost(scene: Scene, threads: int = 1, wall: bool = False) -> float:
+        clock = time.perf_counter if wall else time.process_time
+        best = np.inf
+        for _ in range(rounds):
+            begin = clock()
+            dynamics.integrate(scene, threads=threads, quantities=("p_max",))
+            best = min(best, clock() - begin)
+        return float(best / len(scene) * 1e6)
+
+    counts = [10**k for k in range(1, 8) if 10**k <= largest]
+    return {
+        "rows": [(float(n), cost(scattered_scene(n))) for n in counts],
+        "threads": [(float(k), cost(scattered_scene(20_000), k, wall=True)) for k in range(1, _threads() + 1)],
+        "mu": [(mu, cost(scattered_scene(256, mu=mu))) for mu in 10.0 ** np.arange(-6.0, 3.0)],
+        "theta": [(theta, cost(scattered_scene(256, theta=theta))) for theta in 10.0 ** np.arange(-3.0, 3.0)],
+    }
+
+
+def _threads() -> int:
+    return dynamics.thread_count(None)

@@ -1,0 +1,196 @@
+"""What one would otherwise use: general integrators, set up with the care that a good user would take.
+
+The same scaled equations; events for the loss of contact; steps that end where the pulse or a reflection jumps;
+peaks from the roots of the rates on the dense output.  Waves that come back are read from the dense output of
+the earlier pieces (the method of steps for delay equations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics.dynamics import scaled_arguments
+from uqsphere.mechanics.scene import Scene
+
+__all__ = ["METHODS", "heyoka_present", "solve_heyoka", "solve_scipy"]
+
+Array = npt.NDArray[np.float64]
+
+#: methods of scipy.integrate.solve_ivp
+METHODS: Final = ("DOP853", "LSODA", "Radau")
+#: time over t_c after which no peak can follow the pulse of scene A: the energy that is left lies below the peak's
+_AFTER: Final = 0.6
+
+
+def _pulse(arguments: dict[str, Any], row: int, time: float) -> float:
+    breaks, coefficients = arguments["breaks"][row], arguments["coefficients"][row]
+    piece = int(np.searchsorted(breaks, time, side="right")) - 1
+    if not 0 <= piece < len(coefficients):
+        return 0.0
+    z = time - breaks[piece]
+    c = coefficients[piece]
+    return float(c[0] + z * (c[1] + z * (c[2] + z * c[3])))
+
+
+def _stops(arguments: dict[str, Any], row: int, horizon: float) -> list[float]:
+    """Times at which a solution has to be taken up anew: jumps of the pulse and of what comes back, round trips."""
+    breaks = [float(b) for b in arguments["breaks"][row] if 0.0 < b < horizon]
+    times = set(breaks)
+    for trip in arguments["round_trips"][row]:
+        if np.isfinite(trip):
+            for k in range(1, int(horizon / trip) + 1):
+                times |= {k * trip, *(k * trip + b for b in breaks)}
+    return [0.0, *sorted(t for t in times if t < horizon), horizon]
+
+
+def _leaves(face: int) -> Callable[[float, Any], float]:
+    """The event that a face loses contact."""
+
+    def leaves(t: float, y: Any) -> float:
+        return float(y[face])
+
+    leaves.terminal = True  # type: ignore[attr-defined]
+    leaves.direction = -1.0  # type: ignore[attr-defined]
+    return leaves
+
+
+def _solve_row(
+    arguments: dict[str, Any], row: int, method: str, tolerance: float, contact: bool
+) -> tuple[float, float]:
+    """Largest approach and time of the first loss of contact (or end of the record) of one row, scaled."""
+    from scipy.integrate import solve_ivp
+    from scipy.optimize import brentq
+
+    mu = float(arguments["mass"][row])
+    trips, ends = arguments["round_trips"][row], arguments["ends"][row]
+    horizon = float(arguments["horizon"][row])
+    if not np.isfinite(horizon):
+        horizon = float(arguments["pulse_end"][row]) + _AFTER
+    pieces: list[tuple[float, Any]] = []
+
+    def force(face: int, time: float) -> float:
+        """Force at an earlier time, from the dense output of the piece that holds it."""
+        dense = next(sol for begin, sol in reversed(pieces) if time >= begin)
+        return float(max(dense(time)[face], 0.0) ** 1.5)
+
+    def f(time: float, inside: tuple[float, float] = (0.0, np.inf)) -> float:
+        back = time - trips[0]
+        value = _pulse(arguments, row, min(max(time, inside[0]), inside[1]))
+        return value + (ends[0] * (f(back) - force(0, back)) if back > 0.0 else 0.0)
+
+    def h(time: float) -> float:
+        back = time - trips[1]
+        return float(ends[1] * (force(1, back) + h(back))) if back > 0.0 else 0.0
+
+    peak, lost = 0.0, np.nan
+    state = np.zeros(3)
+    stops = _stops(arguments, row, horizon)
+    for begin, end in pairwise(stops):
+        if end - begin < 1e-12:
+            continue
+        inside = (begin + 1e-13 * (1 + end), end - 1e-13 * (1 + end))
+
+        def slope(t: float, y: Any, inside: tuple[float, float] = inside) -> list[float]:
+            p1, p2 = max(y[0], 0.0) ** 1.5, max(y[1], 0.0) ** 1.5
+            return [2.0 * f(t, inside) - p1 - y[2], y[2] - p2 - 2.0 * h(t), (p1 - p2) / mu]
+
+        events = [_leaves(face) for face in range(2)] if contact and begin > 0.0 else None
+        options: dict[str, Any] = {"rtol": tolerance, "atol": 0.01 * tolerance, "dense_output": True}
+        solve: Any = solve_ivp
+        found = solve(slope, (begin, end), state, method=method, events=events, **options)
+        pieces.append((begin, found.sol))
+        for face in range(2):
+            rates = np.array([slope(t, y)[face] for t, y in zip(found.t, found.y.T, strict=True)])
+            peak = max(peak, float(found.y[face].max()))
+            for k in np.flatnonzero((rates[:-1] > 0.0) & (rates[1:] < 0.0)):
+                top = brentq(lambda t, face=face, slope=slope, sol=found.sol: slope(t, sol(t))[face], found.t[k],
+                             found.t[k + 1], xtol=1e-10)  # fmt: skip
+                peak = max(peak, float(found.sol(top)[face]))
+        state = found.y[:, -1]
+        if found.status == 1:
+            lost = float(found.t[-1])
+            break
+    return peak, lost if np.isfinite(lost) else horizon
+
+
+def solve_scipy(scene: Scene, rows: int, method: str, tolerance: float, *, contact: bool) -> Array:
+    """Largest approach and contact time (rows, 2), scaled, by solve_ivp."""
+    arguments = scaled_arguments(scene, np.arange(rows))
+    return np.array([_solve_row(arguments, row, method, tolerance, contact) for row in range(rows)])
+
+
+def heyoka_present() -> bool:
+    """Whether the compiled Taylor integrator of that name is installed (extra `bench`)."""
+    return find_spec("heyoka") is not None
+
+
+def solve_heyoka(scene: Scene, rows: int, tolerance: float) -> tuple[Array, Callable[[], None]]:
+    """Largest approach (rows,) of scene A by heyoka in batches, and the integration alone, to be timed.
+
+    What is timed is the propagation over the pulse and a little beyond; the search for the peak, on the dense
+    output, is given to it for nothing.
+    """
+    import heyoka
+
+    x1, x2, u = heyoka.make_vars("x1", "x2", "u")
+    push = 2.0 * heyoka.par[1]
+    q1, q2 = x1 * heyoka.sqrt(x1), x2 * heyoka.sqrt(x2)
+    system = [(x1, push - q1 - u), (x2, u - q2), (u, (q1 - q2) / heyoka.par[0])]
+    batch = int(heyoka.recommended_simd_size())
+    arguments = scaled_arguments(scene, np.arange(rows))
+    start = 1e-4
+    solver = heyoka.taylor_adaptive_batch(
+        system, np.ones((3, batch)), pars=np.ones((2, batch)), tol=tolerance, compact_mode=False
+    )
+
+    def begin(chosen: npt.NDArray[np.int64]) -> Array:
+        mu = arguments["mass"][chosen]
+        # the series about the touch: x1 = 2 s, u = (2/5) 2^(3/2) s^(5/2)/mu and its integral
+        speed = 0.4 * 2.0**1.5 * start**2.5 / mu
+        solver.set_time(start)
+        solver.state[:] = np.stack(
+            [np.full(len(mu), 2.0 * start - 0.4 * 2.0**1.5 * start**2.5), speed * start / 3.5, speed]
+        )
+        solver.pars[0], solver.pars[1] = mu, 1.0
+        return np.asarray(arguments["pulse_end"][chosen])
+
+    batches = [np.minimum(np.arange(k, k + batch), rows - 1) for k in range(0, rows, batch)]
+
+    def run() -> None:
+        for chosen in batches:
+            end = begin(chosen)
+            solver.propagate_until(end)
+            solver.pars[1] = 0.0
+            solver.propagate_until(end + _AFTER)
+
+    peaks = np.zeros(rows)
+    for chosen in batches:
+        end = begin(chosen)
+        for push_now, until in ((1.0, end), (0.0, end + _AFTER)):
+            solver.pars[1] = push_now
+            before = np.array(solver.time)
+            dense = solver.propagate_until(until, c_output=True)
+            dense = dense[0] if isinstance(dense, tuple) else dense
+            grid = np.linspace(0.0, 1.0, 4001)[:, None] * (until - before)[None, :] + before[None, :]
+            path = np.moveaxis(np.asarray(dense(grid)), 0, -1) if dense is not None else np.zeros((4001, 3, batch))
+            path = path if path.shape[0] == 4001 else np.moveaxis(path, -1, 0)
+            for lane, row in enumerate(chosen):
+                for face in range(2):
+                    values = path[:, face, lane] if path.shape[1] == 3 else path[:, lane, face]
+                    peaks[row] = max(peaks[row], _parabola(values))
+    return peaks, run
+
+
+def _parabola(values: Array) -> float:
+    k = int(values.argmax())
+    if k in (0, len(values) - 1):
+        return float(values[k])
+    left, top, right = values[k - 1 : k + 2]
+    bend = left - 2.0 * top + right
+    return float(top - 0.125 * (right - left) ** 2 / bend) if bend < 0.0 else float(top)

@@ -1,0 +1,141 @@
+"""The benchmark as tables (Markdown), as JSON, and as two figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from uqsphere.bench.measure import Entry, ratio_at_error
+
+if TYPE_CHECKING:
+    from uqsphere.report.canvas import Picture
+
+__all__ = ["bench_text", "cost_figure", "ratios", "speed_error_figure"]
+
+#: what is compared with what: scene, quantity, rival, error, and the aim
+COMPARED: Final = (
+    ("A", "p_max", "solve_ivp DOP853", 1e-8, 1000.0),
+    ("A", "p_max", "solve_ivp LSODA", 1e-6, None),
+    ("A", "p_max", "solve_ivp Radau", 1e-8, None),
+    ("A", "p_max", "heyoka", 1e-6, 5.0),
+    ("A", "p_max", "heyoka", 1e-9, 5.0),
+    ("B", "p_max", "solve_ivp DOP853", 1e-8, 300.0),
+    ("B", "contact_time", "solve_ivp DOP853", 1e-8, 300.0),
+)
+
+
+def ratios(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """How many times as fast `full` is at equal median error, with the aims."""
+    found = []
+    for scene, quantity, rival, error, aim in COMPARED:
+        value = ratio_at_error(list(entries), scene, quantity, rival, error)
+        found.append(
+            {"scene": scene, "quantity": quantity, "rival": rival, "error": error, "times_as_fast": value, "aim": aim}
+        )
+    return found
+
+
+def _rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(row) + " |" for row in (header, ["---"] * len(header), *rows)]
+
+
+def _time(seconds: float) -> str:
+    micro = seconds * 1e6
+    return f"{micro:,.3g} us" if micro < 1000.0 else f"{micro / 1000.0:,.3g} ms"
+
+
+def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
+    """The whole benchmark in Markdown."""
+    machine = content["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    lines = [
+        "# Speed against error",
+        "",
+        f"{machine['processor']}, {machine['processors']} processors, {machine['system']}, Python {machine['python']}; "
+        f"{packages}.",
+        "Processor time of one thread, contenders in turn, the best of several rounds. Errors are relative, over the "
+        "rows of the scene, against the compiled integrator at 1e-12.",
+        "",
+    ]
+    for scene in content["scenes"]:
+        lines += [f"## Scene {scene['name']}: {scene['text']}", ""]
+        gaps = ", ".join(f"{name} {gap:.1g}" for name, gap in scene["reference_gap"].items())
+        lines += [f"The reference and the plain integrator, another method, differ by at most: {gaps}.", ""]
+        listed = [
+            (e.contender, "-" if e.tolerance is None else f"{e.tolerance:.0e}", e.quantity, _time(e.seconds_per_row),
+             f"{e.median:.1e}", f"{e.worst:.1e}", str(e.rows))
+            for e in entries if e.scene == scene["name"]
+        ]  # fmt: skip
+        header = ("contender", "tolerance", "quantity", "time a row", "median error", "worst", "rows")
+        lines += [*_rows(header, listed), ""]
+    lines += ["## Ratios in this run, per core, at equal median error", ""]
+    rows = [
+        (r["scene"], r["quantity"], r["rival"], f"{r['error']:.0e}",
+         "not measured" if r["times_as_fast"] is None else f"{r['times_as_fast']:,.3g}",
+         "-" if r["aim"] is None else f"{r['aim']:,.0f}")
+        for r in content["ratios"]
+    ]  # fmt: skip
+    lines += [*_rows(("scene", "quantity", "rival", "error", "times as fast", "aim"), rows), ""]
+    lines += ["## Cost", ""]
+    for name, points in content["cost"].items():
+        lines.append(f"- {name}: " + ", ".join(f"{at:g} → {cost:,.3g} us" for at, cost in points))
+    lines += ["", "Microseconds a row of scene A (for mu and theta, around the other number of scene A), p_max, 1e-6;"]
+    lines += ["wall time for threads, processor time otherwise.", ""]
+    found = [(name, f"{limit['found']:,.3g}", limit["aim"]) for name, limit in content["limits"].items()]
+    lines += _rows(("what", "found", "aim"), found)
+    return "\n".join(lines)
+
+
+def speed_error_figure(entries: Sequence[Entry]) -> Picture:
+    """Error on one axis, seconds per million rows on the other, one panel per scene."""
+    from uqsphere.report.canvas import BLUE, GREEN, GREY, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
+
+    colours = {
+        "full": BLUE, "full, numpy path": SKY, "linear": PURPLE, "massless": GREEN, "solve_ivp DOP853": RED,
+        "solve_ivp LSODA": ORANGE, "solve_ivp Radau": GREY, "heyoka": "#000000",
+    }  # fmt: skip
+    scenes = sorted({e.scene for e in entries})
+    figure, axes = new_figure(3.6 * len(scenes), rows=len(scenes))
+    for panel, scene in zip(axes, scenes, strict=True):
+        for k, (contender, colour) in enumerate(colours.items()):
+            points = [
+                (max(e.median, 1e-15), 1e6 * e.seconds_per_row)
+                for e in entries
+                if (e.scene, e.contender, e.quantity) == (scene, contender, "p_max")
+            ]
+            if not points:
+                continue
+            errors, seconds = zip(*sorted(points), strict=True)
+            panel.plot(errors, seconds, color=colour, marker=MARKS[k % len(MARKS)], markersize=4.5, label=contender)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.invert_xaxis()
+        panel.set_xlabel("median relative error of p_max (more accurate to the right)")
+        panel.set_ylabel("seconds per million rows, one core")
+        panel.set_title(f"Scene {scene}")
+        panel.grid(True, which="major")
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return Picture(
+        name="speed_error", title="Speed against error", figure=figure,
+        finding="At every error the compiled integrator costs a small share of what general integrators cost.",
+    )  # fmt: skip
+
+
+def cost_figure(cost: dict[str, list[tuple[float, float]]]) -> Picture:
+    """Microseconds a row against number of rows, mass number and pulse number."""
+    from uqsphere.report.canvas import BLUE, Picture, new_figure
+
+    names = {"rows": "rows in one call", "mu": "mass number mu", "theta": "pulse number theta"}
+    figure, axes = new_figure(7.2, rows=len(names))
+    for panel, (name, label) in zip(axes, names.items(), strict=True):
+        at, micro = zip(*cost[name], strict=True)
+        panel.plot(at, micro, color=BLUE, marker="o", markersize=4.5)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel(label)
+        panel.set_ylabel("us a row, one core")
+        panel.grid(True, which="major")
+    return Picture(
+        name="cost", title="What a row costs", figure=figure,
+        finding="Light spheres and long pulses cost most, because their oscillation has to be followed.",
+    )  # fmt: skip

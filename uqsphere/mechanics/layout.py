@@ -1,0 +1,42 @@
+"""Names of the numbers that the integrators pass around: statuses, wishes, trackers, answers.
+
+It needs no compiler, so that the compiled integrator and the plain one share it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+#: status of a row
+OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
+
+# what the caller wants beside the largest approaches and the contact time
+WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = 1, 2, 4, 8, 16
+WANT_ALL = 31
+
+# trackers of a lane while its row runs: the first KINDS are the largest values found so far
+(FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE, DEPTH,
+ NEAREST) = range(12)  # fmt: skip
+KINDS = 4
+#: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
+SOMETHING = 1 << KINDS
+TRACKS = 12
+
+# answers of a row, scaled: approach, force difference, energy, times
+(ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
+ ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH,
+ ANSWER_NEAREST) = range(13)  # fmt: skip
+# width and rise with their thresholds a little lower, then a little higher
+ANSWER_WIDTHS, ANSWER_RISES = 13, 15
+ANSWERS = 17
+
+#: forces below this share of the largest end the record on infinite bars
+TAIL_SHARE = 0.01
+#: parts into which a step is divided before an event in it is refined
+POINTS = 4
+
+
+def empty_answers(rows: int) -> npt.NDArray[np.float64]:
+    """Room for the answers of `rows` rows, not a number until a row is done."""
+    return np.full((rows, ANSWERS), np.nan)
