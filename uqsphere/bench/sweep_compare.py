@@ -2,13 +2,14 @@
 
     python -m uqsphere.bench.sweep_compare --count 2000 --seed 1 --reference
 
-A row is wrong and silent if its status is 0 and a quantity is off by more than five times the tolerance.
+A row is wrong and silent if it has an answer and a quantity is off by more than five times the tolerance; a row of
+status 7 has two answers, of which one has to be right.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.bench.sweep_strata import Design, as_inputs, design, rows_of
 from uqsphere.mechanics.dynamics import Answers, solve
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
 __all__ = ["Comparison", "Wrong", "against_itself", "against_reference", "join", "table"]
@@ -65,22 +66,45 @@ def _names(answers: Answers) -> tuple[str, ...]:
     return tuple(name for name in OUTPUTS if name in answers.values)
 
 
-def _errors(found: Answers, row: Any, expected: dict[str, Any], censored: dict[str, Any], tolerance: float) -> Any:
-    """Errors over the tolerance of one row or of an array of rows, last axis the quantities.
+#: one set of answers: values by name, and which times were cut off by the record's end (None: not known)
+_Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 
-    A time that one side says was cut off by the record's end and the other says was not differs without bound,
-    unless both times agree.
+
+def _answers(found: Answers, rows: Any) -> list[_Answer]:
+    """The answers of some rows; two where a row is undecided."""
+    sets: list[_Answer] = [
+        (
+            {name: value[rows] for name, value in found.values.items()},
+            {name: flag[rows] for name, flag in found.censored.items()},
+        )
+    ]
+    if found.others:
+        sets.append(({name: value[rows] for name, value in found.others.items()}, None))
+    return sets
+
+
+def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array:
+    """Error of one quantity over the tolerance.
+
+    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute.  A time
+    that one side says was cut off by the record's end and the other says was not differs without bound, unless
+    both times agree.
     """
+    value, expected = np.asarray(found[0][name]), np.asarray(truth[0][name])
+    with np.errstate(all="ignore"):
+        error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else np.abs(expected)) / tolerance
+    error = np.where(value == expected, 0.0, error)
+    if found[1] is not None and truth[1] is not None and name in truth[1]:
+        error = np.where((found[1][name] != truth[1][name]) & (error > ALLOWED), np.inf, error)
+    return np.asarray(error)
+
+
+def _errors(names: Sequence[str], found: Sequence[_Answer], truths: Sequence[_Answer], tolerance: float) -> Array:
+    """Errors over the tolerance, last axis the quantities; of an undecided row, those of the nearer answer."""
     columns = []
-    for name in _names(found):
-        value, truth = np.asarray(found.values[name][row]), np.asarray(expected[name])
-        with np.errstate(all="ignore"):
-            error = np.abs(value - truth) / np.abs(truth) / tolerance
-        error = np.where(value == truth, 0.0, error)
-        if name in found.censored:
-            differ = found.censored[name][row] != censored[name]
-            error = np.where(differ & (error > ALLOWED), np.inf, error)
-        columns.append(error)
+    for name in names:
+        pairs = [_error(name, one, truth, tolerance) for one in found for truth in truths]
+        columns.append(np.fmin.reduce(pairs))
     return np.stack(columns, axis=-1)
 
 
@@ -135,8 +159,9 @@ def against_itself(
         for scene, places in rows_of(plan, begin, size):
             found = solve(scene, tolerance=tolerance, quantities=quantities)
             truth = solve(scene, tolerance=closer, quantities=quantities)
-            known = (found.status == 0) & (truth.status == 0)
-            errors = _errors(found, slice(None), dict(truth.values), dict(truth.censored), tolerance)
+            known = answered(found.status) & answered(truth.status)
+            every = slice(None)
+            errors = _errors(_names(found), _answers(found, every), _answers(truth, every), tolerance)
             errors[~known] = np.nan
             silent = [
                 _wrong(scene, row, _names(found), errors[row], {n: found.values[n][row] for n in found.values},
@@ -183,9 +208,9 @@ def against_reference(
                 except Unaffordable:
                     continue
                 known[row] = True
-                if found.status[row] != 0:
+                if not answered(found.status[row]):
                     continue
-                errors[row] = _errors(found, row, dict(truth.values), dict(truth.censored), tolerance)
+                errors[row] = _errors(names, _answers(found, row), [(truth.values, truth.censored)], tolerance)
                 if not (errors[row] <= ALLOWED).all():
                     note = f"reference: {truth.steps} steps, tail {truth.tail:.0e}"
                     if truth.dips:
@@ -215,7 +240,7 @@ def join(comparisons: Sequence[Comparison]) -> Comparison:
 
 def table(found: Comparison) -> str:
     """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and silent rows."""
-    compared = found.judged & (found.status == 0)
+    compared = found.judged & answered(found.status)
     lines = [
         f"{len(found.status)} scenes, kernel at {found.tolerance:g} against {found.judge}; {int(compared.sum())} compared",
         "",
