@@ -12,29 +12,17 @@ towards that moment by themselves, and the crossing is read off the last one.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.bench.reference_steps import (
-    FINE,
-    FINE_BASIS,
-    FINE_SLOPES,
-    NODES,
-    POINTS,
-    TAIL,
-    Piece,
-    chebyshev,
-    collocate,
-    evaluate,
-)
+from uqsphere.bench.reference_events import Course, faded, largest, loss
+from uqsphere.bench.reference_steps import NODES, POINTS, TAIL, chebyshev, collocate
 from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Course", "Problem", "Unaffordable", "follow", "problem_of"]
+__all__ = ["Problem", "Unaffordable", "follow", "problem_of"]
 
 Array = npt.NDArray[Any]
 Long = np.longdouble
@@ -47,8 +35,6 @@ _AIM: Final = 0.1 * TAIL
 _FAINT: Final = 1e-19
 #: what the largest state so far counts beside that of the step, when its error is judged
 _MEMORY: Final = 0.01
-#: how closely the place of a peak is found: its height is flat there
-_PEAK: Final = 1e-9
 _MOST_JUMPS: Final = 20_000
 
 
@@ -79,7 +65,7 @@ class Problem:
         if piece >= len(self.cubics):
             return np.zeros_like(times)
         if self.frequency > 0.0:
-            return np.sin(self.frequency * times)
+            return np.asarray(np.sin(self.frequency * times))
         local = times - self.breaks[piece]
         c = self.cubics[piece]
         return np.asarray(c[0] + local * (c[1] + local * (c[2] + local * c[3])))
@@ -116,36 +102,12 @@ def problem_of(scene: Scene, row: int) -> Problem:
     )
 
 
-@dataclass(kw_only=True)
-class Course:
-    """The motion of one scene over its record, and what was found on the way, scaled.
-
-    `end` is the share of the last piece that belongs to the record; `lost` the face that let go, or None;
-    `dips` (time, depth over the largest approach) the moments at which a face nearly let go; `tail` the
-    largest last coefficient of an accepted step.
-    """
-
-    pieces: list[Piece] = field(default_factory=list)
-    end: Any = Long(1)
-    lost: int | None = None
-    x_max: Any = Long(0)
-    x_first: Any = Long(0)
-    difference: Any = Long(0)
-    energy: Any = Long(0)
-    dips: list[tuple[float, float]] = field(default_factory=list)
-    tail: float = 0.0
-
-    @property
-    def ended(self) -> Any:
-        """End of the record."""
-        return self.pieces[-1].time(self.end)
-
-
 def _jumps(problem: Problem, most: Any) -> list[tuple[Any, bool]]:
     """Ends of steps that are due before `most`: time, and whether a wave comes back there."""
     reach: list[list[Any]] = []
     for trip, end in zip(problem.trips, problem.ends, strict=True):
-        weight, shift, shifts = 1.0, Long(0), []
+        weight, shift = 1.0, Long(0)
+        shifts: list[Any] = []
         while weight > _FAINT and shift < most and len(shifts) < _MOST_JUMPS:
             shifts.append(shift)
             weight, shift = weight * abs(float(end)), shift + trip
@@ -180,110 +142,6 @@ def _returning(course: Course, starts: list[Any], bar: int, times: Array, trip: 
         piece = course.pieces[index]
         values[here] = chebyshev(piece.share(left[here])) @ piece.waves[:, bar]
     return values
-
-
-def _root(function: Callable[[Any], Any], a: Any, b: Any, within: float = 1e-19) -> Any:
-    """Zero of a function between a and b, at which it has different signs; regula falsi, Illinois."""
-    at_a, at_b = function(a), function(b)
-    for _ in range(200):
-        if at_b == at_a or abs(b - a) < within:
-            break
-        c = b - at_b * (b - a) / (at_b - at_a)
-        if not min(a, b) < c < max(a, b):
-            c = (a + b) / 2
-        at_c = function(c)
-        if at_c == 0 or abs(c - b) < within:
-            return c
-        if (at_c < 0) != (at_b < 0):
-            a, at_a = b, at_b
-        else:
-            at_a = at_a / 2
-        b, at_b = c, at_c
-    return b
-
-
-def _measures(values: Array, slopes: Array) -> tuple[Array, Array]:
-    """x_1, x_2, q_1 - q_2 and the energy, and their derivatives, (..., 4), from those of x_1, x_2."""
-    pressed = np.maximum(values[..., :2], 0.0)
-    root = np.sqrt(pressed)
-    a, b = pressed[..., 0] * root[..., 0], pressed[..., 1] * root[..., 1]
-    rates = 1.5 * root * slopes[..., :2]
-    stored = (a * pressed[..., 0] + b * pressed[..., 1]) * 2 / 5
-    change = a * slopes[..., 0] + b * slopes[..., 1]
-    return (
-        np.stack([values[..., 0], values[..., 1], a - b, stored], axis=-1),
-        np.stack([slopes[..., 0], slopes[..., 1], rates[..., 0] - rates[..., 1], change], axis=-1),
-    )
-
-
-def fine(piece: Piece, end: Any) -> tuple[Array, Array, Array]:
-    """Shares theta over [0, end] of a piece, and values and slopes of x_1, x_2 there."""
-    if end == 1:
-        return FINE, FINE_BASIS @ piece.states[:, :2], FINE_SLOPES @ piece.states[:, :2]
-    theta = FINE * end
-    pairs = [evaluate(piece.states[:, :2], share) for share in theta]
-    return theta, np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
-
-
-def _largest(piece: Piece, end: Any, known: Array) -> Array:
-    """Largest absolute x_1, x_2, q_1 - q_2, energy over a piece, or what is known if that is larger, (4,)."""
-    theta, values, slopes = fine(piece, end)
-    measures, rates = _measures(values, slopes)
-    best = known.copy()
-    for kind in range(4):
-        course = np.abs(measures[:, kind])
-        top = int(course.argmax())
-        best[kind] = max(best[kind], course[top])
-        around = range(max(top - 1, 0), min(top + 1, len(theta) - 1))
-        bend = abs(course[max(top - 1, 0)] - course[top]) + abs(course[min(top + 1, len(theta) - 1)] - course[top])
-        if course[top] + bend < known[kind]:
-            continue
-        for i in around:
-            if (rates[i, kind] > 0) != (rates[i + 1, kind] > 0):
-                share = _root(
-                    lambda at, kind=kind: _measures(*evaluate(piece.states[:, :2], at))[1][kind],
-                    theta[i], theta[i + 1], _PEAK,
-                )  # fmt: skip
-                best[kind] = max(best[kind], abs(_measures(*evaluate(piece.states[:, :2], share))[0][kind]))
-    return best
-
-
-def _loss(course: Course, piece: Piece, x_max: Any) -> tuple[Any, int | None]:
-    """Share of a piece at which a face lets go, and the face; (1, None) if none does.  Near misses are noted."""
-    if not course.pieces:  # the touch itself
-        return Long(1), None
-    end, lost = Long(1), None
-    _, values, slopes = fine(piece, Long(1))
-    for face in range(2):
-        x, rate = values[:, face], slopes[:, face]
-        at = lambda share, face=face: evaluate(piece.states[:, :2], share)[0][face]  # noqa: E731
-        dips = [i for i in range(len(FINE) - 1) if rate[i] < 0 <= rate[i + 1] and min(x[i], x[i + 1]) < 0.05 * x_max]
-        bottom: list[tuple[Any, Any]] = [(FINE[i], x[i]) for i in np.flatnonzero(x < 0)[:1]]
-        for i in dips:
-            share = _root(lambda s, face=face: evaluate(piece.states[:, :2], s)[1][face], FINE[i], FINE[i + 1], _PEAK)
-            bottom.append((share, at(share)))
-            course.dips.append((float(piece.time(share)), float(at(share) / x_max)))
-        for share, depth in sorted(bottom):
-            if depth < 0:
-                before = [s for s, value in zip(FINE, x, strict=True) if s < share and value > 0]
-                found = _root(at, before[-1] if before else Long(0), share)
-                if found < end:
-                    end, lost = found, face
-                break
-    return end, lost
-
-
-def _faded(piece: Piece, level: Any) -> Any:
-    """Share of a piece from which both approaches lie below `level`, or None."""
-    _, values, _ = fine(piece, Long(1))
-    larger = values.max(axis=1)
-    below = np.flatnonzero(larger < level)
-    if not len(below):
-        return None
-    if below[0] == 0:
-        return Long(0)
-    at = lambda share: evaluate(piece.states[:, :2], share)[0].max() - level  # noqa: E731
-    return _root(at, FINE[below[0] - 1], FINE[below[0]])
 
 
 def follow(problem: Problem, *, budget: int = 20_000) -> Course:
@@ -329,18 +187,18 @@ def follow(problem: Problem, *, budget: int = 20_000) -> Course:
                 raise Unaffordable("the step has become too short")
             continue
         refused, worst = 0, np.inf
-        course.end, course.lost = _loss(course, piece, max(known[0], known[1]))
+        course.end, course.lost = loss(course, piece, max(known[0], known[1]))
         course.tail = max(course.tail, tail)
         course.pieces.append(piece)
         starts.append(piece.start)
-        known = _largest(piece, course.end, known)
+        known = largest(piece, course.end, known)
         course.x_max, course.difference, course.energy = max(known[0], known[1]), known[2], known[3]
         if time < problem.first_echo:
             course.x_first = course.x_max
         if course.lost is not None:
             return course
         if np.isinf(problem.record) and time >= pulse_end:
-            faded = _faded(piece, _TAIL_SHARE ** (Long(2) / 3) * course.x_max)
+            faded = faded(piece, _TAIL_SHARE ** (Long(2) / 3) * course.x_max)
             if faded is not None:
                 course.end = faded
                 return course
@@ -355,33 +213,3 @@ def follow(problem: Problem, *, budget: int = 20_000) -> Course:
         else:
             time, power, length = time + length, 1, grown
     raise Unaffordable(f"more than {budget} steps")
-
-
-def crossing(course: Course, level: Any, *, last: bool = False) -> Any:
-    """Time of the first (or the last) crossing of `level` by the larger approach; the record's end if it is above."""
-    order = range(len(course.pieces) - 1, -1, -1) if last else range(len(course.pieces))
-    for index in order:
-        piece = course.pieces[index]
-        end = course.end if index == len(course.pieces) - 1 else Long(1)
-        theta, values, slopes = fine(piece, end)
-        larger = values.max(axis=1)
-        if larger.max() < 0.9 * level:
-            continue
-        points = list(zip(theta, larger >= level, strict=True))
-        for face in range(2):  # peaks between the points of the grid
-            x, rate = values[:, face], slopes[:, face]
-            for i in np.flatnonzero((rate[:-1] > 0) & (rate[1:] <= 0) & (np.maximum(x[:-1], x[1:]) > 0.9 * level)):
-                slope = lambda s, face=face: evaluate(piece.states[:, :2], s)[1][face]  # noqa: E731
-                top = _root(slope, theta[i], theta[i + 1], _PEAK)
-                points.append((top, evaluate(piece.states[:, :2], top)[0].max() >= level))
-        points.sort()
-        shares, above = [point[0] for point in points], [bool(point[1]) for point in points]
-        if not any(above):
-            continue
-        excess = lambda s: evaluate(piece.states[:, :2], s)[0].max() - level  # noqa: E731
-        at = len(above) - 1 - above[::-1].index(True) if last else above.index(True)
-        beside = at + 1 if last else at - 1
-        if not 0 <= beside < len(shares):
-            return piece.time(shares[at])
-        return piece.time(_root(excess, shares[beside], shares[at]))
-    return Long(math.nan)

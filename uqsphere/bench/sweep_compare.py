@@ -33,9 +33,13 @@ _BATCH: Final = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Wrong:
-    """A row that is wrong and silent: its inputs, similarity numbers, and (found, expected, error over tolerance)."""
+    """A row that is wrong: inputs, status, similarity numbers, and (found, expected, error over tolerance).
+
+    With status 0 it is silent; with status 7 it said that it was not sure, but neither of its answers is right.
+    """
 
     inputs: dict[str, Any]
+    status: int
     mu: float
     theta: float
     quantities: dict[str, tuple[float, float, float]]
@@ -60,6 +64,11 @@ class Comparison:
     wrong: tuple[Wrong, ...]
     tolerance: float
     judge: str
+
+    @property
+    def silent(self) -> tuple[Wrong, ...]:
+        """Rows that are wrong and do not say so."""
+        return tuple(row for row in self.wrong if row.status == 0)
 
 
 def _names(answers: Answers) -> tuple[str, ...]:
@@ -108,13 +117,15 @@ def _errors(names: Sequence[str], found: Sequence[_Answer], truths: Sequence[_An
     return np.stack(columns, axis=-1)
 
 
-def _wrong(scene: Scene, row: int, names: Sequence[str], errors: Array, found: Any, expected: Any, note: str) -> Wrong:
+def _wrong(scene: Scene, row: Any, found: Answers, errors: Array, expected: Mapping[str, Any], note: str = "") -> Wrong:
+    names = _names(found)
     return Wrong(
         inputs=as_inputs(scene, row),
+        status=int(found.status[row]),
         mu=float(scene.scales.mass_number[row]),
         theta=float(scene.scales.pulse_number[row]),
         quantities={
-            name: (float(found[name]), float(expected[name]), float(error))
+            name: (float(found.values[name][row]), float(expected[name]), float(error))
             for name, error in zip(names, errors, strict=True)
             if not error <= ALLOWED
         },
@@ -132,14 +143,14 @@ def _compare(plan: Design, start: int, count: int, tolerance: float, judge: str,
     judged = np.zeros(count, dtype=bool)
     mu, theta = np.zeros(count), np.zeros(count)
     wrong: list[Wrong] = []
-    for scene, places, answers, found, known, silent in parts:
+    for scene, places, answers, found, known, off in parts:
         if not names:
             names = _names(answers)
             errors = np.full((count, len(names)), np.nan)
         errors[places], judged[places] = found, known
         status[places], steps[places] = answers.status, answers.steps
         mu[places], theta[places] = scene.scales.mass_number, scene.scales.pulse_number
-        wrong += silent
+        wrong += off
     return Comparison(names=names, errors=errors, status=status, judged=judged, mu=mu, theta=theta, steps=steps,
                       wrong=tuple(wrong), tolerance=tolerance, judge=judge)  # fmt: skip
 
@@ -163,12 +174,11 @@ def against_itself(
             every = slice(None)
             errors = _errors(_names(found), _answers(found, every), _answers(truth, every), tolerance)
             errors[~known] = np.nan
-            silent = [
-                _wrong(scene, row, _names(found), errors[row], {n: found.values[n][row] for n in found.values},
-                       {n: truth.values[n][row] for n in truth.values}, "")
+            off = [
+                _wrong(scene, row, found, errors[row], {name: truth.values[name][row] for name in truth.values})
                 for row in np.flatnonzero(known & ~(errors <= ALLOWED).all(axis=1))
-            ]  # fmt: skip
-            yield scene, places, found, errors, known, silent
+            ]
+            yield scene, places, found, errors, known, off
 
     count = len(plan) - start if count is None else count
     slices = range(start, start + count, _BATCH)
@@ -201,10 +211,10 @@ def against_reference(
             found = solve(scene, tolerance=tolerance, quantities=quantities)
             names = _names(found)
             errors, known = np.full((len(scene), len(names)), np.nan), np.zeros(len(scene), dtype=bool)
-            silent = []
+            off = []
             for row in np.flatnonzero(scene.status == 0):
                 try:
-                    truth = refer(scene, row, budget=budget)
+                    truth = refer(scene, int(row), budget=budget)
                 except Unaffordable:
                     continue
                 known[row] = True
@@ -216,9 +226,8 @@ def against_reference(
                     if truth.dips:
                         at, depth = min(truth.dips, key=lambda dip: abs(dip[1]))
                         note += f", nearest miss {depth:.1e} of the largest approach at {at!r} s"
-                    values = {name: found.values[name][row] for name in names}
-                    silent.append(_wrong(scene, row, names, errors[row], values, truth.values, note))
-            yield scene, places, found, errors, known, silent
+                    off.append(_wrong(scene, row, found, errors[row], truth.values, note))
+            yield scene, places, found, errors, known, off
 
     count = len(plan) - start if count is None else count
     return _compare(plan, start, count, tolerance, "the reference", parts(count))
@@ -241,8 +250,9 @@ def join(comparisons: Sequence[Comparison]) -> Comparison:
 def table(found: Comparison) -> str:
     """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and silent rows."""
     compared = found.judged & answered(found.status)
+    sides = f"kernel at {found.tolerance:g} against {found.judge}"
     lines = [
-        f"{len(found.status)} scenes, kernel at {found.tolerance:g} against {found.judge}; {int(compared.sum())} compared",
+        f"{len(found.status)} scenes, {sides}; {int(compared.sum())} compared",
         "",
         "| error over tolerance | median | 99.9 % | worst | rows above 5 |",
         "|---|---|---|---|---|",
@@ -261,10 +271,12 @@ def table(found: Comparison) -> str:
             f"| {code} | {int(here.sum())} | {int((here & ~found.judged).sum())} | {mu.min():.0e} to {mu.max():.0e} | "
             f"{theta.min():.0e} to {theta.max():.0e} | {STATUS[int(code)]} |"
         )
-    lines += ["", f"wrong and silent: {len(found.wrong)} rows"]
-    for wrong in found.wrong:
+    flagged = len(found.wrong) - len(found.silent)
+    lines += ["", f"wrong and silent: {len(found.silent)} rows; undecided, and neither answer right: {flagged} rows"]
+    for wrong in sorted(found.wrong, key=lambda row: row.status):
         listed = ", ".join(f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items())
-        lines.append(f"- mu {wrong.mu:.3g}, theta {wrong.theta:.3g}, {wrong.inputs['shape']}: {listed}; {wrong.note}")
+        which = f"status {wrong.status}, mu {wrong.mu:.3g}, theta {wrong.theta:.3g}, {wrong.inputs['shape']}"
+        lines.append(f"- {which}: {listed}; {wrong.note}")
         lines.append(f"  {wrong.inputs}")
     return "\n".join(lines)
 
