@@ -198,9 +198,9 @@ def follow(problem: Problem, *, budget: int = 20_000) -> Course:
         if course.lost is not None:
             return course
         if np.isinf(problem.record) and time >= pulse_end:
-            faded = faded(piece, _TAIL_SHARE ** (Long(2) / 3) * course.x_max)
-            if faded is not None:
-                course.end = faded
+            gone = faded(piece, _TAIL_SHARE ** (Long(2) / 3) * course.x_max)
+            if gone is not None:
+                course.end = gone
                 return course
         state = piece.states.sum(axis=0)
         sizes = np.maximum(sizes, np.abs(state))
