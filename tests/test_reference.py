@@ -182,7 +182,7 @@ def test_energy_between_free_ends() -> None:
         rate = float(piece.length) * piece.power * share ** (piece.power - 1)
         carried += 0.5 * float(weights @ (rate * (waves**2).sum(axis=0)))
     x1, x2, u = (float(value) for value in found.pieces[-1].states.sum(axis=0))
-    # in units of Z (v_0/2)² t_c: M w²/2 is mu u²/2, (2/5) beta alpha^2.5 is (2/5) x^2.5 times two, as t_c = 2 alpha_c/v_0
+    # in units of Z (v_0/2)² t_c the sphere has mu u²/2, each contact (2/5) x^(5/2)
     held = 0.4 * (x1**2.5 + x2**2.5) + 0.1 * u**2 / 2.0
     assert carried + held == pytest.approx(0.5, rel=1e-12)
 
