@@ -119,6 +119,33 @@ def test_a_control_that_does_not_vary_leaves_the_plain_answer() -> None:
     assert (found.value, found.alpha, found.std_error) == (2.5, 0.0, found.plain_error)
 
 
+def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
+    # shares that the points hit exactly leave nothing to see: the error is that of one row and of the cells
+    same = np.full(16, 0.25) + 1e-9 * np.arange(16)
+    found = probability(same, same, np.full(16, 0.25), sizes=(N, 100 * N), counted=True, method="x")
+    assert found is not None
+    assert found.std_error >= 1.0 / (16 * N)
+
+
+def test_a_bound_on_alpha_is_kept_and_its_error_is_right() -> None:
+    rng = np.random.default_rng(8)
+    dear, many = rng.normal(size=(4000, 16)), np.zeros((4000, 16))
+    found = [control(y, y + 0.1 * rng.normal(size=16), m, (0.0, 0.5)) for y, m in zip(dear, many, strict=True)]
+    assert {f.alpha for f in found} == {0.5}
+    assert np.std([f.value for f in found]) == pytest.approx(np.hypot(0.5, 0.05) / 4.0, rel=0.06)
+    assert np.sqrt(np.mean([f.std_error**2 for f in found])) == pytest.approx(np.hypot(0.5, 0.05) / 4.0, rel=0.06)
+
+
+def test_a_control_that_is_smooth_and_unrelated_does_not_spoil_quantiles() -> None:
+    rng = np.random.default_rng(9)
+    dear = rng.normal(size=(16, 256))
+    many = ndtri((np.arange(2048) + 0.5) / 2048)[rng.permuted(np.tile(np.arange(2048), (16, 1)), axis=1)]
+    controlled = describe_controlled(dear, many[:, ::8][:, :256], many, quantiles=(0.5, 0.95), method="x").quantiles
+    plain = describe(dear, quantiles=(0.5, 0.95)).quantiles
+    for p in (0.5, 0.95):
+        assert controlled[p].half_width < 1.5 * plain[p].half_width
+
+
 def test_too_few_replicates_are_refused() -> None:
     with pytest.raises(ValueError, match="four replicates"):
         control(np.ones(3), np.ones(3), np.ones(3))

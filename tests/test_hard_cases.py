@@ -59,6 +59,9 @@ def test_the_scenes_of_the_sweep_cover_what_is_promised() -> None:
         ("striker__speed", 5e-324),
         ("striker__speed", 1e300),
         ("bars__density", 1e-300),
+        ("striker__length", 1e-200),
+        ("striker__length", 1e-13),
+        ("bars__receiving_length", 1e-200),
     ],
 )
 def test_scales_that_overflow_have_a_status_and_no_number(name: str, value: float) -> None:
@@ -147,6 +150,11 @@ def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> N
     # 40 t_c are some 1,100 oscillations: once they have died out, time costs next to nothing
     assert steps[2] - steps[1] < 40
     assert steps[1] < 1.3 * steps[0]
+
+
+def test_a_record_without_end_is_refused() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        Scene(columns=scene_with().columns, horizon=np.inf)
 
 
 def test_the_record_before_the_first_echo_keeps_no_waves() -> None:

@@ -103,6 +103,23 @@ def test_it_does_not_depend_on_threads_executor_or_interruption(
     assert "seconds" not in json.dumps(resumed.results)
 
 
+def test_a_count_gains_where_the_models_agree_on_the_threshold(
+    study_from: Build, small_text: str, tmp_path: Path
+) -> None:
+    # a fixed strength leaves a count, and only a cheap model put on the full one's line exceeds it in the same rows
+    start, end = small_text.index("[[dependence]]"), small_text.index("[analysis]")
+    text = small_text[:start] + small_text[end:]
+    fixed = (*LONG, 'limits.crushing.strength="6.1 GPa"', 'analysis.methods=["qmc"]')
+    auto = uqsphere.run(study_from(*fixed, text=text), out=tmp_path / "auto", threads=1)
+    full = uqsphere.run(study_from(*fixed, 'model.fidelity="full"', text=text), out=tmp_path / "full", threads=1)
+    one, other = (run.results["limits"]["crushing"]["miss"] for run in (auto, full))
+    assert "controlled" in one["method"]
+    assert 0.001 < one["value"] < 0.999
+    assert abs(one["value"] - other["value"]) <= 4.0 * np.hypot(one["std_error"], other["std_error"])
+    # errors at equal evaluations of full, from the fall that plain sampling shows at the least
+    assert one["std_error"] < 0.5 * other["std_error"] * np.sqrt(other["evaluations"] / one["evaluations"])
+
+
 def test_it_is_not_tried_where_the_pilot_shows_no_hope(study_from: Build, tmp_path: Path) -> None:
     # contact_time jumps by whole swings of a mass that the cheap model does not have
     study = study_from('model.fidelity="auto"', 'analysis.methods=["qmc"]')

@@ -232,6 +232,24 @@ def test_a_record_that_one_model_outlasts_alone_is_an_error(study_from: Build) -
     assert error is None or error >= np.sqrt(let_go.mean())
 
 
+def test_a_censored_answer_is_never_close_to_an_exact_one() -> None:
+    def answers(value: float, late: bool, status: int = 0) -> dynamics.Answers:
+        return dynamics.Answers(
+            values={"contact_time": np.array([value])}, censored={"contact_time": np.array([late])},
+            status=np.array([status]), record=np.ones(1), steps=np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
+
+    def gap(one: dynamics.Answers, other: dynamics.Answers) -> float:
+        return float(pilot.differences(one, other, ("contact_time",), np.array([2.0]))[0, 0])
+
+    assert gap(answers(1.2, True), answers(1.0, True)) == pytest.approx(0.1)
+    assert gap(answers(1.2, True), answers(1.0, False)) == 1.0
+    assert gap(answers(0.8, False), answers(1.0, True)) == -1.0
+    assert gap(answers(9.0, True), answers(1.0, False)) == 4.0
+    assert gap(answers(1.2, False, 7), answers(1.0, False)) == pytest.approx(0.1)
+    assert np.isnan(gap(answers(1.2, False, 3), answers(1.0, False)))
+
+
 def test_rows_with_two_candidates_are_answered(study_from: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     original = dynamics.solve
 

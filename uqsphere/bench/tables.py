@@ -86,6 +86,13 @@ def bench_text(content: dict[str, Any], entries: Sequence[Entry]) -> str:
     return "\n".join(lines)
 
 
+def _plain_ticks(panel: Any) -> None:
+    """Powers of ten as they are written in the tables; the style knows no mathematical notation."""
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_minor_formatter(lambda value, _: "")
+
+
 def speed_error_figure(entries: Sequence[Entry]) -> Picture:
     """Error on one axis, seconds per million rows on the other, one panel per scene."""
     from uqsphere.report.canvas import BLUE, GREEN, GREY, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
@@ -113,6 +120,7 @@ def speed_error_figure(entries: Sequence[Entry]) -> Picture:
         panel.set_xlabel("median relative error of p_max (more accurate to the right)")
         panel.set_ylabel("seconds per million rows, one core")
         panel.set_title(f"Scene {scene}")
+        _plain_ticks(panel)
         panel.grid(True, which="major")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return Picture(
@@ -134,6 +142,7 @@ def cost_figure(cost: dict[str, list[tuple[float, float]]]) -> Picture:
         panel.set_yscale("log")
         panel.set_xlabel(label)
         panel.set_ylabel("us a row, one core")
+        _plain_ticks(panel)
         panel.grid(True, which="major")
     return Picture(
         name="cost", title="What a row costs", figure=figure,

@@ -22,7 +22,7 @@ Codes = npt.NDArray[np.int64]
 #: what the status of a row means; only rows of 0 and of 7 have numbers
 STATUS: dict[int, str] = {
     0: "ok",
-    1: "outside the domain of the model (a size, modulus or ratio without meaning, or a sphere wider than its bar)",
+    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar)",
     2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
     3: "the integrator could not reach the tolerance",
     4: "too many reflections before the end of the record",
@@ -30,6 +30,8 @@ STATUS: dict[int, str] = {
     6: "the answer is not finite",
     7: "an event comes at one of two times, and less than the tolerance decides which: the answer may jump",
 }
+#: shortest pulse and round trip over t_c
+_SHORTEST: Final = 1e-9
 #: the status of a row that has two answers
 UNDECIDED: Final = 7
 
@@ -123,8 +125,8 @@ class Scene:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
         if self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse never ends: the record needs a horizon")
-        if self.horizon is not None and not self.horizon > 0.0:
-            raise ValueError(f"the horizon must be positive, found {self.horizon!r} s")
+        if self.horizon is not None and not 0.0 < self.horizon < np.inf:
+            raise ValueError(f"the horizon must be positive and finite, found {self.horizon!r} s")
         rows = {np.shape(column) for column in self.columns.values()}
         if len(rows) != 1 or len(next(iter(rows))) != 1:
             raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
@@ -232,6 +234,10 @@ class Scene:
             for number in (scales.mass_number, scales.force, scales.approach, scales.time):
                 codes[~(np.isfinite(number) & (number > 0.0))] = 1
             codes[~self.pulse.valid] = 1
+            # what is shorter than this beside t_c is lost in the rounding of the times
+            codes[scales.duration < _SHORTEST * scales.time] = 1
+            brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
+            codes[brief.any(axis=1)] = 1
             if not self.infinite:
                 too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
                 codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.dynamics import Answers
-from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.scene import Scene, answered
 
 __all__ = ["GRADES", "RULES", "Check", "Rule", "check_validity", "grades"]
 
@@ -247,7 +247,7 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     """
     if len(answers.status) != len(scene):
         raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
-    good = answers.status == 0
+    good = answered(answers.status)
     return [_check(rule, scene, answers, good) for rule in RULES]
 
 

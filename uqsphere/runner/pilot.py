@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.dynamics import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Candidate", "Pilot", "first_look"]
+__all__ = ["Candidate", "Pilot", "differences", "first_look"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -96,7 +96,7 @@ def allowed_error(study: Study) -> float:
     return SHARE * min(asked.mean, asked.quantile, asked.sobol, asked.probability)
 
 
-def _differences(other: Answers, full: Answers, quantities: tuple[str, ...], scatter: Array) -> Array:
+def differences(other: Answers, full: Answers, quantities: tuple[str, ...], scatter: Array) -> Array:
     """Differences of two models over the standard deviation, (n, q); NaN where one has no answer.
 
     An answer that outlasts the record in one model alone is off by at least one standard deviation.
@@ -157,7 +157,7 @@ def _candidate(
 ) -> Candidate:
     """What the compared rows say of a cheaper fidelity, alone and mixed with `full`."""
     quantities, bound = work.quantities, allowed_error(work.study)
-    gaps = _differences(cheap, full, quantities, scatter)
+    gaps = differences(cheap, full, quantities, scatter)
     known: Flags = np.asarray(~np.isnan(gaps).any(axis=1))
     lines = {name: _straight(cheap.values[name][known], full.values[name][known]) for name in quantities}
     outlasts = [
@@ -265,7 +265,7 @@ def first_look(work: Work) -> Pilot:
         measured = candidates[0].error if candidates else {}
     elif count > 1:
         closer = solve(few, "full", max(1e-12, 0.01 * tolerance), work.quantities)
-        measured = _summary(_differences(same, closer, work.quantities, scatter), work.quantities)
+        measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
     return Pilot(
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, tuple(candidates), bound),

@@ -16,7 +16,7 @@ from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 
-__all__ = ["Sensitivity", "find_sensitivity"]
+__all__ = ["Sensitivity", "find_sensitivity", "pick_and_freeze"]
 
 Array = npt.NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def _refused(work: Work, reason: str) -> Sensitivity:
     )
 
 
-def _pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+def pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
     from scipy.special import ndtri
 
@@ -243,7 +243,7 @@ def find_sensitivity(
             stopped = "evaluations"
             break
         try:
-            more, bad = _pick_and_freeze(work, f"sensitivity.{start}", start, count)
+            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count)
         except OutOfBudget:
             stopped = "time"
             break
@@ -254,7 +254,7 @@ def find_sensitivity(
         found = {quantity: _sampled(clean[..., k]) for k, quantity in enumerate(work.quantities)}
         lacking = [q for q in work.quantities if not _accurate(found[q], expanded[q], asked)]
         try:
-            control, found = sharpen(work, control, _pick_and_freeze, values, failed, found, lacking)
+            control, found = sharpen(work, control, pick_and_freeze, values, failed, found, lacking)
         except OutOfBudget:
             control = IndexControl(used=False, text="the control variate was cut short by the time budget")
         for k, quantity in enumerate(work.quantities):

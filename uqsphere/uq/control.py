@@ -31,6 +31,10 @@ __all__ = [
     "probability",
 ]
 
+#: alpha of a share below a threshold: the models agree on a row or not, and more or less than that is noise, which
+#: would make the distribution function fall and rise
+SHARE_ALPHA = (0.0, 1.5)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Controlled:
@@ -66,7 +70,9 @@ def best_ratio(correlation: float, cost: float) -> float:
     return math.sqrt(square / (cost * (1.0 - square)))
 
 
-def control(dear: Array, cheap: Array, cheap_many: Array) -> Controlled:
+def control(
+    dear: Array, cheap: Array, cheap_many: Array, bounds: tuple[float, float] = (-math.inf, math.inf)
+) -> Controlled:
     """Correct the answers of replicates.
 
     The value is where the regression of `dear` on the difference of the two cheap answers, whose expectation is
@@ -79,6 +85,7 @@ def control(dear: Array, cheap: Array, cheap_many: Array) -> Controlled:
         Answers of the replicates from n points.
     cheap_many : (R,) array
         Answers of the replicates from m points.
+    bounds : least and largest alpha; one beyond is put there, and the error is that of an alpha given beforehand
 
     Raises
     ------
@@ -100,6 +107,11 @@ def control(dear: Array, cheap: Array, cheap_many: Array) -> Controlled:
     if not spread > 0.0:
         return Controlled(value=float(dear.mean()), std_error=plain, alpha=0.0, plain_error=plain)
     alpha = float(centred @ dear) / spread
+    if not bounds[0] <= alpha <= bounds[1]:
+        alpha = min(max(alpha, bounds[0]), bounds[1])
+        rest = dear - alpha * gap
+        error = float(np.std(rest, ddof=1)) / math.sqrt(replicates)
+        return Controlled(value=float(rest.mean()), std_error=error, alpha=alpha, plain_error=plain)
     value = float(dear.mean()) - alpha * float(gap.mean())
     rest = dear - dear.mean() - alpha * centred
     variance = float(rest @ rest) / (replicates - 2) * (1.0 / replicates + float(gap.mean()) ** 2 / spread)
@@ -139,7 +151,7 @@ def probability(
     `sizes` are n and m; `counted` if rows either exceed or do not, so that resolution limits the error.  The
     interval is symmetric in logits, as that of `uqsphere.uq.reliability`.
     """
-    found = control(dear, cheap, cheap_many)
+    found = control(dear, cheap, cheap_many, SHARE_ALPHA if counted else (-math.inf, math.inf))
     replicates, (n, m) = len(dear), sizes
     p = found.value
     if not 0.0 < p < 1.0:
@@ -198,16 +210,18 @@ def describe_controlled(
 def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], method: str) -> Estimate:
     """A quantile off the controlled distribution function, its interval after Woodruff (1952).
 
-    At the cheap model's own quantile the replicates give alpha and the standard error of the probability; with
-    that alpha the three pooled samples make one distribution function, which is read off at p and at the two
-    ends of the probability.
+    The cheap model is shifted so that its own quantile from the n points falls on that of the dear one.  There the
+    replicates give alpha and the standard error of the probability; with that alpha the three pooled samples make
+    one distribution function, which is read off at p and at the two ends of the probability.
     """
-    dear, _, many = rows
+    dear, cheap, many = rows
     (replicates, n), m = dear.shape, many.shape[1]
-    if min(p, 1.0 - p) * pools[2].size < 5 or min(p, 1.0 - p) * dear.size < 5:
+    if min(p, 1.0 - p) * dear.size < 5:
         return absent(f"too few samples beyond the {p:g} quantile", method, dear.size)
-    at = pools[2][min(int(p * pools[2].size), pools[2].size - 1)]
-    found = control(*((sample <= at).mean(axis=1) for sample in rows))
+    at, own = (float(pool[min(int(p * pool.size), pool.size - 1)]) for pool in pools[:2])
+    pools = [pools[0], pools[1] + (at - own), pools[2] + (at - own)]
+    shares = [(dear <= at).mean(axis=1), (cheap <= own).mean(axis=1), (many <= own).mean(axis=1)]
+    found = control(shares[0], shares[1], shares[2], SHARE_ALPHA)
     error = math.hypot(found.std_error, _floor(found.alpha, n, m, replicates))
     half = _factor(replicates) * error
     values = np.concatenate(pools)
