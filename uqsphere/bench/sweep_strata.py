@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -21,9 +22,11 @@ __all__ = ["RANGES", "STRATA", "Design", "Stratum", "as_inputs", "design", "rows
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
+#: name -> low end, high end, evenly over the logarithm
+Ranges = Mapping[str, tuple[float, float, bool]]
 
 #: what a Latin hypercube spreads: range, and whether evenly over the logarithm
-RANGES: Final[dict[str, tuple[float, float, bool]]] = {
+RANGES: Final[Ranges] = {
     "mu": (1e-7, 1e3, True),
     "theta": (1e-4, 1e4, True),
     "sphere.E": (1e6, 1e12, True),
@@ -91,10 +94,10 @@ class Design:
         return len(self.order)
 
 
-def _hypercube(count: int, rng: np.random.Generator) -> dict[str, Array]:
+def _hypercube(count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
     """Latin hypercube over RANGES, a column each."""
     columns = {}
-    for name, (low, high, log) in RANGES.items():
+    for name, (low, high, log) in {**RANGES, **narrower}.items():
         share = (rng.permutation(count) + rng.random(count)) / count
         columns[name] = low * (high / low) ** share if log else low + (high - low) * share
     return columns
@@ -124,9 +127,9 @@ def _pulse(stratum: Stratum, drawn: Mapping[str, Array], width: Array, rng: np.r
     return {}
 
 
-def _columns(stratum: Stratum, count: int, rng: np.random.Generator) -> dict[str, Array]:
+def _columns(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
     """Inputs of `count` scenes of one structure."""
-    drawn = _hypercube(count, rng)
+    drawn = _hypercube(count, rng, narrower)
     columns = {name: drawn[name] for name in drawn if name.startswith(("sphere.", "bars.", "striker."))}
     end_radius = columns.pop("bars.end_radius") * columns["sphere.radius"]
     if stratum.rounded:
@@ -164,9 +167,9 @@ def take(scene: Scene, rows: Any) -> Scene:
     return replace(scene, columns={name: column[rows] for name, column in scene.columns.items()})
 
 
-def _scenes(stratum: Stratum, count: int, rng: np.random.Generator) -> list[Scene]:
+def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> list[Scene]:
     """Scenes of one structure; a step on infinite bars needs a horizon, which a batch shares."""
-    columns = _columns(stratum, count, rng)
+    columns = _columns(stratum, count, rng, narrower)
     structure: dict[str, Any] = {
         "shape": stratum.shape,
         "infinite": stratum.infinite,
@@ -184,13 +187,18 @@ def _scenes(stratum: Stratum, count: int, rng: np.random.Generator) -> list[Scen
     ]  # fmt: skip
 
 
-def design(count: int, seed: int, strata: tuple[Stratum, ...] = STRATA) -> Design:
-    """`count` scenes, as evenly over the strata as can be; the same for the same count and seed."""
+def design(
+    count: int, seed: int, *, strata: tuple[Stratum, ...] = STRATA, narrower: Ranges = MappingProxyType({})
+) -> Design:
+    """`count` scenes, as evenly over the strata as can be; the same for the same count and seed.
+
+    narrower: entries of RANGES to put in their place, to keep a sweep short: light spheres under long pulses cost most.
+    """
     scenes: list[Scene] = []
     for index, share in enumerate(np.array_split(np.arange(count), len(strata))):
         if len(share):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-            scenes += _scenes(strata[index], len(share), rng)
+            scenes += _scenes(strata[index], len(share), rng, narrower)
     pairs = [(index, row) for index, scene in enumerate(scenes) for row in range(len(scene))]
     order = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     shuffle = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(strata),)))
