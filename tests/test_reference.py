@@ -1,0 +1,205 @@
+"""The reference integrator against oracles, a Runge-Kutta method with stored waves, and its own error estimate."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import OdeSolution, solve_ivp
+from test_kernel import EXAMPLE, scaled_scene
+
+from uqsphere.bench.reference import Problem, Unaffordable, follow, problem_of
+from uqsphere.bench.reference_answers import refer
+from uqsphere.bench.reference_events import Course
+from uqsphere.bench.reference_steps import POINTS, WEIGHTS
+from uqsphere.mechanics.scene import Scene
+
+REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
+
+
+def course_of(mu: float, theta: float, **structure: Any) -> Course:
+    return follow(problem_of(scaled_scene([mu], [theta], **structure), 0))
+
+
+def with_horizon(mu: float, theta: float, horizon: float, **structure: Any) -> Scene:
+    plain = scaled_scene([mu], [theta], **structure | ({"horizon": 1.0} if structure.get("shape") == "step" else {}))
+    seconds = float(horizon * plain.scales.time[0])
+    return Scene(columns=plain.columns, infinite=True, shape=plain.shape, horizon=seconds)
+
+
+# ---- the method
+
+
+def test_radau_rule_is_exact_to_its_order() -> None:
+    """The rule with n points integrates powers up to 2n - 2 exactly; the next but one not."""
+    n = len(POINTS)
+    for power in (0, 1, 7, n, 2 * n - 2):
+        assert abs(float(WEIGHTS[-1] @ POINTS**power) * (power + 1) - 1.0) < 1e-15
+    assert abs(float(WEIGHTS[-1] @ POINTS ** (3 * n)) * (3 * n + 1) - 1.0) > 1e-15
+
+
+# ---- oracles of the theory
+
+
+@pytest.mark.parametrize(
+    ("mu", "largest", "lost"), [(1.0, 1.1250021777, 3.828559013), (0.03, 1.0058905197, 28.040523689)]
+)
+def test_first_separation_on_infinite_bars(mu: float, largest: float, lost: float) -> None:
+    found = follow(problem_of(with_horizon(mu, 3.0, 40.0), 0))
+    assert float(found.x_max) == pytest.approx(largest, abs=6e-11)
+    assert float(found.ended) == pytest.approx(lost, abs=6e-10)
+    assert found.lost == {1.0: 0, 0.03: 1}[mu]
+
+
+@pytest.mark.parametrize(("mu", "imbalance"), [(0.1, 0.43488), (0.01, 0.16420), (0.001, 0.05880)])
+def test_step_pulse(mu: float, imbalance: float) -> None:
+    found = follow(problem_of(with_horizon(mu, 1.0, 10.0, shape="step"), 0))
+    assert float(found.difference) == pytest.approx(imbalance, abs=6e-6)
+
+
+def test_peaks_of_the_independent_scenes() -> None:
+    rows = [row for row in REFERENCE["infinite"] if row["mu"] >= 1e-3]
+    for row in rows[::4]:
+        assert float(course_of(row["mu"], row["theta"]).x_max) == pytest.approx(row["x_max"], rel=3e-11)
+
+
+@pytest.mark.parametrize("index", [2, 4, 6, 9])
+def test_independent_scenes_between_finite_bars(index: int) -> None:
+    row = REFERENCE["finite"][index]
+    scene = Scene(columns={name: np.array([value]) for name, value in row["scene"].items()})
+    found = refer(scene)
+    # these answers are converged to about 1e-8, times to 1e-7, the imbalance to 1e-6
+    for name, tolerance in (("p_max", 5e-8), ("P_max", 5e-8), ("contact_time", 2e-7), ("pulse_width", 2e-7),
+                            ("force_imbalance", 5e-6)):  # fmt: skip
+        if row["answer"][name] is not None:
+            assert found.values[name] == pytest.approx(row["answer"][name], rel=tolerance), name
+    assert found.censored["contact_time"] == (row["answer"]["contact_time"] is None)
+
+
+def test_heavy_sphere_is_a_wall() -> None:
+    """At mu = 1e3 the sphere stays: x' = 2 - x^(3/2) at face A, in closed form by quadrature."""
+    scene = with_horizon(1e9, 1.0, 1.0, shape="step")
+    found = follow(problem_of(scene, 0))
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    top = float(found.x_max)
+    # s = integral of dx/(2 - x^1.5), with x = y² to smooth the root
+    y = 0.5 * math.sqrt(top) * (nodes + 1.0)
+    assert 0.5 * math.sqrt(top) * float(weights @ (2.0 * y / (2.0 - y**3))) == pytest.approx(1.0, rel=1e-8)
+
+
+# ---- another method
+
+
+def runge_kutta(problem: Problem, end: float) -> tuple[list[OdeSolution], list[float], float]:
+    """DOP853 from jump to jump, waves that come back read off its dense output; largest approach on the way."""
+    edges = {float(edge) for edge in problem.breaks if math.isfinite(edge)}
+    trips = [float(trip) for trip in problem.trips]
+    for trip in trips * 6:
+        edges |= {edge + trip for edge in edges if edge + trip < end}
+    stops = sorted({round(edge, 12) for edge in edges if 0.0 < edge < end} | {end})
+    paths: list[OdeSolution] = []
+    starts: list[float] = []
+
+    def force(x: Any) -> Any:
+        return np.maximum(x, 0.0) ** 1.5
+
+    def incident(s: float, middle: float) -> float:
+        inside = middle < float(problem.breaks[-1])
+        return float(problem.pulse(np.array([s, 2.0 * middle - s]))[0]) * inside
+
+    def leaving(s: float, middle: float, bar: int) -> float:
+        """g_A or k_B at s, in the stretch that holds `middle`."""
+        if middle < 0.0:
+            return 0.0
+        index = max(k for k, start in enumerate(starts) if start <= middle)
+        x = paths[index](s)
+        arriving = towards(s, middle, bar)
+        return float(arriving - force(x[0])) if bar == 0 else float(arriving + force(x[1]))
+
+    def towards(s: float, middle: float, bar: int) -> float:
+        own = incident(s, middle) if bar == 0 else 0.0
+        if problem.ends[bar] == 0:
+            return own
+        return own + float(problem.ends[bar]) * leaving(s - trips[bar], middle - trips[bar], bar)
+
+    begin, state, largest = 0.0, np.zeros(3), 0.0
+    for stop in stops:
+        middle = 0.5 * (begin + stop)
+
+        def slopes(s: float, y: Any, middle: float = middle) -> list[float]:
+            a, b = force(y[0]), force(y[1])
+            return [2.0 * towards(s, middle, 0) - a - y[2], y[2] - b - 2.0 * towards(s, middle, 1),
+                    (a - b) / float(problem.mass)]  # fmt: skip
+
+        found = solve_ivp(slopes, (begin, stop), state, method="DOP853", rtol=1e-12, atol=1e-14, dense_output=True)
+        paths.append(found.sol)
+        starts.append(begin)
+        state = found.y[:, -1]
+        for a, b in zip(found.t[:-1], found.t[1:], strict=True):
+            largest = max(largest, float(found.sol(np.linspace(a, b, 41))[:2].max()))
+        begin = stop
+    return paths, starts, largest
+
+
+@pytest.mark.parametrize(
+    ("shape", "ends"), [("rectangular", (1.0, -0.4)), ("half_sine", (-1.0, 0.7)), ("rectangular", (0.3, 1.0))]
+)
+def test_against_runge_kutta_with_stored_waves(shape: str, ends: tuple[float, float]) -> None:
+    scene = scaled_scene([0.2], [0.8], np.array([[1.0, 1.7]]), np.array([ends]), shape=shape)
+    end = 3.0
+    scene = Scene(columns=scene.columns, shape=shape, horizon=float(end * scene.scales.time[0]))
+    problem = problem_of(scene, 0)
+    found = follow(problem)
+    until = float(found.ended)
+    paths, starts, largest = runge_kutta(problem, until)
+    assert float(found.x_max) == pytest.approx(largest, rel=1e-5)  # read on a grid
+    last = found.pieces[-1]
+    at_end = last.states.astype(float)
+    share = float(found.end)
+    state = np.polynomial.chebyshev.chebval(2.0 * share - 1.0, at_end)
+    assert np.abs(paths[-1](until) - state).max() < 1e-9
+    assert starts[-1] < until
+
+
+# ---- what it promises
+
+
+def test_energy_between_free_ends() -> None:
+    """Z times the integrals of the waves in the bars, and what contacts and sphere hold: the pulse's energy."""
+    scene = scaled_scene([0.1], [0.5], np.array([[2.0, 3.0]]), np.array([[1.0, 1.0]]))
+    end = 1.9  # before anything is back: the waves that have left are all of them
+    scene = Scene(columns=scene.columns, horizon=float(end * scene.scales.time[0]))
+    found = follow(problem_of(scene, 0))
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    share = 0.5 * (nodes + 1.0)
+    carried = 0.0
+    for piece in found.pieces:
+        waves = np.polynomial.chebyshev.chebval(nodes, piece.waves.astype(float))
+        rate = float(piece.length) * piece.power * share ** (piece.power - 1)
+        carried += 0.5 * float(weights @ (rate * (waves**2).sum(axis=0)))
+    x1, x2, u = (float(value) for value in found.pieces[-1].states.sum(axis=0))
+    # in units of Z (v_0/2)² t_c the sphere has mu u²/2, each contact (2/5) x^(5/2)
+    held = 0.4 * (x1**2.5 + x2**2.5) + 0.1 * u**2 / 2.0
+    assert carried + held == pytest.approx(0.5, rel=1e-12)
+
+
+def test_units_do_not_matter() -> None:
+    """A scene a thousand times as large, as heavy per volume and as fast has the same motion."""
+    numbers = {name: np.array([value]) for name, value in EXAMPLE.items()}
+    lengths = ("sphere.radius", "bars.diameter", "bars.incident_length", "bars.receiving_length", "striker.length")
+    larger = {name: column * (1e3 if name in lengths else 1.0) for name, column in numbers.items()}
+    small, large = refer(Scene(columns=numbers)), refer(Scene(columns=larger))
+    assert large.values["p_max"] == pytest.approx(small.values["p_max"], rel=1e-13)
+    assert large.values["contact_time"] == pytest.approx(1e3 * small.values["contact_time"], rel=1e-12)
+
+
+def test_no_answer_rather_than_a_doubtful_one() -> None:
+    with pytest.raises(Unaffordable, match="more than 20 steps"):
+        refer(Scene(columns={name: np.array([value]) for name, value in EXAMPLE.items()}), budget=20)
+    outside = {**EXAMPLE, "sphere.radius": 1.0}
+    with pytest.raises(ValueError, match="outside the domain"):
+        refer(Scene(columns={name: np.array([value]) for name, value in outside.items()}))

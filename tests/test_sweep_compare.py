@@ -1,0 +1,111 @@
+"""A short sweep over hard scenes: nothing wrong and silent, and a sweep that would notice if something were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uqsphere.bench import sweep_compare
+from uqsphere.bench.sweep_compare import ALLOWED, against_itself, against_reference, join, table
+from uqsphere.bench.sweep_strata import RANGES, STRATA, as_inputs, design, rows_of, take
+from uqsphere.mechanics.dynamics import Answers, solve
+from uqsphere.mechanics.scene import Scene, answered
+
+#: what both integrators answer in milliseconds
+SHORT = {"mu": (3e-4, 1e3, True), "theta": (1e-4, 30.0, True), "ratio": (0.1, 10.0, True)}
+
+
+def test_no_hard_scene_is_wrong_and_silent() -> None:
+    found = against_reference(design(22, 5, narrower=SHORT), budget=150)
+    assert found.silent == (), table(found)
+    assert found.judged.sum() >= 14
+    assert (found.status[found.judged] == 0).mean() > 0.9
+
+
+def test_kernel_against_itself_over_the_whole_range_of_mass_and_pulse() -> None:
+    found = against_itself(design(55, 3, narrower={"theta": (1e-4, 30.0, True)}), quantities=("p_max", "energy"))
+    assert found.silent == (), table(found)
+    assert answered(found.status).mean() > 0.95
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-9])
+def test_other_tolerances_hold_too(tolerance: float) -> None:
+    found = against_reference(design(11, 8, narrower=SHORT), tolerance=tolerance, budget=200)
+    assert found.silent == (), table(found)
+
+
+def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel whose contact time is off by ten tolerances in one row is caught, with inputs that build it again."""
+
+    def spoiled(scene: Scene, **request: object) -> Answers:
+        found = solve(scene, **request)  # type: ignore[arg-type]
+        if request["tolerance"] == 1e-6:
+            found.values["contact_time"][-1] *= 1.0 + 1e-5  # type: ignore[index]
+        return found
+
+    monkeypatch.setattr(sweep_compare, "solve", spoiled)
+    found = against_itself(design(4, 1, strata=STRATA[5:6], narrower={**SHORT, "theta": (1.0, 2.0, True)}))
+    assert len(found.silent) == 1
+    row = found.silent[0]
+    assert set(row.quantities) == {"contact_time"}
+    assert row.quantities["contact_time"][2] == pytest.approx(10.0, abs=ALLOWED)
+    again = Scene(**{**row.inputs, "columns": {n: np.array([v]) for n, v in row.inputs["columns"].items()}})
+    assert again.scales.mass_number[0] == pytest.approx(row.mu, rel=1e-12)
+    assert "wrong and silent: 1 rows" in table(found)
+
+
+# ---- the design
+
+
+def test_design_covers_its_ranges_and_every_row_has_a_meaning() -> None:
+    plan = design(2200, 1)
+    assert all((scene.status == 0).all() for scene in plan.scenes)
+    mu = np.concatenate([scene.scales.mass_number for scene in plan.scenes])
+    theta = np.concatenate([scene.scales.pulse_number for scene in plan.scenes])
+    theta = theta[np.isfinite(theta)]
+    for values, name in ((mu, "mu"), (theta, "theta")):
+        low, high, _ = RANGES[name]
+        decades = np.histogram(np.log10(values), np.linspace(np.log10(low), np.log10(high), 6))[0]
+        assert decades.min() > 0.15 * len(values)  # five equal parts: a fifth in each
+    for name in ("sphere.E", "sphere.radius", "striker.speed", "sphere.nu"):
+        values = np.concatenate([scene.columns[name] for scene in plan.scenes])
+        low, high, log = RANGES[name]
+        share = np.log(values / low) / np.log(high / low) if log else (values - low) / (high - low)
+        assert share.min() < 0.01
+        assert share.max() > 0.99
+    ends = np.concatenate([s.columns["bars.receiving_end"] for s in plan.scenes if not s.infinite])
+    assert {-1.0, 0.0, 1.0} <= set(ends)
+    assert ((ends != -1.0) & (ends != 0.0) & (ends != 1.0)).mean() > 0.4
+    assert {scene.shape for scene in plan.scenes} == {"rectangular", "trapezoid", "half_sine", "two_peak", "step"}
+
+
+def test_slices_are_the_whole_in_parts() -> None:
+    plan = design(60, 2, narrower=SHORT)
+    ask = {"quantities": ("p_max",)}
+    whole = against_itself(plan, **ask)
+    parts = join([against_itself(plan, start=0, count=25, **ask), against_itself(plan, start=25, count=35, **ask)])
+    assert np.array_equal(whole.errors, parts.errors, equal_nan=True)
+    assert np.array_equal(whole.mu, parts.mu)
+    assert sum(len(places) for _, places in rows_of(plan, 0, 60)) == 60
+
+
+def test_same_seed_same_scenes() -> None:
+    one, two, other = design(50, 4), design(50, 4), design(50, 6)
+    assert as_inputs(one.scenes[0], 0) == as_inputs(two.scenes[0], 0)
+    assert as_inputs(one.scenes[0], 0) != as_inputs(other.scenes[0], 0)
+    assert as_inputs(take(one.scenes[1], [2]), 0) == as_inputs(one.scenes[1], 2)
+
+
+def test_an_undecided_row_needs_one_right_answer() -> None:
+    plan = design(6, 1, strata=STRATA[5:6], narrower=SHORT)
+    scene = plan.scenes[0]
+    found = solve(scene)
+    wrong = {name: 1.5 * value for name, value in found.values.items()}
+    both = replace(found, values=wrong, others=dict(found.values))
+    names = tuple(found.values)
+    truth = sweep_compare._answers(found, slice(None))
+    assert (sweep_compare._errors(names, sweep_compare._answers(both, slice(None)), truth, 1e-6) == 0.0).all()
+    alone = sweep_compare._answers(replace(found, values=wrong), slice(None))
+    assert (sweep_compare._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()
