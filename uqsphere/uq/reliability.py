@@ -17,7 +17,16 @@ from uqsphere.uq.distribution import Law, cdf, is_steps, ppf, sf
 from uqsphere.uq.estimates import Estimate, Flags, absent, quantile_estimates, student
 from uqsphere.uq.families import Array
 
-__all__ = ["LimitState", "exceedance", "margin_quantiles", "miss", "reliability_index", "target_met"]
+__all__ = [
+    "LimitState",
+    "exceedance",
+    "margin_quantiles",
+    "miss",
+    "reliability_index",
+    "shifted_tails",
+    "strength_tails",
+    "target_met",
+]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,26 +70,30 @@ class LimitState:
         return self.censored & ~self.broken
 
 
+def strength_tails(
+    strength: Law | float, demands: Array, shift: Array | None = None, remaining_sd: float = 1.0
+) -> tuple[Array, Array]:
+    """P(strength < demand) and its complement; `shift`, `remaining_sd` as in `LimitState`."""
+    if not isinstance(strength, Law):
+        return (demands > strength).astype(float), (demands <= strength).astype(float)
+    if is_steps(strength):
+        # P(S < d): an observation that equals the demand has not been exceeded.
+        demands = np.nextafter(demands, -math.inf)
+    below, above = cdf(strength, demands), sf(strength, demands)
+    return (below, above) if shift is None else shifted_tails(below, above, shift, remaining_sd)
+
+
 def _tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
     broken = state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
-    strength = state.strength
-    if not isinstance(strength, Law):
-        below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
-    else:
-        if is_steps(strength):
-            # P(S < d): an observation that equals the demand has not been exceeded.
-            demands = np.nextafter(demands, -math.inf)
-        below, above = cdf(strength, demands), sf(strength, demands)
-        if state.shift is not None:
-            below, above = _shifted(below, above, state.shift, state.remaining_sd)
+    below, above = strength_tails(state.strength, demands, state.shift, state.remaining_sd)
     if broken.any():
         below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
     return below, above
 
 
-def _shifted(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
+def shifted_tails(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
     """The two tails given the inputs: Φ((z - shift)/sd) with z the normal score of the demand."""
     from scipy.special import ndtr, ndtri
 
