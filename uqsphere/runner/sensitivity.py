@@ -59,7 +59,7 @@ def _dependent(work: Work) -> list[str]:
 
 def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any]]:
     """Indices of quantity k off polynomial chaos, with what its validation says; empty where it is refused."""
-    from uqsphere.uq.chaos import chaos_indices, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.chaos import Chaos, chaos_indices, fit_chaos, germ_points, judge, validation_error
 
     d = len(work.scene_names)
     germs = tuple(
@@ -70,14 +70,15 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     used = min(FIT_POINTS, n)
     outputs = sampled.sample.values[:, :, k]
     whole = ~sampled.sample.failed
-    fits = []
+    fits: list[Chaos] = []
     errors = []
     for replicate in range(FITS):
         keep = whole[replicate, :used]
         points = germ_points(sampled.points.normals[replicate, :used, :d][keep], germs)
         if len(points) < 4 * (d + 1):
             return {}, {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"}
-        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs))
+        like = fits[0] if fits else None
+        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs, like))
         # held out: another randomisation altogether
         other = FITS + replicate
         points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
