@@ -269,7 +269,7 @@ def test_columns_given_stay_and_the_rest_follows_them() -> None:
 
 @pytest.mark.parametrize("kind", ["clayton", "gumbel", "frank", "student_t"])
 def test_a_strength_tied_to_inputs_is_integrated_exactly(kind: str) -> None:
-    """P(S < demand) with S tied to what makes the demand: the mean of the conditional law against counted draws of both."""
+    """P(S < demand) with S tied to what makes the demand: conditional law against counted draws."""
     n, replicates = 2048, 8
     dof = 4.0 if kind == "student_t" else None
     tie = Dependence(of=("strength", "x", "y"), copula=kind, kendall=0.6, dof=dof)
