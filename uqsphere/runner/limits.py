@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,7 @@ from uqsphere.uq.reliability import (
     target_met,
 )
 
-__all__ = ["LimitAnswer", "judge_limits", "state_of"]
+__all__ = ["LimitAnswer", "judge_limits", "state_of", "tie_strength"]
 
 Array = npt.NDArray[np.float64]
 
@@ -69,26 +70,29 @@ def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitSta
         demands = demands * points.physical[:, :, names.index(f"limits.{limit.name}.model_factor")]
     else:
         demands = demands * limit.model_factor
-    shift, remaining, tie = None, 1.0, None
-    if isinstance(limit.strength, Law):
-        strength = f"limits.{limit.name}.strength"
-        weights, remaining = conditional_normal(work.all_inputs, strength, names)
-        if np.any(weights) or work.all_inputs.groups:
-            flat = points.normals.reshape(-1, len(names))
-            scores = normal_scores(work.drawn, flat).reshape(points.normals.shape)
-            shift = scores @ weights if np.any(weights) else None
-            tie = strength_tie(work.all_inputs, strength, names, scores)
     policy = work.study.analysis.on_failure
-    return LimitState(
+    state = LimitState(
         demands=demands,
         strength=limit.strength,
-        shift=shift,
-        remaining_sd=remaining,
-        tie=tie,
         censored=values.censored[:, :, k],
         failed=values.failed,
         on_failure="drop" if policy == "abort" else policy,
     )
+    if not isinstance(limit.strength, Law) or not work.study.dependence:
+        return state
+    scores = normal_scores(work.drawn, points.normals.reshape(-1, len(names))).reshape(points.normals.shape)
+    return tie_strength(work, limit, state, names, scores)
+
+
+def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[str], scores: Array) -> LimitState:
+    """The state with what the dependent scores (R, n, d) of `names` tell of the strength."""
+    if not isinstance(limit.strength, Law):
+        return state
+    strength = f"limits.{limit.name}.strength"
+    weights, remaining = conditional_normal(work.all_inputs, strength, names)
+    shift = scores @ weights if np.any(weights) else None
+    tie = strength_tie(work.all_inputs, strength, names, scores)
+    return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
 
 
 def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dict[str, float] | None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer
@@ -46,6 +47,7 @@ class Findings:
     pilot: Pilot
     sampled: Sampled
     sensitivity: dict[str, Sensitivity]
+    drivers: Drivers = field(default_factory=lambda: Drivers(quantities={}, limits={}))
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
@@ -95,7 +97,7 @@ def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
     return {name: estimate.as_dict() for name, estimate in table.items()}
 
 
-def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[str, Any]:
+def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity], drivers: Drivers) -> dict[str, Any]:
     answer = {}
     for quantity, indices in found.items():
         answer[quantity] = {
@@ -112,7 +114,11 @@ def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[st
                     order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()
                 },
             },
+            **drivers.quantities.get(quantity, {}),
         }
+        if indices.shapley:
+            answer[quantity]["shapley"] = _estimates(indices.shapley)
+            answer[quantity]["kucherenko"] = {order: _estimates(row) for order, row in indices.kucherenko.items()}
     return answer
 
 
@@ -171,8 +177,11 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "versions": versions(),
         "inputs": _inputs(work),
         "quantities": _quantities(found.sampled),
-        "sensitivity": _sensitivity(work.scene_names, found.sensitivity),
-        "limits": {name: _limit(limit) for name, limit in found.sampled.limits.items()},
+        "sensitivity": _sensitivity(work.scene_names, found.sensitivity, found.drivers),
+        "limits": {
+            name: {**_limit(limit), **found.drivers.limits.get(name, {})}
+            for name, limit in found.sampled.limits.items()
+        },
         "margins": _margins(found.margins),
         "model": {
             "chosen": found.pilot.chosen,

@@ -37,16 +37,18 @@ class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
     `strength` is a number or a law.  `shift` (R, n) and `remaining_sd` describe a strength that depends on
-    the inputs by the Gaussian copula: its normal score is shift + remaining_sd · ε (`inputs.conditional_normal`);
-    `tie`, with given scores (R, n, k), one that depends on them by another (`inputs.strength_tie`).  `censored`
-    demands are known only to exceed their value; `failed` rows (and demands that are nan) are left out
-    (`on_failure` "drop") or counted once as exceeding and once as not ("bound"), never as survival.
+    the inputs by the Gaussian copula: its normal score is shift + remaining_sd · ε, the shift being the inputs'
+    scores times `weights` (`inputs.conditional_normal`).  `tie`, with given scores (R, n, k), is one that depends
+    on them by another copula (`inputs.strength_tie`).  `censored` demands are known only to exceed their value;
+    `failed` rows (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
+    once as not ("bound"), never as survival.
     """
 
     demands: Array
     strength: Law | float
     shift: Array | None = None
     remaining_sd: float = 1.0
+    weights: tuple[float, ...] = ()
     tie: Tie | None = None
     censored: Flags | None = None
     failed: Flags | None = None

@@ -28,7 +28,16 @@ from uqsphere.uq.families import Array
 from uqsphere.uq.inputs import Inputs, normal_scores, physical_from_scores, rest_given
 from uqsphere.uq.sampling import random_generator, sobol_points
 
-__all__ = ["BLOCK", "MOST_EXACT", "SubsetDesign", "orders_of", "shapley_estimates", "subset_design", "subset_points"]
+__all__ = [
+    "BLOCK",
+    "MOST_EXACT",
+    "SubsetDesign",
+    "orders_of",
+    "shapley_estimates",
+    "subset_design",
+    "subset_points",
+    "subset_scores",
+]
 
 Orders = npt.NDArray[np.int64]
 
@@ -94,6 +103,14 @@ def subset_points(
 
     `start` continues the same design; it and `count` are multiples of `BLOCK` where the design is not exact.
     """
+    scores = subset_scores(design, inputs, count=count, start=start, seed=seed, task=task, replicate=replicate)
+    return physical_from_scores(inputs, scores.reshape(-1, design.inputs)).reshape(scores.shape)
+
+
+def subset_scores(
+    design: SubsetDesign, inputs: Inputs, *, count: int, start: int = 0, seed: int, task: str, replicate: int
+) -> Array:
+    """The same points as dependent normal scores."""
     from scipy.special import ndtri
 
     d = design.inputs
@@ -113,7 +130,7 @@ def subset_points(
             block = slice(at, at + BLOCK)
             for row, size in enumerate(_chain(d), start=first):
                 scores[block, row] = rest_given(inputs, orders[at, :size].tolist(), base[block], fresh[block])
-    return physical_from_scores(inputs, scores.reshape(-1, d)).reshape(scores.shape)
+    return scores
 
 
 def _chain(d: int) -> list[int]:

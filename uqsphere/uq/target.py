@@ -21,6 +21,7 @@ from uqsphere.uq.inputs import Inputs, blocks_of
 
 __all__ = [
     "GivenFailure",
+    "explained_share",
     "given_failure",
     "indicator_indices",
     "score_gradients",
@@ -74,7 +75,7 @@ def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
     a, b = t[:, :, 0], t[:, :, d + 1]
     both = 0.5 * (a + b)
     p = float(both.mean())
-    variance = both.mean(axis=1) - 2.0 * p * both.mean(axis=1) + p * p
+    variance = both.mean(axis=1) * (1.0 - 2.0 * p) + p * p
     if p * (1.0 - p) <= 0.0:
         nothing = [absent("no sample decides: all fail, or none", method, t.size)] * (d + 1)
         return {"first": nothing, "total": list(nothing)}
@@ -93,6 +94,21 @@ def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
         }
     idle = from_replicates(np.zeros(t.shape[0]), "a fixed strength", t.size)
     return {"first": [*first, idle], "total": [*total, idle]}
+
+
+def explained_share(probabilities: Array) -> Estimate:
+    """Share of the failure indicator's variance that the inputs decide: Var(T)/(p (1 - p)), the rest the strength's.
+
+    >>> explained_share(np.array([[0.0, 1.0], [1.0, 0.0]])).value
+    1.0
+    """
+    t = np.asarray(probabilities, dtype=float)
+    method = "samples, strength integrated"
+    p = float(t.mean())
+    if p * (1.0 - p) <= 0.0:
+        return absent("no sample decides: all fail, or none", method, t.size)
+    variance = t.mean(axis=1) * (1.0 - 2.0 * p) + p * p
+    return _ratio(variance - (t * (1.0 - t)).mean(axis=1), variance, method, t.size)
 
 
 # --- what the inputs look like where failure happens ----------------------------------------------------
