@@ -158,10 +158,10 @@ def _of_limit(
     state = state_of(work, limit, points, sample)
     chance = _missing(limit, state)
     p = float(chance.mean())
-    target: dict[str, Any] = {"probability": p, **_indices(work, limit, paired, shared)}
-    target["explained"] = explained_share(chance).as_dict()
-    target["given_failure"] = _given_failure(work, limit, points, state, chance)
-    return {"target": target, "measure_first": _measure_probability(work, limit, points, state, chance)}
+    driving: dict[str, Any] = {"probability": p, **_indices(work, limit, paired, shared)}
+    driving["explained"] = explained_share(chance).as_dict()
+    driving["given_failure"] = _given_failure(work, limit, points, state, chance)
+    return {"drivers": driving, "measure_first": _measure_probability(work, limit, points, state, chance)}
 
 
 def _strength_name(limit: Limit) -> str:

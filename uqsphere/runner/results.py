@@ -245,6 +245,29 @@ def _row(estimate: Mapping[str, Any]) -> list[Any]:
     return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
 
 
+def _index_tables(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """First and total indices, and what takes their place where inputs depend on each other, by order."""
+    found = [("first", entry["first"]), ("total", entry["total"])]
+    if entry.get("shapley"):
+        found.append(("shapley", entry["shapley"]))
+        found += [(f"kucherenko {order}", table) for order, table in entry["kucherenko"].items()]
+    return found
+
+
+def _driver_rows(results: Mapping[str, Any]) -> list[list[Any]]:
+    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and specimens of both."""
+    rows: list[list[Any]] = []
+    for kind in ("sensitivity", "limits"):
+        for name, entry in results[kind].items():
+            tables = [(key, entry[key]) for key in ("delta", "pawn") if kind == "sensitivity" and key in entry]
+            tables += _index_tables(entry["drivers"]) if kind == "limits" and "drivers" in entry else []
+            rows += [[name, what, n, *_row(e), ""] for what, table in tables for n, e in table.items()]
+            for row in (entry.get("measure_first") or {}).get("rows", ()):
+                what = "sway" if "sway" in row else "share"
+                rows.append([name, what, row["input"], *_row(row[what]), row["tests"]])
+    return rows
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -256,8 +279,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     index_rows = [
         [quantity, order, name, *_row(estimate)]
         for quantity, entry in results["sensitivity"].items()
-        for order in ("first", "total")
-        for name, estimate in entry[order].items()
+        for order, table in _index_tables(entry)
+        for name, estimate in table.items()
     ]
     limit_rows = []
     for name, entry in results["limits"].items():
@@ -278,6 +301,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
         "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
         "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "drivers": (("of", "statistic", "input", *_ESTIMATE, "specimens"), _driver_rows(results)),
         "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
         "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),
