@@ -344,8 +344,11 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
 
 def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
     """Who owns the variance where inputs depend on each other."""
-    order = sorted(shapley, key=lambda n: -float(shapley[n]["value"] or 0.0))
-    shares = [f"{input_name(n)} ({100.0 * float(shapley[n]['value'] or 0.0):.0f} %)" for n in order[:3]]
+    known = {n: float(e["value"]) for n, e in shapley.items() if e["value"] is not None}
+    if not known:
+        reason = next((str(e.get("reason")) for e in shapley.values()), "no effects were computed")
+        return f"What drives {name} is not known: {reason}."
+    shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
     return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
 
 

@@ -30,8 +30,9 @@ __all__ = [
     "sway_estimates",
 ]
 
-#: failures, in samples of equal weight, below which their inputs are not described
-LEAST_FAILURES = 30.0
+#: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
+#: as the intervals are those of ratios
+LEAST_FAILURES = 200.0
 _STEP = 1e-4
 
 
@@ -119,7 +120,7 @@ def given_failure(values: Array, weights: Array, quantiles: Sequence[float] = (0
 
     Weighted moments and quantiles of all replicates together; the intervals are those of ratios over the
     replicates, for a quantile of the weighted distribution function there (Woodruff 1952).  Absent where the
-    weights are worth fewer than thirty failures.
+    weights are worth fewer than two hundred failures.
     """
     method = "samples weighted by their probability of failure"
     values, weights = np.asarray(values, dtype=float), np.asarray(weights, dtype=float)
