@@ -262,17 +262,17 @@ def test_a_design_is_continued(exact: bool) -> None:
 
 def test_what_cannot_be_analysed_is_refused_or_absent() -> None:
     design = subset_design(2)
-    constant = shapley_estimates(design, np.full((4, 8, 3), 5.0))
+    constant = shapley_estimates(design, np.full((4, 8, 4), 5.0))
     assert constant["shapley"][0].reason == "the output does not vary"
     with pytest.raises(ValueError, match="not finite"):
-        shapley_estimates(design, np.full((4, 8, 3), math.nan))
+        shapley_estimates(design, np.full((4, 8, 4), math.nan))
     with pytest.raises(ValueError, match="shape"):
-        shapley_estimates(design, np.zeros((4, 8, 4)))
+        shapley_estimates(design, np.zeros((4, 8, 5)))
     with pytest.raises(ValueError, match="order at every"):
         shapley_estimates(subset_design(5, exact=False), np.random.default_rng(1).random((4, 16, 14)))
     with pytest.raises(ValueError, match="multiples of 16"):
         orders_of(subset_design(5, exact=False), count=10, seed=1, task="t", replicate=0)
-    alone = shapley_estimates(subset_design(1), np.random.default_rng(1).random((4, 8, 1)))
+    alone = shapley_estimates(subset_design(1), np.random.default_rng(1).random((4, 8, 2)))
     assert [alone[name][0].value for name in ("shapley", "first", "total")] == [1.0, 1.0, 1.0]
 
 

@@ -116,7 +116,7 @@ def failure_finding(contents: Contents, name: str) -> str:
     kind = "Shapley effect" if entry.get("shapley") else "total index"
     text = f"{capital(input_name(names[0]))} drives it most ({kind} {_cell(table[names[0]])})."
     explained = entry.get("explained") or {}
-    if explained.get("value") is not None:
+    if explained.get("value") is not None and explained["value"] < 0.9999:
         text += f" The model’s inputs decide {_cell(explained)} of its variance, the rest is left to the strength."
     return text
 
@@ -187,4 +187,4 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    return f"Measure {input_name(rows[0]['input'])} first. {capital(str(entry['method']))}"
+    return f"First to measure: {input_name(rows[0]['input'])}. {entry['method']}"

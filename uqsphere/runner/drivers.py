@@ -47,11 +47,11 @@ FACTORS = 32
 _H = 1e-3
 
 _VARIANCE = (
-    "n tests leave S/n of today's variance, S the input's share alone: n = S/0.1. Assumed: the scatter of the law is "
-    "ignorance of one number, which tests of the input find without error of their own, and the input acts by itself."
+    "After n tests S/n of today's variance is left, S the input's share alone: n = S/0.1. Assumed: the scatter of the "
+    "law is ignorance of one number, which tests find without error of their own, and the input acts by itself."
 )
 _PROBABILITY = (
-    "n tests leave a standard error of sd/sqrt(n) in the input's mean, which moves the probability by its sway over "
+    "After n tests the standard error of the input's mean is sd/sqrt(n), which moves the probability by its sway over "
     "sqrt(n): n = (sway/(0.1 p))^2. Assumed: tests scatter as the law says, only its centre is estimated, and the "
     "probability answers in proportion."
 )

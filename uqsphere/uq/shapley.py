@@ -43,6 +43,8 @@ Orders = npt.NDArray[np.int64]
 
 #: inputs up to which every subset is paired by default
 MOST_EXACT = 10
+#: shares above this are read off the correlation of pairs
+LARGE = 0.5
 #: base points that share an order of the inputs; counts are multiples of it
 BLOCK = 16
 
@@ -51,8 +53,8 @@ BLOCK = 16
 class SubsetDesign:
     """Which subsets of `inputs` inputs are held in the rows after the base row.
 
-    `exact`: all proper subsets.  Else every input alone, all but every input, and along an order of the inputs that
-    changes from block to block its first 0, 2, 3 ... inputs - 2 members.
+    `exact`: none and all proper subsets.  Else none, every input alone, all but every input, and along an order of
+    the inputs that changes from block to block its first 2, 3 ... inputs - 2 members.
     """
 
     inputs: int
@@ -62,23 +64,23 @@ class SubsetDesign:
     @property
     def rows(self) -> int:
         """Runs of the model per base point."""
-        return 1 + len(self.subsets) + (0 if self.exact else self.inputs - 2)
+        return 1 + len(self.subsets) + (0 if self.exact else self.inputs - 3)
 
 
 def subset_design(inputs: int, *, exact: bool | None = None) -> SubsetDesign:
     """The design for a number of inputs; exact up to ten of them unless told otherwise, and always up to three.
 
     >>> subset_design(3).subsets
-    ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2))
+    ((), (0,), (1,), (2,), (0, 1), (0, 2), (1, 2))
     >>> subset_design(12).rows, subset_design(6).rows, subset_design(6, exact=False).rows
-    (35, 63, 17)
+    (35, 64, 17)
     """
     if inputs < 1:
         raise ValueError(f"a design needs an input, found {inputs}")
     every = inputs <= 3 or (inputs <= MOST_EXACT if exact is None else exact)
     if every and inputs > 16:
         raise ValueError(f"{inputs} inputs have too many subsets to pair them all")
-    sizes = range(1, inputs) if every else (1, inputs - 1)
+    sizes = range(inputs) if every else (0, 1, inputs - 1)
     subsets = tuple(subset for size in sizes for subset in combinations(range(inputs), size))
     return SubsetDesign(inputs=inputs, exact=every, subsets=subsets)
 
@@ -135,7 +137,7 @@ def subset_scores(
 
 def _chain(d: int) -> list[int]:
     """Sizes of the subsets along an order that are in no other row."""
-    return [0, *range(2, d - 1)]
+    return list(range(2, d - 1))
 
 
 # --- from outputs to estimates --------------------------------------------------------------------------
@@ -162,8 +164,9 @@ def shapley_estimates(design: SubsetDesign, outputs: Array, orders: Orders | Non
         return {"shapley": nothing, "first": list(nothing), "total": list(nothing)}
     # far from zero the squares would lose digits; scale and offset have no effect on any index
     outputs = (outputs - base.mean()) / base.std()
+    y, none = outputs[:, :, 0], outputs[:, :, 1]
     closed = {
-        subset: _closed(outputs[:, :, 0], outputs[:, :, row]) for row, subset in enumerate(design.subsets, start=1)
+        subset: _closed(y, outputs[:, :, row], none) for row, subset in enumerate(design.subsets, start=1) if subset
     }
     replicates = outputs.shape[0]
     closed[()] = (0.0, np.zeros(replicates))
@@ -187,15 +190,20 @@ def shapley_estimates(design: SubsetDesign, outputs: Array, orders: Orders | Non
     }
 
 
-def _closed(y: Array, z: Array) -> tuple[float, Array]:
+def _closed(y: Array, z: Array, none: Array) -> tuple[float, Array]:
     """Share of the variance that the inputs shared by y and z (R, N) own, and the replicates' deviations from it.
 
-    The correlation of the pairs about their common mean (Janon et al. 2014).
+    The correlation of the pairs about their common mean (Janon et al. 2014) where the share is large.  Where it is
+    small, <y (z - none)>/<y²> with `none` sharing nothing with y and with z what z does not share with y: the
+    difference is small then, and so is its noise (Saltelli et al., Computer Physics Communications 181, 2010, 259).
     """
     mean = 0.5 * (y.mean() + z.mean())
-    y, z = y - mean, z - mean
-    numerator, denominator = (y * z).mean(axis=1), 0.5 * (y * y + z * z).mean(axis=1)
+    y, z, none = y - mean, z - mean, none - mean
+    denominator = 0.5 * (y * y + z * z).mean(axis=1)
     scale = float(denominator.mean())
+    numerator = (y * z).mean(axis=1)
+    if float(numerator.mean()) < LARGE * scale:
+        numerator = (y * (z - none)).mean(axis=1)
     value = float(numerator.mean()) / scale
     return value, (numerator - value * denominator) / scale
 
@@ -222,9 +230,10 @@ def _walk(design: SubsetDesign, outputs: Array, orders: Orders) -> list[tuple[fl
     first = len(design.subsets)
     for row, size in enumerate(_chain(d)):
         left[:, :, size] = half[:, :, first + row]
-    # the first of an order by itself, and all but the last: combinations come as (0,), (1,) ... and without d - 1 first
-    left[:, :, 1] = np.take_along_axis(half, orders[:, :, :1], axis=2)[:, :, 0]
-    left[:, :, d - 1] = np.take_along_axis(half, 2 * d - 1 - orders[:, :, d - 1 :], axis=2)[:, :, 0]
+    # none; the first of an order by itself; all but the last: combinations come as (), (0,) ... and without d - 1 first
+    left[:, :, 0] = half[:, :, 0]
+    left[:, :, 1] = np.take_along_axis(half, 1 + orders[:, :, :1], axis=2)[:, :, 0]
+    left[:, :, d - 1] = np.take_along_axis(half, 2 * d - orders[:, :, d - 1 :], axis=2)[:, :, 0]
     falls = np.empty((replicates, n, d))
     np.put_along_axis(falls, orders, left[:, :, :-1] - left[:, :, 1:], axis=2)
     variance = left[:, :, 0].mean(axis=1)
