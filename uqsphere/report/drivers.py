@@ -10,7 +10,6 @@ from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
     ABSENT,
     absent_reason,
-    capital,
     estimate_text,
     input_name,
     limit_name,
@@ -114,11 +113,15 @@ def failure_finding(contents: Contents, name: str) -> str:
         reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
         return f"What drives missing the aim is not known: {reason}."
     kind = "Shapley effect" if entry.get("shapley") else "total index"
-    text = f"{capital(input_name(names[0]))} drives it most ({kind} {_cell(table[names[0]])})."
-    explained = entry.get("explained") or {}
-    if explained.get("value") is not None and explained["value"] < 0.9999:
-        text += f" The model’s inputs decide {_cell(explained)} of its variance, the rest is left to the strength."
-    return text
+    largest = f"{input_name(names[0])} ({kind} {_cell(table[names[0]])})"
+    whole = entry["of"] == "missing the aim"
+    text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
+    explained = (entry.get("explained") or {}).get("value")
+    if explained is None or explained >= 0.9999:
+        return text
+    share = number_text(f"{100.0 * explained:.2g}")
+    who = "The model’s inputs" if whole else "All of them"
+    return f"{text} {who} together decide {share} % of whether the aim is missed, the rest is left to the strength."
 
 
 def given_failure_table(contents: Contents, name: str) -> Table | None:
