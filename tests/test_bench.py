@@ -10,7 +10,6 @@ import pytest
 
 from uqsphere.bench import run_bench
 from uqsphere.bench.composite import peak_errors
-from uqsphere.bench.instability import MU, fixed_steps
 from uqsphere.bench.machine import describe_machine
 from uqsphere.bench.measure import Entry, ratio_at_error
 from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
@@ -18,7 +17,6 @@ from uqsphere.bench.scenes import bench_scenes, scattered_scene
 from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
 from uqsphere.cli import main
 from uqsphere.errors import FolderError
-from uqsphere.mechanics.closed_form import linear_approaches
 from uqsphere.mechanics.dynamics import integrate
 from uqsphere.mechanics.layout import ANSWER_CONTACT, ANSWER_X_MAX
 from uqsphere.report.canvas import render, style
@@ -56,10 +54,11 @@ def test_the_compiled_rival_finds_what_ours_finds() -> None:
     if not heyoka_present():  # an optional extra: its absence is reported in the tables
         assert "absent" in describe_machine()["packages"]["heyoka"]
         return
-    peaks, again = solve_heyoka(scene, 6, 1e-9)
-    again()
+    rival = solve_heyoka(scene, 6, 1e-9)
+    rival.integrate_alone()
+    rival.find_peaks()
     ours = integrate(scene, tolerance=1e-10, quantities=("p_max",)).answers[:, ANSWER_X_MAX]
-    assert peaks == pytest.approx(ours, rel=1e-6)
+    assert rival.peaks == pytest.approx(ours, rel=1e-8)
 
 
 def test_ratios_are_read_at_equal_error() -> None:
@@ -107,17 +106,11 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_the_sweep_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--sweep", "20"]) == 0
-    assert "rows wrong and silent: 0 of 20" in capsys.readouterr().out
+    assert main(["bench", "--sweep", "20", "--seed", "3"]) == 0
+    assert "wrong and silent: 0 rows" in capsys.readouterr().out
     assert main(["bench", "--sweep", "0"]) == 2
-    assert main(["bench", "--sweep", "20", "--json"]) == 0
+    assert main(["bench", "--sweep", "20", "--seed", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["wrong_and_silent"] == []
-
-
-def test_a_step_that_is_too_long_runs_away() -> None:
-    exact = float(linear_approaches(3.0, MU)[0])
-    assert fixed_steps(MU, 0.02, 3.0)[1][-1] == pytest.approx(exact, abs=1e-3)
-    assert abs(fixed_steps(MU, 0.07, 3.0)[1][-1]) > 100.0
 
 
 def test_the_composite_solution_is_as_good_as_the_page_says() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_kernel import scaled_scene
 
-from uqsphere.bench.sweep import compare_closer, hard_scenes, sweep_table
 from uqsphere.mechanics.dynamics import integrate, solve
 from uqsphere.mechanics.layout import ANSWER_X_MAX
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
@@ -33,21 +32,6 @@ NUMBERS = {
 def scene_with(**numbers: float) -> Scene:
     values = NUMBERS | {name.replace("__", "."): value for name, value in numbers.items()}
     return Scene(columns={name: np.array([value]) for name, value in values.items()})
-
-
-def test_no_row_of_the_sweep_is_wrong_and_silent() -> None:
-    found = compare_closer(200, seed=7)
-    assert found.silent == [], sweep_table(found)
-    assert np.isin(found.status, [0, 4, 5, UNDECIDED]).all()
-    assert (found.status == 0).mean() > 0.93
-
-
-def test_the_scenes_of_the_sweep_cover_what_is_promised() -> None:
-    scenes = hard_scenes(4000, seed=9)
-    mu = np.concatenate([scene.scales.mass_number for scene in scenes])
-    assert mu.min() < 2e-7
-    assert mu.max() > 5e2
-    assert all((scene.status == 0).all() for scene in scenes)
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,9 @@ import pytest
 from scipy.integrate import OdeSolution, solve_ivp
 from test_kernel import EXAMPLE, scaled_scene
 
-from uqsphere.bench.reference import Problem, Unaffordable, follow, problem_of
-from uqsphere.bench.reference_answers import refer
-from uqsphere.bench.reference_events import Course
-from uqsphere.bench.reference_steps import POINTS, WEIGHTS
+from uqsphere.bench.reference import Problem, Unaffordable, follow, problem_of, refer
+from uqsphere.bench.reference.events import Course
+from uqsphere.bench.reference.steps import POINTS, WEIGHTS
 from uqsphere.mechanics.scene import Scene
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())

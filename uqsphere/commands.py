@@ -323,16 +323,17 @@ def command_bench(chosen: argparse.Namespace) -> int:
 
 
 def _sweep(chosen: argparse.Namespace) -> int:
-    from uqsphere.bench.sweep import compare_closer, compare_plain, sweep_table
+    from uqsphere.bench.hard_scenes import design
+    from uqsphere.bench.sweep import against_itself, against_reference, as_document, table
 
     if not 1 <= chosen.sweep <= 1_000_000:
         raise UsageError(f"--sweep takes 1 to 1,000,000 scenes, found {chosen.sweep}")
-    found = (compare_plain if chosen.plain else compare_closer)(chosen.sweep)
+    plan = design(chosen.sweep, chosen.seed)
+    found = against_reference(plan, budget=600) if chosen.reference else against_itself(plan)
     if chosen.json:
-        errors = {name: [float(e) for e in error if e == e] for name, error in found.errors.items()}
-        _document({"errors_over_tolerance": errors, "status": found.status.tolist(), "wrong_and_silent": found.silent})
+        _document(as_document(found))
     else:
-        print(sweep_table(found))
+        print(table(found))
     return 0
 
 

@@ -31,6 +31,17 @@ def _cautions(results: dict[str, Any]) -> list[str]:
             if share:
                 found.append(f"{grade}: {plain(check['text'])}")
                 break
+    for name, limit in results["limits"].items():
+        opened = limit.get("ignorance")
+        if opened and "reason" not in opened:
+            tests = ", ".join(f"{plain(entry['input'])}: {entry['tests']}" for entry in opened["from"])
+            low, high = opened["miss"]
+            undecided = limit["target"] is not None and opened["met"] is None
+            also = ", on both sides of the target" if undecided else ""
+            found.append(
+                f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
+                f"between {low:.2g} and {high:.2g}{also}"
+            )
     missed = results["accuracy"]["missed"]
     if missed:
         found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")

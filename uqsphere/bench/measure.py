@@ -125,8 +125,10 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
             entries += _entries(chosen, f"solve_ivp {method}", t, answers[:, : len(quantities)], exact, seconds)
     if heyoka_present() and not contact:
         for t in (1e-3, 1e-6, 1e-9, 1e-12):
-            peaks, run = solve_heyoka(scene, min(64, len(scene)), t)
-            entries += _entries(chosen, "heyoka", t, peaks[:, None], exact, _best_time(run, rounds))
+            compiled = solve_heyoka(scene, min(64, len(scene)), t)
+            turns_of = {"heyoka": compiled.find_peaks, "heyoka, no peaks": compiled.integrate_alone}
+            for name, run_it in turns_of.items():
+                entries += _entries(chosen, name, t, compiled.peaks[:, None], exact, _best_time(run_it, rounds))
     return entries
 
 

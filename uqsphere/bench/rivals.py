@@ -8,6 +8,7 @@ the earlier pieces (the method of steps for delay equations).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import pairwise
 from typing import Any, Final
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from uqsphere.mechanics.dynamics import scaled_arguments
 from uqsphere.mechanics.scene import Scene
 
-__all__ = ["METHODS", "heyoka_present", "solve_heyoka", "solve_scipy"]
+__all__ = ["METHODS", "Compiled", "heyoka_present", "solve_heyoka", "solve_scipy"]
 
 Array = npt.NDArray[np.float64]
 
@@ -130,67 +131,67 @@ def heyoka_present() -> bool:
     return find_spec("heyoka") is not None
 
 
-def solve_heyoka(scene: Scene, rows: int, tolerance: float) -> tuple[Array, Callable[[], None]]:
-    """Largest approach (rows,) of scene A by heyoka in batches, and the integration alone, to be timed.
+@dataclass(frozen=True, kw_only=True)
+class Compiled:
+    """A compiled rival on scene A: its peaks (rows,), how to find them, and how to integrate without looking."""
 
-    What is timed is the propagation over the pulse and a little beyond; the search for the peak, on the dense
-    output, is given to it for nothing.
+    peaks: Array
+    find_peaks: Callable[[], None]
+    integrate_alone: Callable[[], None]
+
+
+def _touched(mu: Array, start: float) -> Array:
+    """State (3, n) at a small time, by the series about the touch: x1 = 2 s, u = (2/5) 2^(3/2) s^(5/2)/mu."""
+    speed = 0.4 * 2.0**1.5 * start**2.5 / mu
+    return np.stack([np.full(len(mu), 2.0 * start - 0.4 * 2.0**1.5 * start**2.5), speed * start / 3.5, speed])
+
+
+def solve_heyoka(scene: Scene, rows: int, tolerance: float) -> Compiled:
+    """Scene A by heyoka in batches as wide as the machine's vectors.
+
+    The peaks come from its own event detection, the roots of the rates of both faces; its callbacks are Python,
+    which is what a user of the package has.  The integration without them finds no peak: what the compiled code
+    itself costs.
     """
     import heyoka
 
     x1, x2, u = heyoka.make_vars("x1", "x2", "u")
     push = 2.0 * heyoka.par[1]
     q1, q2 = x1 * heyoka.sqrt(x1), x2 * heyoka.sqrt(x2)
-    system = [(x1, push - q1 - u), (x2, u - q2), (u, (q1 - q2) / heyoka.par[0])]
+    rates = (push - q1 - u, u - q2)
+    system = [(x1, rates[0]), (x2, rates[1]), (u, (q1 - q2) / heyoka.par[0])]
     batch = int(heyoka.recommended_simd_size())
     arguments = scaled_arguments(scene, np.arange(rows))
     start = 1e-4
-    solver = heyoka.taylor_adaptive_batch(
-        system, np.ones((3, batch)), pars=np.ones((2, batch)), tol=tolerance, compact_mode=False
-    )
+    highest = np.zeros((2, batch))
+    peaks = np.zeros(rows)
 
-    def begin(chosen: npt.NDArray[np.int64]) -> Array:
-        mu = arguments["mass"][chosen]
-        # the series about the touch: x1 = 2 s, u = (2/5) 2^(3/2) s^(5/2)/mu and its integral
-        speed = 0.4 * 2.0**1.5 * start**2.5 / mu
-        solver.set_time(start)
-        solver.state[:] = np.stack(
-            [np.full(len(mu), 2.0 * start - 0.4 * 2.0**1.5 * start**2.5), speed * start / 3.5, speed]
+    def watch(face: int) -> Any:
+        def seen(solver: Any, time: float, sign: int, lane: int) -> None:
+            solver.update_d_output(np.full(batch, time))
+            highest[face, lane] = max(highest[face, lane], solver.d_output[face, lane])
+
+        return heyoka.nt_event_batch(rates[face], seen, direction=heyoka.event_direction.negative)
+
+    def build(**events: Any) -> Any:
+        return heyoka.taylor_adaptive_batch(
+            system, np.ones((3, batch)), pars=np.ones((2, batch)), tol=tolerance, compact_mode=False, **events
         )
-        solver.pars[0], solver.pars[1] = mu, 1.0
-        return np.asarray(arguments["pulse_end"][chosen])
 
-    batches = [np.minimum(np.arange(k, k + batch), rows - 1) for k in range(0, rows, batch)]
-
-    def run() -> None:
-        for chosen in batches:
-            end = begin(chosen)
+    def run(solver: Any) -> None:
+        for first in range(0, rows, batch):
+            chosen = np.minimum(np.arange(first, first + batch), rows - 1)
+            mu, end = arguments["mass"][chosen], np.asarray(arguments["pulse_end"][chosen])
+            solver.set_time(start)
+            solver.state[:] = _touched(mu, start)
+            solver.pars[0], solver.pars[1] = mu, 1.0
+            highest[:] = 0.0
             solver.propagate_until(end)
+            at_end = solver.state[:2].max(axis=0)
             solver.pars[1] = 0.0
             solver.propagate_until(end + _AFTER)
+            peaks[chosen] = np.maximum(at_end, highest.max(axis=0))
 
-    peaks = np.zeros(rows)
-    for chosen in batches:
-        end = begin(chosen)
-        for push_now, until in ((1.0, end), (0.0, end + _AFTER)):
-            solver.pars[1] = push_now
-            before = np.array(solver.time)
-            dense = solver.propagate_until(until, c_output=True)
-            dense = dense[0] if isinstance(dense, tuple) else dense
-            grid = np.linspace(0.0, 1.0, 4001)[:, None] * (until - before)[None, :] + before[None, :]
-            path = np.moveaxis(np.asarray(dense(grid)), 0, -1) if dense is not None else np.zeros((4001, 3, batch))
-            path = path if path.shape[0] == 4001 else np.moveaxis(path, -1, 0)
-            for lane, row in enumerate(chosen):
-                for face in range(2):
-                    values = path[:, face, lane] if path.shape[1] == 3 else path[:, lane, face]
-                    peaks[row] = max(peaks[row], _parabola(values))
-    return peaks, run
-
-
-def _parabola(values: Array) -> float:
-    k = int(values.argmax())
-    if k in (0, len(values) - 1):
-        return float(values[k])
-    left, top, right = values[k - 1 : k + 2]
-    bend = left - 2.0 * top + right
-    return float(top - 0.125 * (right - left) ** 2 / bend) if bend < 0.0 else float(top)
+    alone, watching = build(), build(nt_events=[watch(0), watch(1)])
+    run(watching)
+    return Compiled(peaks=peaks.copy(), find_peaks=lambda: run(watching), integrate_alone=lambda: run(alone))

@@ -1,215 +1,297 @@
-"""Hard cases: scenes spread over everything that can be asked, solved twice, and every difference accounted for.
+"""The kernel over the whole range of inputs: against the reference, and against itself at a closer tolerance.
 
-`hard_scenes` draws them; `compare_closer` sets the integrator against itself at a tolerance a hundred times
-tighter, `compare_plain` against the plain integrator, which shares no method with it.  A row is wrong and silent
-when its status is 0 and a quantity is off by more than five times the tolerance: relative, but the force
-imbalance over the largest force.
+    uqsphere bench --sweep 2000 --reference
+
+A row is wrong and silent if it has an answer and a quantity is off by more than five times the tolerance; a row of
+status 7 has two answers, of which one has to be right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import dynamics
-from uqsphere.mechanics.dynamics import Answers
-from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene
+from uqsphere.bench.hard_scenes import Design, as_inputs, rows_of
+from uqsphere.mechanics.dynamics import Answers, solve
+from uqsphere.mechanics.scene import STATUS, Scene, answered
+from uqsphere.quantities import OUTPUTS
 
-__all__ = ["ENDS", "RANGES", "SHAPES", "Comparison", "compare_closer", "compare_plain", "hard_scenes", "sweep_table"]
+__all__ = ["Comparison", "Wrong", "against_itself", "against_reference", "as_document", "join", "table"]
 
 Array = npt.NDArray[np.float64]
 
-#: what is spread evenly over its logarithm (nu: over itself), with its ends
-RANGES: Final[dict[str, tuple[float, float]]] = {
-    "mu": (1e-7, 1e3),
-    "theta": (1e-4, 1e4),
-    "sphere.E": (1e6, 1e12),
-    "sphere.nu": (0.0, 0.4999),
-    "sphere.radius": (1e-5, 1.0),
-    "striker.speed": (1e-6, 100.0),
-    "bars.width": (1.0, 100.0),
-    "bars.incident": (1.0, 100.0),
-    "bars.ratio": (0.01, 100.0),
-}
-#: pulses and kinds of far ends, in turn
-SHAPES: Final = ("rectangular", "trapezoid", "half_sine", "two_peak")
-ENDS: Final[dict[str, tuple[float, float]]] = {
-    "free, absorbing": (1.0, 0.0),
-    "free": (1.0, 1.0),
-    "fixed": (-1.0, -1.0),
-    "partial": (0.5, -0.3),
-    "infinite bars": (0.0, 0.0),
-}
-QUANTITIES: Final = (
-    "p_max", "contact_time", "pulse_width", "rise_time", "first_peak", "force_imbalance", "energy",
-)  # fmt: skip
-#: oscillations of the sphere in the pulse and the round trips that a scene may have: beyond lies the limit of steps
-_MOST_SWINGS: Final = 3e4
-#: the same where the plain integrator, which follows every one of them at a high price, is compared
-_PLAIN_SWINGS, _PLAIN_MU = 20.0, 1e-3
-#: error over tolerance above which a row without a status is wrong
-WRONG: Final = 5.0
+#: an error may be this many times the tolerance that was asked for
+ALLOWED: Final = 5.0
+#: rows that the kernel is given at once
+_BATCH: Final = 8192
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong:
+    """A row that is wrong: inputs, status, similarity numbers, and (found, expected, error over tolerance).
+
+    With status 0 it is silent; with status 7 it said that it was not sure, but neither of its answers is right.
+    """
+
+    inputs: dict[str, Any]
+    status: int
+    mu: float
+    theta: float
+    quantities: dict[str, tuple[float, float, float]]
+    note: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Error over tolerance of n rows by quantity, their status, and the rows that are wrong and silent."""
+    """Errors of n rows over the tolerance, (n, quantities), NaN where there is nothing to compare.
 
-    errors: dict[str, Array]
-    status: npt.NDArray[np.int64]
-    silent: list[dict[str, float]]
-
-
-def _latin(rng: np.random.Generator, count: int, low: float, high: float, linear: bool) -> Array:
-    place = (rng.permutation(count) + rng.random(count)) / count
-    if linear:
-        return np.asarray(low + (high - low) * place)
-    return np.asarray(np.exp(np.log(low) + (np.log(high) - np.log(low)) * place))
-
-
-def hard_scenes(
-    count: int, seed: int = 0, *, swings: float = _MOST_SWINGS, lightest: float = RANGES["mu"][0]
-) -> list[Scene]:
-    """`count` scenes in every pairing of `SHAPES` and `ENDS`, one Scene per pairing, spread over `RANGES`.
-
-    Density and length of the pulse follow from mu and theta.  Where a scene would swing more than `swings` times
-    the pulse and the bars are shortened.  lightest: smallest mu.
+    `status` (n,) are those of the kernel at `tolerance`; `judged` (n,) says where the other side has an answer;
+    `mu`, `theta` (n,); `steps` (n,) of the kernel.
     """
-    scenes = []
-    pairs = [(shape, ends) for shape in SHAPES for ends in ENDS.values()]
-    each = -(-count // len(pairs))
-    for k, (shape, ends) in enumerate(pairs):
-        rng = np.random.default_rng([seed, k])
-        ranges = RANGES | {"mu": (lightest, RANGES["mu"][1])}
-        drawn = {name: _latin(rng, each, *span, linear=name == "sphere.nu") for name, span in ranges.items()}
-        scenes.append(_scene(shape, ends, drawn, swings))
-    return scenes
+
+    names: tuple[str, ...]
+    errors: Array
+    status: npt.NDArray[np.int64]
+    judged: npt.NDArray[np.bool_]
+    mu: Array
+    theta: Array
+    steps: npt.NDArray[np.int64]
+    wrong: tuple[Wrong, ...]
+    tolerance: float
+    judge: str
+
+    @property
+    def silent(self) -> tuple[Wrong, ...]:
+        """Rows that are wrong and do not say so."""
+        return tuple(row for row in self.wrong if row.status == 0)
 
 
-def _scene(shape: str, ends: tuple[float, float], drawn: dict[str, Array], most: float) -> Scene:
-    one = np.ones_like(drawn["mu"])
-    infinite = ends == (0.0, 0.0)
-    columns = {
-        "sphere.E": drawn["sphere.E"],
-        "sphere.nu": drawn["sphere.nu"],
-        "sphere.radius": drawn["sphere.radius"],
-        "sphere.density": 2650.0 * one,
-        "bars.E": 210e9 * one,
-        "bars.nu": 0.3 * one,
-        "bars.density": 7850.0 * one,
-        "bars.diameter": 2.0 * drawn["sphere.radius"] * drawn["bars.width"],
-        "striker.speed": drawn["striker.speed"],
-        "pulse.duration": one,
-        "pulse.rise": 0.0 * one,
-        "pulse.fall": 0.0 * one,
-        "pulse.t1": 0.2 * one,
-        "pulse.level1": one,
-        "pulse.t2": 0.7 * one,
-        "pulse.level2": 0.8 * one,
-        "bars.incident_length": one,
-        "bars.receiving_length": one,
-        "bars.incident_end": ends[0] * one,
-        "bars.receiving_end": ends[1] * one,
-    }
-    unscaled = Scene(columns=columns, shape=shape, infinite=infinite).scales
+def _names(answers: Answers) -> tuple[str, ...]:
+    return tuple(name for name in OUTPUTS if name in answers.values)
+
+
+#: one set of answers: values by name, and which times were cut off by the record's end (None: not known)
+_Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
+
+
+def _answers(found: Answers, rows: Any) -> list[_Answer]:
+    """The answers of some rows; two where a row is undecided."""
+    sets: list[_Answer] = [
+        (
+            {name: value[rows] for name, value in found.values.items()},
+            {name: flag[rows] for name, flag in found.censored.items()},
+        )
+    ]
+    if found.others:
+        sets.append(({name: value[rows] for name, value in found.others.items()}, None))
+    return sets
+
+
+def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array:
+    """Error of one quantity over the tolerance.
+
+    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute.  A time
+    that one side says was cut off by the record's end and the other says was not differs without bound, unless
+    both times agree.
+    """
+    value, expected = np.asarray(found[0][name]), np.asarray(truth[0][name])
     with np.errstate(all="ignore"):
-        columns["sphere.density"] = 2650.0 * drawn["mu"] / unscaled.mass_number
-        trips = 1.5 * drawn["bars.incident"]
-        longest = 1.0 + np.minimum(trips * np.maximum(1.0, drawn["bars.ratio"]), 300.0)
-        swings = np.sqrt(3.0 / drawn["mu"]) * drawn["theta"] * longest / (2.0 * np.pi)
-        theta = drawn["theta"] * np.minimum(1.0, most / swings)
-        duration = theta * unscaled.time
-        length = 0.5 * trips * duration * np.sqrt(210e9 / 7850.0)
-    columns["pulse.duration"] = duration
-    for name, share in (("rise", 0.2), ("fall", 0.3), ("t1", 0.2), ("t2", 0.7)):
-        columns[f"pulse.{name}"] = share * duration
-    columns["bars.incident_length"] = length
-    columns["bars.receiving_length"] = length * drawn["bars.ratio"]
-    return Scene(columns=columns, shape=shape, infinite=infinite)
+        error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else np.abs(expected)) / tolerance
+    error = np.where(value == expected, 0.0, error)
+    if found[1] is not None and truth[1] is not None and name in truth[1]:
+        error = np.where((found[1][name] != truth[1][name]) & (error > ALLOWED), np.inf, error)
+    return np.asarray(error)
 
 
-def _part(scene: Scene, rows: Any) -> Scene:
-    columns = {name: column[rows] for name, column in scene.columns.items()}
-    return Scene(columns=columns, shape=scene.shape, infinite=scene.infinite)
+def _errors(names: Sequence[str], found: Sequence[_Answer], truths: Sequence[_Answer], tolerance: float) -> Array:
+    """Errors over the tolerance, last axis the quantities; of an undecided row, those of the nearer answer."""
+    columns = []
+    for name in names:
+        pairs = [_error(name, one, truth, tolerance) for one in found for truth in truths]
+        columns.append(np.fmin.reduce(pairs))
+    return np.stack(columns, axis=-1)
 
 
-def _row(scene: Scene, row: int) -> dict[str, float]:
-    numbers = {name: float(column[row]) for name, column in scene.columns.items()}
-    return {**numbers, "mu": float(scene.scales.mass_number[row]), "theta": float(scene.scales.pulse_number[row])}
-
-
-def _compare(scene: Scene, found: Answers, exact: Answers, tolerance: float) -> Comparison:
-    good = ((found.status == 0) | (found.status == UNDECIDED)) & ((exact.status == 0) | (exact.status == UNDECIDED))
-    errors, wrong = {}, np.zeros(len(scene), dtype=bool)
-    for name in QUANTITIES:
-        value, truth = found.values[name], exact.values[name]
-        # the imbalance is a difference of two forces over the largest: its error is theirs, over the same
-        scale = np.ones(len(scene)) if name == "force_imbalance" else np.maximum(np.abs(truth), 1e-300)
-        with np.errstate(all="ignore"):
-            error = np.abs(value - truth) / scale / tolerance
-        # an undecided row is counted by its status
-        decided = good & (found.status == 0) & (exact.status == 0)
-        errors[name] = np.where(decided, error, np.nan)
-        wrong |= decided & (error > WRONG)
-    silent = []
-    for row in np.flatnonzero(wrong):
-        worst = {f"error of {name}": float(errors[name][row]) for name in QUANTITIES if errors[name][row] > WRONG}
-        silent.append({**worst, **_row(scene, int(row))})
-    return Comparison(errors=errors, status=found.status, silent=silent)
-
-
-def _closer(scene: Scene, tolerance: float, threads: int | None) -> Answers:
-    return dynamics.solve(scene, tolerance=max(1e-12, 0.01 * tolerance), threads=threads, quantities=QUANTITIES)
-
-
-def _plain(scene: Scene, tolerance: float, threads: int | None) -> Answers:
-    from uqsphere.mechanics.plain import integrate_plain
-
-    found = integrate_plain(scene, tolerance=max(1e-11, 0.01 * tolerance), quantities=QUANTITIES)
-    return dynamics.to_si(scene, found.answers, found.status, found.steps, linear=False, quantities=QUANTITIES)
-
-
-def _merge(parts: list[Comparison]) -> Comparison:
-    return Comparison(
-        errors={name: np.concatenate([part.errors[name] for part in parts]) for name in QUANTITIES},
-        status=np.concatenate([part.status for part in parts]),
-        silent=[row for part in parts for row in part.silent],
+def _wrong(scene: Scene, row: Any, found: Answers, errors: Array, expected: Mapping[str, Any], note: str = "") -> Wrong:
+    names = _names(found)
+    return Wrong(
+        inputs=as_inputs(scene, row),
+        status=int(found.status[row]),
+        mu=float(scene.scales.mass_number[row]),
+        theta=float(scene.scales.pulse_number[row]),
+        quantities={
+            name: (float(found.values[name][row]), float(expected[name]), float(error))
+            for name, error in zip(names, errors, strict=True)
+            if not error <= ALLOWED
+        },
+        note=note,
     )
 
 
-def _sweep(
-    scenes: list[Scene], tolerance: float, threads: int | None, exact: Callable[[Scene, float, int | None], Answers]
+def _compare(plan: Design, start: int, count: int, tolerance: float, judge: str, parts: Any) -> Comparison:
+    """Put the answers of every scene of a slice together; `parts` yields (scene, places, answers, errors, judged,
+    wrong)."""
+    count = len(plan.order[start : start + count])
+    names: tuple[str, ...] = ()
+    errors = np.empty((count, 0))
+    status, steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    judged = np.zeros(count, dtype=bool)
+    mu, theta = np.zeros(count), np.zeros(count)
+    wrong: list[Wrong] = []
+    for scene, places, answers, found, known, off in parts:
+        if not names:
+            names = _names(answers)
+            errors = np.full((count, len(names)), np.nan)
+        errors[places], judged[places] = found, known
+        status[places], steps[places] = answers.status, answers.steps
+        mu[places], theta[places] = scene.scales.mass_number, scene.scales.pulse_number
+        wrong += off
+    return Comparison(names=names, errors=errors, status=status, judged=judged, mu=mu, theta=theta, steps=steps,
+                      wrong=tuple(wrong), tolerance=tolerance, judge=judge)  # fmt: skip
+
+
+def against_itself(
+    plan: Design,
+    *,
+    start: int = 0,
+    count: int | None = None,
+    tolerance: float = 1e-6,
+    closer: float = 1e-8,
+    quantities: Collection[str] | None = None,
 ) -> Comparison:
-    parts = []
-    for scene in scenes:
-        found = dynamics.solve(scene, tolerance=tolerance, threads=threads, quantities=QUANTITIES)
-        parts.append(_compare(scene, found, exact(scene, tolerance, threads), tolerance))
-    return _merge(parts)
+    """The kernel at `tolerance` against the kernel at `closer`, rows [start, start + count) of a design."""
+
+    def parts(begin: int, size: int) -> Any:
+        for scene, places in rows_of(plan, begin, size):
+            found = solve(scene, tolerance=tolerance, quantities=quantities)
+            truth = solve(scene, tolerance=closer, quantities=quantities)
+            # a judge that is not sure itself is heard where the row is not sure either
+            known = answered(found.status) & ((truth.status == 0) | (found.status == truth.status))
+            known &= answered(truth.status)
+            every = slice(None)
+            errors = _errors(_names(found), _answers(found, every), _answers(truth, every), tolerance)
+            errors[~known] = np.nan
+            off = [
+                _wrong(scene, row, found, errors[row], {name: truth.values[name][row] for name in truth.values})
+                for row in np.flatnonzero(known & ~(errors <= ALLOWED).all(axis=1))
+            ]
+            yield scene, places, found, errors, known, off
+
+    count = len(plan) - start if count is None else count
+    slices = range(start, start + count, _BATCH)
+    sizes = [min(_BATCH, start + count - begin) for begin in slices]
+    judge = f"the kernel at {closer:g}"
+    return join([
+        _compare(plan, begin, size, tolerance, judge, parts(begin, size))
+        for begin, size in zip(slices, sizes, strict=True)
+    ])  # fmt: skip
 
 
-def compare_closer(count: int, *, seed: int = 0, tolerance: float = 1e-6, threads: int | None = None) -> Comparison:
-    """`count` hard scenes at `tolerance` against the same integrator at a hundredth of it."""
-    return _sweep(hard_scenes(count, seed), tolerance, threads, _closer)
+def against_reference(
+    plan: Design,
+    *,
+    start: int = 0,
+    count: int | None = None,
+    tolerance: float = 1e-6,
+    budget: int = 3000,
+    quantities: Collection[str] | None = None,
+) -> Comparison:
+    """The kernel at `tolerance` against the reference, rows [start, start + count) of a design.
+
+    A scene that would take the reference more than `budget` steps is not judged.
+    """
+    from uqsphere.bench.reference import Unaffordable, refer
+
+    def parts(size: int) -> Any:
+        for scene, places in rows_of(plan, start, size):
+            found = solve(scene, tolerance=tolerance, quantities=quantities)
+            names = _names(found)
+            errors, known = np.full((len(scene), len(names)), np.nan), np.zeros(len(scene), dtype=bool)
+            off = []
+            for row in np.flatnonzero(scene.status == 0):
+                try:
+                    truth = refer(scene, int(row), budget=budget)
+                except Unaffordable:
+                    continue
+                known[row] = True
+                if not answered(found.status[row]):
+                    continue
+                errors[row] = _errors(names, _answers(found, row), [(truth.values, truth.censored)], tolerance)
+                if not (errors[row] <= ALLOWED).all():
+                    note = f"reference: {truth.steps} steps, tail {truth.tail:.0e}"
+                    if truth.dips:
+                        at, depth = min(truth.dips, key=lambda dip: abs(dip[1]))
+                        note += f", nearest miss {depth:.1e} of the largest approach at {at!r} s"
+                    off.append(_wrong(scene, row, found, errors[row], truth.values, note))
+            yield scene, places, found, errors, known, off
+
+    count = len(plan) - start if count is None else count
+    return _compare(plan, start, count, tolerance, "the reference", parts(count))
 
 
-def compare_plain(count: int, *, seed: int = 0, tolerance: float = 1e-6, threads: int | None = None) -> Comparison:
-    """`count` hard scenes at `tolerance` against the plain integrator at a hundredth of it."""
-    return _sweep(hard_scenes(count, seed, swings=_PLAIN_SWINGS, lightest=_PLAIN_MU), tolerance, threads, _plain)
+def join(comparisons: Sequence[Comparison]) -> Comparison:
+    """Slices of one comparison as one."""
+    first = comparisons[0]
+
+    def stack(name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in comparisons])
+
+    return Comparison(
+        names=first.names, errors=stack("errors"), status=stack("status"), judged=stack("judged"), mu=stack("mu"),
+        theta=stack("theta"), steps=stack("steps"), tolerance=first.tolerance, judge=first.judge,
+        wrong=tuple(wrong for one in comparisons for wrong in one.wrong),
+    )  # fmt: skip
 
 
-def sweep_table(found: Comparison) -> str:
-    """Median, 99.9 % and worst error over tolerance by quantity, rows by status, rows that are wrong and silent."""
-    lines = ["| quantity | median | 99.9 % | worst |", "|---|---|---|---|"]
-    for name, error in found.errors.items():
-        known = error[np.isfinite(error)]
-        spread = (np.median(known), np.quantile(known, 0.999), known.max()) if len(known) else (np.nan,) * 3
-        lines.append(f"| {name} | {spread[0]:.2g} | {spread[1]:.2g} | {spread[2]:.2g} |")
-    lines += ["", "| status | rows | meaning |", "|---|---|---|"]
-    codes, counts = np.unique(found.status, return_counts=True)
-    lines += [f"| {code} | {number:,} | {STATUS[int(code)]} |" for code, number in zip(codes, counts, strict=True)]
-    lines += ["", f"rows wrong and silent: {len(found.silent)} of {len(found.status):,}"]
+def table(found: Comparison) -> str:
+    """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and silent rows."""
+    compared = found.judged & answered(found.status)
+    sides = f"kernel at {found.tolerance:g} against {found.judge}"
+    lines = [
+        f"{len(found.status)} scenes, {sides}; {int(compared.sum())} compared",
+        "",
+        "| error over tolerance | median | 99.9 % | worst | rows above 5 |",
+        "|---|---|---|---|---|",
+    ]
+    errors = found.errors[compared]
+    for name, column in zip(found.names, errors.T, strict=True):
+        if len(column):
+            middle, high = np.quantile(column, [0.5, 0.999], method="higher")
+            above = int((~(column <= ALLOWED)).sum())
+            lines.append(f"| `{name}` | {middle:.1e} | {high:.2g} | {column.max():.2g} | {above} |")
+    lines += ["", "| status | rows | not judged | mu | theta | meaning |", "|---|---|---|---|---|---|"]
+    for code in np.unique(found.status):
+        here = found.status == code
+        mu, theta = found.mu[here], found.theta[here]
+        lines.append(
+            f"| {code} | {int(here.sum())} | {int((here & ~found.judged).sum())} | {mu.min():.0e} to {mu.max():.0e} | "
+            f"{theta.min():.0e} to {theta.max():.0e} | {STATUS[int(code)]} |"
+        )
+    flagged = len(found.wrong) - len(found.silent)
+    lines += ["", f"wrong and silent: {len(found.silent)} rows; undecided, and neither answer right: {flagged} rows"]
+    for wrong in sorted(found.wrong, key=lambda row: row.status):
+        listed = ", ".join(f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items())
+        which = f"status {wrong.status}, mu {wrong.mu:.3g}, theta {wrong.theta:.3g}, {wrong.inputs['shape']}"
+        lines.append(f"- {which}: {listed}{'; ' if wrong.note else ''}{wrong.note}")
+        if wrong.status == 0:
+            lines.append(f"  {wrong.inputs}")
     return "\n".join(lines)
+
+
+def as_document(found: Comparison) -> dict[str, Any]:
+    """The comparison for JSON: errors over the tolerance by quantity (null: not compared), statuses, wrong rows."""
+    return {
+        "judge": found.judge,
+        "tolerance": found.tolerance,
+        "errors_over_tolerance": {
+            name: [float(e) if np.isfinite(e) else None for e in column]
+            for name, column in zip(found.names, found.errors.T, strict=True)
+        },
+        "status": found.status.tolist(),
+        "wrong_and_silent": [asdict(row) for row in found.silent],
+        "undecided_and_wrong": [asdict(row) for row in found.wrong if row.status != 0],
+    }

@@ -19,6 +19,8 @@ COMPARED: Final = (
     ("A", "p_max", "solve_ivp Radau", 1e-8, None),
     ("A", "p_max", "heyoka", 1e-6, 5.0),
     ("A", "p_max", "heyoka", 1e-9, 5.0),
+    ("A", "p_max", "heyoka, no peaks", 1e-6, None),
+    ("A", "p_max", "heyoka, no peaks", 1e-9, None),
     ("B", "p_max", "solve_ivp DOP853", 1e-8, 300.0),
     ("B", "contact_time", "solve_ivp DOP853", 1e-8, 300.0),
 )
@@ -100,6 +102,7 @@ def speed_error_figure(entries: Sequence[Entry]) -> Picture:
     colours = {
         "full": BLUE, "full, numpy path": SKY, "linear": PURPLE, "massless": GREEN, "solve_ivp DOP853": RED,
         "solve_ivp LSODA": ORANGE, "solve_ivp Radau": GREY, "heyoka": "#000000",
+        "heyoka, no peaks": "#555555",
     }  # fmt: skip
     scenes = sorted({e.scene for e in entries})
     figure, axes = new_figure(3.6 * len(scenes), rows=len(scenes))

@@ -28,7 +28,7 @@ STATUS: dict[int, str] = {
     4: "too many reflections before the end of the record",
     5: "too many steps before the end of the record",
     6: "the answer is not finite",
-    7: "an event comes at one of two times, and less than the tolerance decides which: the answer may jump",
+    7: "an event comes at one of several times, and less than the tolerance decides which: the answer may jump",
 }
 #: shortest pulse and round trip over t_c
 _SHORTEST: Final = 1e-9

@@ -21,6 +21,7 @@ from uqsphere.report.wording import (
     limit_name,
     number_text,
     plain_percent,
+    probability_range,
     probability_text,
     symbol,
     unit_text,
@@ -112,6 +113,10 @@ def limits_table(contents: Contents) -> Table:
             ),
             (limit_name(name), "reliability index", beta),
         ]
+        opened = limit.get("ignorance")
+        if opened:
+            text = ABSENT if "reason" in opened else probability_range(*opened["miss"]) + " (95 %)"
+            rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
         words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
         rows += [(limit_name(name), words.get(k, k), _cell(e)) for k, e in limit["margin"].items()]
     return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))

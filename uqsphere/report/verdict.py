@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,13 +20,14 @@ from uqsphere.report.wording import (
     limit_name,
     listed,
     plain_percent,
+    probability_range,
     probability_text,
     rounded,
     symbol,
     value_text,
 )
 
-__all__ = ["Verdict", "cautions", "verdicts"]
+__all__ = ["Verdict", "cautions", "ignorance_text", "verdicts"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,11 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     factor = contents.resolved["limits"][name]["model_factor"]
     demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
     note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
-    note += " Its interval covers the computation; the laws of the inputs and the strength are taken as given."
+    opened = limit.get("ignorance")
+    if opened is None:
+        note += " Its interval covers the computation; the laws of the inputs and the strength are taken as given."
+    else:
+        note += " Its interval covers the computation alone. " + ignorance_text(contents, limit)
     if word == "undecided":
         note += " The interval reaches across the target: more evaluations would decide it."
     return Verdict(
@@ -87,6 +92,33 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
         note=note,
         lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)),
     )
+
+
+def ignorance_text(contents: Contents, limit: Mapping[str, Any]) -> str:
+    """What the tests behind the laws leave open, in sentences; empty where no law was fitted to tests."""
+    opened = limit.get("ignorance")
+    if not opened:
+        return ""
+    sources = listed([f"{input_name(entry['input'])} ({entry['tests']} tests)" for entry in opened["from"]])
+    if "reason" in opened:
+        return f"What the tests of {sources} leave open is not known: {opened['reason']}."
+    low, high = opened["miss"]
+    text = f"The tests of {sources} leave open a probability of {probability_range(low, high)} (95 %)"
+    if limit["target"] is not None and opened["met"] is None:
+        text += ", on both sides of the target: more tests would decide it"
+    text += "."
+    if opened["alone"]:
+        widest = max(opened["alone"], key=lambda name: _stretch(opened["alone"][name]))
+        text += f" Most of that is owed to {input_name(widest)}."
+    return text
+
+
+def _stretch(ends: Sequence[float]) -> float:
+    """Width of a range of probabilities in normal scores."""
+    from scipy.special import ndtri
+
+    low, high = (min(max(end, 1e-300), 1.0 - 1e-16) for end in ends)
+    return float(ndtri(high) - ndtri(low))
 
 
 def _strength(contents: Contents, name: str) -> str:
@@ -174,6 +206,10 @@ def cautions(contents: Contents) -> list[str]:
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
     elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
         found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")
+    for name, limit in results["limits"].items():
+        opened = limit.get("ignorance")
+        if opened and limit["target"] is not None and limit["met"] is not None and opened.get("met") is None:
+            found.append(f"Limit {limit_name(name)} is not decided by the tests. {ignorance_text(contents, limit)}")
     found += _missed([str(text) for text in results["accuracy"]["missed"]])
     found += [str(text) for text in results.get("warnings", [])]
     return found

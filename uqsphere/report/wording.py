@@ -22,6 +22,7 @@ __all__ = [
     "limit_name",
     "listed",
     "number_text",
+    "probability_range",
     "probability_text",
     "rounded",
     "share_text",
@@ -146,6 +147,15 @@ def probability_text(estimate: Estimate) -> str:
     if high < 1e-4:
         return estimate_text(estimate)
     return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}) + " %"
+
+
+def probability_range(low: float, high: float) -> str:
+    """Two probabilities between which another lies.
+
+    >>> probability_range(1.5331809e-06, 0.0115)
+    '1.5 × 10⁻⁶ to 1.2 %'
+    """
+    return f"{_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))}"
 
 
 def _percent(value: float) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 import uqsphere
 from uqsphere.quantities import lookup
 from uqsphere.runner.drivers import Drivers
+from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer
@@ -166,6 +167,7 @@ def versions() -> dict[str, str]:
 def build_results(work: Work, found: Findings) -> dict[str, Any]:
     """The content of results.json."""
     study, ledger = work.study, work.ledger
+    limits_open, quantities_open = find_ignorance(work, found.sampled)
     missed = list(found.sampled.missed)
     for quantity, indices in found.sensitivity.items():
         missed += [f"{quantity}: {text}" for text in indices.missed]
@@ -176,10 +178,17 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
         "versions": versions(),
         "inputs": _inputs(work),
-        "quantities": _quantities(found.sampled),
+        "quantities": {
+            name: {**entry, "ignorance": quantities_open.get(name)}
+            for name, entry in _quantities(found.sampled).items()
+        },
         "sensitivity": _sensitivity(work.scene_names, found.sensitivity, found.drivers),
         "limits": {
-            name: {**_limit(limit), **found.drivers.limits.get(name, {})}
+            name: {
+                **_limit(limit),
+                "ignorance": limits_open.get(name),
+                **found.drivers.limits.get(name, {}),
+            }
             for name, limit in found.sampled.limits.items()
         },
         "margins": _margins(found.margins),

@@ -27,6 +27,8 @@ __all__ = [
     "pick_replicates",
     "reliability_index",
     "score_given_inputs",
+    "shifted_tails",
+    "strength_tails",
     "tails",
     "target_met",
 ]
@@ -77,20 +79,26 @@ class LimitState:
         return self.censored & ~self.broken
 
 
+def strength_tails(
+    strength: Law | float, demands: Array, shift: Array | None = None, remaining_sd: float = 1.0
+) -> tuple[Array, Array]:
+    """P(strength < demand) and its complement; `shift`, `remaining_sd` as in `LimitState`."""
+    if not isinstance(strength, Law):
+        return (demands > strength).astype(float), (demands <= strength).astype(float)
+    if is_steps(strength):
+        # P(S < d): an observation that equals the demand has not been exceeded.
+        demands = np.nextafter(demands, -math.inf)
+    below, above = cdf(strength, demands), sf(strength, demands)
+    return (below, above) if shift is None else shifted_tails(below, above, shift, remaining_sd)
+
+
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
     broken = state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
-    strength = state.strength
-    if not isinstance(strength, Law):
-        below, above = (demands > strength).astype(float), (demands <= strength).astype(float)
-    else:
-        if is_steps(strength):
-            # P(S < d): an observation that equals the demand has not been exceeded.
-            demands = np.nextafter(demands, -math.inf)
-        below, above = cdf(strength, demands), sf(strength, demands)
-        if state.shift is not None or state.tie is not None:
-            below, above = _given_inputs(state, below, above)
+    below, above = strength_tails(state.strength, demands, state.shift, state.remaining_sd)
+    if state.tie is not None:
+        below, above = _tied_tails(state, below, above)
     if broken.any():
         below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
     return below, above
@@ -112,13 +120,25 @@ def score_given_inputs(state: LimitState, score: Array) -> Array:
     return np.asarray((score - state.shift) / state.remaining_sd)
 
 
-def _given_inputs(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
-    """The two tails given the inputs."""
+def _tied_tails(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
+    """The two tails given the inputs that another copula ties the strength to."""
     from scipy.special import ndtr, ndtri
 
     with np.errstate(divide="ignore"):
         score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
     score = score_given_inputs(state, score)
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+
+
+def shifted_tails(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
+    """The two tails given the inputs: Φ((z - shift)/sd) with z the normal score of the demand."""
+    from scipy.special import ndtr, ndtri
+
+    with np.errstate(divide="ignore"):
+        score = np.where(below <= 0.5, ndtri(below), -ndtri(above)) - shift
+        if remaining == 0.0:
+            return (score > 0.0).astype(float), (score <= 0.0).astype(float)
+        score = score / remaining
     return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 

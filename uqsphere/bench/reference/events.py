@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.bench.reference_steps import FINE, FINE_BASIS, FINE_SLOPES, Piece, evaluate
+from uqsphere.bench.reference.steps import FINE, FINE_BASIS, FINE_SLOPES, Piece, evaluate
 
 __all__ = ["Course", "crossing", "faded", "largest", "loss"]
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqsphere.bench import sweep_compare
-from uqsphere.bench.sweep_compare import ALLOWED, against_itself, against_reference, join, table
-from uqsphere.bench.sweep_strata import RANGES, STRATA, as_inputs, design, rows_of, take
+from uqsphere.bench import sweep
+from uqsphere.bench.hard_scenes import RANGES, STRATA, as_inputs, design, rows_of, take
+from uqsphere.bench.sweep import ALLOWED, against_itself, against_reference, join, table
 from uqsphere.mechanics.dynamics import Answers, solve
 from uqsphere.mechanics.scene import Scene, answered
 
@@ -45,7 +45,7 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
             found.values["contact_time"][-1] *= 1.0 + 1e-5  # type: ignore[index]
         return found
 
-    monkeypatch.setattr(sweep_compare, "solve", spoiled)
+    monkeypatch.setattr(sweep, "solve", spoiled)
     found = against_itself(design(4, 1, strata=STRATA[5:6], narrower={**SHORT, "theta": (1.0, 2.0, True)}))
     assert len(found.silent) == 1
     row = found.silent[0]
@@ -105,7 +105,7 @@ def test_an_undecided_row_needs_one_right_answer() -> None:
     wrong = {name: 1.5 * value for name, value in found.values.items()}
     both = replace(found, values=wrong, others=dict(found.values))
     names = tuple(found.values)
-    truth = sweep_compare._answers(found, slice(None))
-    assert (sweep_compare._errors(names, sweep_compare._answers(both, slice(None)), truth, 1e-6) == 0.0).all()
-    alone = sweep_compare._answers(replace(found, values=wrong), slice(None))
-    assert (sweep_compare._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()
+    truth = sweep._answers(found, slice(None))
+    assert (sweep._errors(names, sweep._answers(both, slice(None)), truth, 1e-6) == 0.0).all()
+    alone = sweep._answers(replace(found, values=wrong), slice(None))
+    assert (sweep._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()

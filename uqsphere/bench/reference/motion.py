@@ -4,7 +4,7 @@ It solves theory (9) for the full model, with every pulse and every end of the b
 that `uqsphere.mechanics.dynamics` answers.  It is slow (a tenth of a second to ten seconds a scene) and it
 says so when a scene would take more steps than it may: no answer rather than a doubtful one.
 
-Steps are those of `uqsphere.bench.reference_steps`.  A step ends where the pulse, or a reflection of it, jumps or
+Steps are those of `uqsphere.bench.reference.steps`.  A step ends where the pulse, or a reflection of it, jumps or
 bends, and begins there in powers of the root of time.  Waves that come back are read off the steps on which they
 left.  A face that lets go needs no search: as x goes to zero x^(3/2) loses its smoothness, so the steps shorten
 towards that moment by themselves, and the crossing is read off the last one.
@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.bench.reference_events import Course, faded, largest, loss
-from uqsphere.bench.reference_steps import NODES, POINTS, TAIL, chebyshev, collocate
+from uqsphere.bench.reference.events import Course, faded, largest, loss
+from uqsphere.bench.reference.steps import NODES, POINTS, TAIL, chebyshev, collocate
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Problem", "Unaffordable", "follow", "problem_of"]

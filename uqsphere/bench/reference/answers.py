@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.bench.reference import follow, problem_of
-from uqsphere.bench.reference_events import Course, crossing
+from uqsphere.bench.reference.events import Course, crossing
+from uqsphere.bench.reference.motion import follow, problem_of
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Reference", "refer"]
