@@ -216,3 +216,20 @@ def test_failed_rows_and_a_break_aim(study_from, tmp_path) -> None:
     assert drivers["given_failure"]["limits.high.strength"]["mean"]["value"] > 5.0
     sways = {row["input"]: row["sway"]["value"] for row in run.results["limits"]["high"]["measure_first"]["rows"]}
     assert sways["b"] < 0.0 < sways["limits.high.strength"]
+
+
+def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp_path) -> None:
+    """Ignorance of a strength that a Clayton copula ties to an input is not told, and said to be so."""
+    values = np.random.default_rng(2).normal(5.0, 1.5, 12)
+    (tmp_path / "tests.csv").write_text("s\n" + "\n".join(f"{value:.6f}" for value in values) + "\n")
+    text = BOX.replace(
+        'strength = { dist = "normal", mean = 5.0, sd = 1.5 }',
+        'strength = { dist = "empirical", file = "tests.csv", column = "s", fit = "normal" }',
+    )
+    assert text != BOX
+    text += '\n[[dependence]]\nof = ["a", "limits.high.strength"]\nkendall = 0.3\ncopula = "clayton"\n'
+    run = run_of(study_from, tmp_path, text, "analysis.accuracy.sobol=0.2")
+    limit = run.results["limits"]["high"]
+    assert "another than the Gaussian copula" in limit["ignorance"]["reason"]
+    tests = {row["input"]: row["observations"] for row in limit["measure_first"]["rows"]}
+    assert tests == {"a": None, "b": None, "c": None, "limits.high.strength": 12}

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.sensitivity import Pairs, Sensitivity, clean_rows, more_points, note
+from uqsphere.runner.sensitivity import Pairs, Sensitivity, clean_rows, note
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate
@@ -105,7 +105,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
     while True:
         # at least one more stage is wanted, or the loop would have ended
         affordable = (budget.evaluations - work.ledger.total) // (REPLICATES * design.rows)
-        count = min(more_points(start, list(widest.values()), asked), LEAST * (affordable // LEAST))
+        count = _more(start, max(widest.values()), asked, LEAST * (affordable // LEAST))
         if count < LEAST or count < 0.25 * start:
             stopped = "evaluations"
             break
@@ -140,6 +140,17 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
         q: _conclude(work.scene_names, refused[q], found.get(q), asked, given_up[q], design) for q in work.quantities
     }
     return Shared(sensitivity=answers, history=history, seconds=seconds, stopped=stopped, design=design, pairs=pairs)
+
+
+def _more(start: int, width: float, asked: float, affordable: int) -> int:
+    """Base points to add to every replicate: to twice or four times what is there, else what can be paid.
+
+    Quasi-random points are worth most at powers of two: half as many again can be worse than none more.
+    """
+    if start == 0:
+        return min(FIRST, affordable)
+    wanted = start if width <= 2.0 * asked else 3 * start
+    return wanted if wanted <= affordable else min(start, affordable)
 
 
 def _joined(one: Pairs, other: Pairs) -> Pairs:

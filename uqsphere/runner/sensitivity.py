@@ -23,7 +23,6 @@ __all__ = [
     "clean_rows",
     "dependent_names",
     "find_sensitivity",
-    "more_points",
     "note",
     "paired_or_plain",
     "pick_and_freeze",
@@ -160,7 +159,7 @@ def pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array
     return values, np.asarray(failed.any(axis=2))
 
 
-def more_points(start: int, widths: list[float], asked: float) -> int:
+def _more(start: int, widths: list[float], asked: float) -> int:
     """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
 
     The width of rough outputs falls with the root of the number of points, that of smooth ones faster.
@@ -261,7 +260,7 @@ def find_sensitivity(
     failed: npt.NDArray[np.bool_] | None = None
     control = control or IndexControl(used=False)
     while "sobol" in methods or "auto" in methods:
-        count = more_points(start, [w for q, w in widest.items() if not done[q]], asked)
+        count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
         if work.ledger.total + control.rows(REPLICATES * count * (len(names) + 2)) > budget.evaluations:
             stopped = "evaluations"
             break
