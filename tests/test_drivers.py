@@ -89,7 +89,7 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
     inputs = study_from(text=text).inputs()
     from uqsphere.uq.inputs import physical_from_normal
 
-    drawn = physical_from_normal(inputs, np.random.default_rng(5).standard_normal((200_000, 4)))
+    drawn = physical_from_normal(inputs, np.random.default_rng(5).standard_normal((60_000, 4)))
     at = {name: drawn[:, k] for k, name in enumerate(inputs.names)}
     failed = at["a"] + 2.0 * at["b"] > at["limits.high.strength"]
     found = run.results["limits"]["high"]["exceedance"]
