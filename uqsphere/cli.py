@@ -87,6 +87,13 @@ def build_parser() -> argparse.ArgumentParser:
     export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
     export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
 
+    given = command("analyse", "laws, dependence and drivers from a table of runs that were made already")
+    given.add_argument("data", metavar="DATA.csv", type=Path)
+    given.add_argument("--inputs", required=True, metavar="A,B", help="columns that went in, divided by commas")
+    given.add_argument("--outputs", required=True, metavar="Y,Z", help="columns that came out")
+    given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
+    given.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+
     listing = command("list", "what there is to choose from")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
     listing.add_argument("--json", action="store_true", help="print one JSON document on stdout")

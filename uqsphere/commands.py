@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.console import Progress, plain, table
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of
@@ -334,6 +334,31 @@ def _sweep(chosen: argparse.Namespace) -> int:
         _document(as_document(found))
     else:
         print(table(found))
+    return 0
+
+
+def command_analyse(chosen: argparse.Namespace) -> int:
+    """Analyse a table of runs."""
+    from uqsphere.given import analyse_data, analysis_text, read_data, study_text
+
+    def names(text: str) -> list[str]:
+        return [name.strip() for name in text.split(",") if name.strip()]
+
+    data = read_data(chosen.data, names(chosen.inputs), names(chosen.outputs))
+    found = analyse_data(data)
+    if chosen.out is not None:
+        if chosen.out.exists() and any(chosen.out.iterdir()) and not (chosen.out / "analysis.json").is_file():
+            raise FolderError(f"{chosen.out} is not empty and holds no analysis: choose another with --out")
+        chosen.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(found, indent=1, allow_nan=False) + "\n"
+        (chosen.out / "analysis.json").write_text(text, encoding="utf-8")
+        (chosen.out / "inputs.toml").write_text(study_text(found), encoding="utf-8")
+    if chosen.json:
+        _document(found)
+    else:
+        print(analysis_text(found))
+        if chosen.out is not None:
+            print(f"\nwritten to {chosen.out}: analysis.json, and inputs.toml to begin a study with")
     return 0
 
 
