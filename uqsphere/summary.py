@@ -81,9 +81,18 @@ def summary_of(results: dict[str, Any]) -> str:
         (quantity, name, _estimate(entry["first"][name]), _estimate(entry["total"][name]))
         for quantity, entry in results["sensitivity"].items()
         for name in entry["first"]
+        if not entry.get("shapley")
     ]
     if rows:
         parts += [table(("quantity", "input", "first-order index", "total index"), rows), ""]
+    rows = [
+        (quantity, name, _estimate(effect), *(_estimate(entry["kucherenko"][o][name]) for o in ("first", "total")))
+        for quantity, entry in results["sensitivity"].items()
+        for name, effect in entry.get("shapley", {}).items()
+    ]
+    if rows:
+        header = ("quantity", "input", "Shapley effect", "Kucherenko, first", "Kucherenko, total")
+        parts += [table(header, rows), ""]
     rows = [
         (name, f"{float(p):g}", _estimate(e, entry["solve"]))
         for name, entry in results["margins"].items()

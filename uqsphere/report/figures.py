@@ -329,6 +329,8 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     entry = contents.results["sensitivity"].get(quantity)
     rows = ranked(entry)
     name = symbol(quantity)
+    if not rows and entry and entry.get("shapley"):
+        return _shared_finding(entry["shapley"], name)
     if not rows or entry is None:
         reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
         return f"What drives {name} is not known: {reason}."
@@ -338,6 +340,16 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     if len(parts) > 1:
         text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
     return text + ("." if acting else ". Interactions are not seen above the intervals.")
+
+
+def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
+    """Who owns the variance where inputs depend on each other."""
+    known = {n: float(e["value"]) for n, e in shapley.items() if e["value"] is not None}
+    if not known:
+        reason = next((str(e.get("reason")) for e in shapley.values()), "no effects were computed")
+        return f"What drives {name} is not known: {reason}."
+    shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
+    return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
 
 
 def _seen(estimate: Mapping[str, Any]) -> bool:

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.report import canvas, decision, figures, progress, sections
+from uqsphere.report import canvas, decision, drivers, figures, progress, sections
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, verdicts
@@ -80,6 +80,7 @@ def _parts(contents: Contents) -> dict[str, list[Block]]:
             "distributions": [_distribution(contents, name) for name in contents.results["quantities"]],
             "sensitivity": [_sensitivity(contents, name) for name in contents.results["sensitivity"]],
             "margins": _margins(contents),
+            "drivers": _drivers(contents),
             "convergence": _convergence(contents),
         }
     )
@@ -131,9 +132,42 @@ def _sensitivity(contents: Contents, name: str) -> Block:
         heading=symbol(name),
         finding=finding,
         picture=picture,
-        table=sections.index_table(contents, name),
+        table=sections.index_table(contents, name) or drivers.shapley_table(contents, name),
         remarks=tuple(text for text in remarks if text),
     )
+
+
+def _drivers(contents: Contents) -> list[Block]:
+    """What drives each limit, what moves the laws of the quantities, and what to measure first."""
+    blocks = []
+    for name, limit in contents.results["limits"].items():
+        if not limit.get("drivers"):
+            continue
+        called, first = limit_name(name), limit.get("measure_first")
+        blocks += [
+            Block(
+                heading=f"Missing the aim of {called}",
+                finding=drivers.failure_finding(contents, name),
+                table=drivers.failure_table(contents, name),
+            ),
+            Block(heading=f"Inputs where {called} is missed", table=drivers.given_failure_table(contents, name)),
+            Block(
+                heading=f"What to measure first for {called}",
+                finding=drivers.measure_finding(first),
+                table=drivers.measure_table(first, f"What better known laws are worth, {called}"),
+            ),
+        ]
+    for name, entry in contents.results["sensitivity"].items():
+        first = entry.get("measure_first")
+        blocks += [
+            Block(heading=f"{symbol(name)} beyond its variance", table=drivers.distances_table(contents, name)),
+            Block(
+                heading=f"What to measure first for {symbol(name)}",
+                finding=drivers.measure_finding(first),
+                table=drivers.measure_table(first, f"What the variance of {symbol(name)} would lose"),
+            ),
+        ]
+    return [block for block in blocks if block.table is not None]
 
 
 def _margins(contents: Contents) -> list[Block]:

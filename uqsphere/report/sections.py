@@ -268,11 +268,14 @@ def fixed_table(contents: Contents) -> Table | None:
 
 def dependence_texts(contents: Contents) -> list[str]:
     """The rank correlations in sentences."""
-    return [
-        f"{' and '.join(input_name(n) for n in group['of'])}: Spearman rank correlation {group['spearman']:g}, "
-        f"{str(group['copula']).capitalize()} copula."
-        for group in contents.resolved.get("dependence", [])
-    ]
+    texts = []
+    for group in contents.resolved.get("dependence", []):
+        named = [(f"{key.capitalize()} rank correlation", group.get(key)) for key in ("spearman", "kendall")]
+        strength = next((f"{word} {value:g}" for word, value in named if value is not None), "dependent")
+        copula = str(group["copula"]).replace("_", " ").capitalize()
+        freedom = f" with {group['dof']:g} degrees of freedom" if group.get("dof") else ""
+        texts.append(f"{' and '.join(input_name(n) for n in group['of'])}: {strength}, {copula} copula{freedom}.")
+    return texts
 
 
 # --- what was asked, the model, how to repeat ---------------------------------------------------------
@@ -309,8 +312,10 @@ def accuracy_table(contents: Contents) -> Table:
             asked["quantile"],
         )
     for name, entry in contents.results["sensitivity"].items():
-        widths = [w for order in ("first", "total") for w in map(_half, entry[order].values()) if w is not None]
-        add(f"worst Sobol’ index of {symbol(name)}", max(widths, default=None), asked["sobol"])
+        found = [entry["first"], entry["total"], entry.get("shapley") or {}, *(entry.get("kucherenko") or {}).values()]
+        widths = [w for table in found for w in map(_half, table.values()) if w is not None]
+        kind = "Shapley effect or index" if entry.get("shapley") else "Sobol’ index"
+        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked["sobol"])
     for name, limit in contents.results["limits"].items():
         width, value = _half(limit["miss"]), limit["miss"]["value"]
         add(

@@ -169,6 +169,8 @@ def run(
 
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.dependent import share_variance
+    from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
@@ -176,7 +178,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
     from uqsphere.runner.sampling import sample_distributions
-    from uqsphere.runner.sensitivity import find_sensitivity
+    from uqsphere.runner.sensitivity import dependent_names, find_sensitivity
 
     ledger = work.ledger
     pilot = first_look(work)
@@ -193,14 +195,20 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
                 notice(f"limit {name}: probability of missing its aim {interval}")
     margins = find_margins(work)
     ledger.seconds["margins"] = ledger.elapsed
-    sensitivity, history, seconds, stopped, index_control = find_sensitivity(
+    sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
     )
+    shared = share_variance(work, sensitivity) if dependent_names(work) else None
+    if shared is not None:
+        sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
     ledger.seconds["sensitivity"] = ledger.elapsed
+    drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
+    ledger.seconds["drivers"] = ledger.elapsed
     found = Findings(
         pilot=pilot,
         sampled=sampled,
         sensitivity=sensitivity,
+        drivers=drivers,
         index_control=index_control,
         margins=margins,
         history=sampled.history + history,

@@ -21,7 +21,7 @@ from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf, is_steps
 from uqsphere.uq.ignorance import is_fitted, possible_densities, possible_tails
-from uqsphere.uq.inputs import conditional_normal
+from uqsphere.uq.inputs import conditional_normal, tied_names
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.reliability import shifted_tails, strength_tails
 from uqsphere.uq.sampling import random_generator
@@ -77,12 +77,10 @@ def _fitted(work: Work, names: tuple[str, ...]) -> dict[str, Law]:
 
 def _refuse_dependent(work: Work, names: Iterable[str]) -> None:
     """Inputs that depend on each other cannot be weighted one by one; a strength may depend on them."""
-    drawn = work.drawn
+    tied = tied_names(work.drawn)
     for name in names:
-        if name in drawn.names and drawn.correlation is not None:
-            k = drawn.names.index(name)
-            if np.any(np.delete(drawn.correlation[k], k)):
-                raise _Unanswerable(f"{name} depends on other inputs, and the tests say nothing of their dependence")
+        if name in tied:
+            raise _Unanswerable(f"{name} depends on other inputs, and the tests say nothing of their dependence")
 
 
 def _columns(work: Work, fitted: dict[str, Law], points: Draw) -> dict[str, Array]:
@@ -156,6 +154,8 @@ def _moving(
     inputs = {name: law for name, law in fitted.items() if name != key}
     _refuse_dependent(work, inputs)
     state = state_of(work, limit, points, sample)
+    if state.tie is not None:
+        raise _Unanswerable("another than the Gaussian copula ties the strength to inputs")
     keep = ~state.broken.ravel()
     columns = {name: column[keep] for name, column in _columns(work, inputs, points).items()}
     weights = {name: _weights(work, name, law, columns[name]) for name, law in inputs.items()}

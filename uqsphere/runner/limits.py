@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +12,18 @@ from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf
 from uqsphere.uq.estimates import Estimate, exact
-from uqsphere.uq.inputs import conditional_normal
-from uqsphere.uq.reliability import LimitState, exceedance, margin_quantiles, miss, reliability_index, target_met
+from uqsphere.uq.inputs import conditional_normal, normal_scores, strength_tie
+from uqsphere.uq.reliability import (
+    LimitState,
+    exceedance,
+    margin_quantiles,
+    miss,
+    reliability_index,
+    score_given_inputs,
+    target_met,
+)
 
-__all__ = ["LimitAnswer", "judge_limits", "state_of"]
+__all__ = ["LimitAnswer", "judge_limits", "state_of", "tie_strength"]
 
 Array = npt.NDArray[np.float64]
 
@@ -61,24 +70,29 @@ def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitSta
         demands = demands * points.physical[:, :, names.index(f"limits.{limit.name}.model_factor")]
     else:
         demands = demands * limit.model_factor
-    shift, remaining = None, 1.0
-    if isinstance(limit.strength, Law):
-        weights, remaining = conditional_normal(work.all_inputs, f"limits.{limit.name}.strength", names)
-        if np.any(weights):
-            scores = points.normals
-            if work.drawn.correlation is not None:
-                scores = scores @ np.linalg.cholesky(work.drawn.correlation).T
-            shift = scores @ weights
     policy = work.study.analysis.on_failure
-    return LimitState(
+    state = LimitState(
         demands=demands,
         strength=limit.strength,
-        shift=shift,
-        remaining_sd=remaining,
         censored=values.censored[:, :, k],
         failed=values.failed,
         on_failure="drop" if policy == "abort" else policy,
     )
+    if not isinstance(limit.strength, Law) or not work.study.dependence:
+        return state
+    scores = normal_scores(work.drawn, points.normals.reshape(-1, len(names))).reshape(points.normals.shape)
+    return tie_strength(work, limit, state, names, scores)
+
+
+def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[str], scores: Array) -> LimitState:
+    """The state with what the dependent scores (R, n, d) of `names` tell of the strength."""
+    if not isinstance(limit.strength, Law):
+        return state
+    strength = f"limits.{limit.name}.strength"
+    weights, remaining = conditional_normal(work.all_inputs, strength, names)
+    shift = scores @ weights if np.any(weights) else None
+    tie = strength_tie(work.all_inputs, strength, names, scores)
+    return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
 
 
 def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dict[str, float] | None:
@@ -93,9 +107,7 @@ def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dic
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
             score = np.asarray(ndtri(cdf(limit.strength, np.where(keep, state.demands, 0.0))))
-        if state.shift is not None:
-            score = score - state.shift
-        score = np.clip(score / max(state.remaining_sd, 1e-12), -37.0, 37.0)
+        score = np.clip(score_given_inputs(state, score), -37.0, 37.0)
         weight = np.where(keep, ndtr(score), 0.0)
         own = -float(np.exp(-0.5 * score**2)[keep].sum()) / np.sqrt(2.0 * np.pi)
     else:

@@ -13,7 +13,7 @@ from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate
 from uqsphere.study import Limit, Study, law_with_mean
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.reliability import LimitState, exceedance
+from uqsphere.uq.reliability import LimitState, exceedance, pick_replicates
 
 __all__ = ["MarginAnswer", "find_margins"]
 
@@ -70,14 +70,7 @@ def _probabilities(state: LimitState) -> Array:
     found = []
     for r in range(state.demands.shape[0]):
         # two copies of one row: the value is that row's own
-        rows = np.array([r, r])
-        row = replace(
-            state,
-            demands=state.demands[rows],
-            shift=None if state.shift is None else state.shift[rows],
-            censored=None if state.censored is None else state.censored[rows],
-            failed=None if state.failed is None else state.failed[rows],
-        )
+        row = pick_replicates(state, [r, r])
         value = exceedance(row).value
         found.append(np.nan if value is None else value)
     return np.array(found)

@@ -16,7 +16,7 @@ from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Description, Estimate
-from uqsphere.uq.reliability import LimitState, exceedance, miss, reliability_index, target_met
+from uqsphere.uq.reliability import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
 
 __all__ = ["Control", "Plan", "follow", "needed", "propose", "verdict", "weigh"]
 
@@ -253,9 +253,7 @@ def _by_replicate(state: LimitState, answer: Callable[[LimitState], Estimate]) -
     found = []
     for r in range(state.demands.shape[0]):
         # two copies of one row: the value is that row's own
-        rows = np.array([r, r])
-        row = replace(state, demands=state.demands[rows], censored=None, failed=None,
-                      shift=None if state.shift is None else state.shift[rows])  # fmt: skip
+        row = replace(pick_replicates(state, [r, r]), censored=None, failed=None)
         value = answer(row).value
         if value is None:
             return None

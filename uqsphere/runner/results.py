@@ -12,6 +12,7 @@ from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
@@ -47,6 +48,7 @@ class Findings:
     pilot: Pilot
     sampled: Sampled
     sensitivity: dict[str, Sensitivity]
+    drivers: Drivers = field(default_factory=lambda: Drivers(quantities={}, limits={}))
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
@@ -96,7 +98,7 @@ def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
     return {name: estimate.as_dict() for name, estimate in table.items()}
 
 
-def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[str, Any]:
+def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity], drivers: Drivers) -> dict[str, Any]:
     answer = {}
     for quantity, indices in found.items():
         answer[quantity] = {
@@ -113,7 +115,11 @@ def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[st
                     order: _estimates(dict(zip(names, row, strict=True))) for order, row in indices.expanded.items()
                 },
             },
+            **drivers.quantities.get(quantity, {}),
         }
+        if indices.shapley:
+            answer[quantity]["shapley"] = _estimates(indices.shapley)
+            answer[quantity]["kucherenko"] = {order: _estimates(row) for order, row in indices.kucherenko.items()}
     return answer
 
 
@@ -176,9 +182,14 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             name: {**entry, "ignorance": quantities_open.get(name)}
             for name, entry in _quantities(found.sampled).items()
         },
-        "sensitivity": _sensitivity(work.scene_names, found.sensitivity),
+        "sensitivity": _sensitivity(work.scene_names, found.sensitivity, found.drivers),
         "limits": {
-            name: {**_limit(limit), "ignorance": limits_open.get(name)} for name, limit in found.sampled.limits.items()
+            name: {
+                **_limit(limit),
+                "ignorance": limits_open.get(name),
+                **found.drivers.limits.get(name, {}),
+            }
+            for name, limit in found.sampled.limits.items()
         },
         "margins": _margins(found.margins),
         "model": {
@@ -243,6 +254,29 @@ def _row(estimate: Mapping[str, Any]) -> list[Any]:
     return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
 
 
+def _index_tables(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """First and total indices, and what takes their place where inputs depend on each other, by order."""
+    found = [("first", entry["first"]), ("total", entry["total"])]
+    if entry.get("shapley"):
+        found.append(("shapley", entry["shapley"]))
+        found += [(f"kucherenko {order}", table) for order, table in entry["kucherenko"].items()]
+    return found
+
+
+def _driver_rows(results: Mapping[str, Any]) -> list[list[Any]]:
+    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and specimens of both."""
+    rows: list[list[Any]] = []
+    for kind in ("sensitivity", "limits"):
+        for name, entry in results[kind].items():
+            tables = [(key, entry[key]) for key in ("delta", "pawn") if kind == "sensitivity" and key in entry]
+            tables += _index_tables(entry["drivers"]) if kind == "limits" and "drivers" in entry else []
+            rows += [[name, what, n, *_row(e), ""] for what, table in tables for n, e in table.items()]
+            for row in (entry.get("measure_first") or {}).get("rows", ()):
+                what = "sway" if "sway" in row else "share"
+                rows.append([name, what, row["input"], *_row(row[what]), row["tests"]])
+    return rows
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -254,8 +288,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     index_rows = [
         [quantity, order, name, *_row(estimate)]
         for quantity, entry in results["sensitivity"].items()
-        for order in ("first", "total")
-        for name, estimate in entry[order].items()
+        for order, table in _index_tables(entry)
+        for name, estimate in table.items()
     ]
     limit_rows = []
     for name, entry in results["limits"].items():
@@ -276,6 +310,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
         "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
         "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "drivers": (("of", "statistic", "input", *_ESTIMATE, "specimens"), _driver_rows(results)),
         "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
         "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),

@@ -15,8 +15,18 @@ from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.inputs import tied_names
 
-__all__ = ["Sensitivity", "find_sensitivity", "pick_and_freeze"]
+__all__ = [
+    "Pairs",
+    "Sensitivity",
+    "clean_rows",
+    "dependent_names",
+    "find_sensitivity",
+    "note",
+    "paired_or_plain",
+    "pick_and_freeze",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +46,11 @@ CHAOS = "polynomial chaos"
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Indices of one quantity: which are given, both ways that found them, and how they agree."""
+    """Indices of one quantity: which are given, both ways that found them, and how they agree.
+
+    Where inputs depend on each other `first` and `total` are absent, and `shapley` and `kucherenko` ("first" and
+    "total" of each input) take their place.
+    """
 
     first: dict[str, Estimate]
     total: dict[str, Estimate]
@@ -46,15 +60,21 @@ class Sensitivity:
     agree: bool | None
     text: str
     missed: list[str] = field(default_factory=list)
+    shapley: dict[str, Estimate] = field(default_factory=dict)
+    kucherenko: dict[str, dict[str, Estimate]] = field(default_factory=dict)
 
 
-def _dependent(work: Work) -> list[str]:
+@dataclass(frozen=True, kw_only=True)
+class Pairs:
+    """Runs of a design that share inputs: values (R, N, rows, q), base points with a failure (R, N)."""
+
+    values: Array
+    failed: npt.NDArray[np.bool_]
+
+
+def dependent_names(work: Work) -> list[str]:
     """Model inputs that depend on another model input."""
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
-    if inputs.correlation is None:
-        return []
-    off = np.abs(inputs.correlation - np.eye(len(inputs.names))).max(axis=1) > 0.0
-    return [name for name, tied in zip(inputs.names, off, strict=True) if tied]
+    return tied_names(sub_inputs(work.all_inputs, work.scene_names))
 
 
 def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any]]:
@@ -151,7 +171,7 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
 
-def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
+def paired_or_plain(outputs: Array) -> dict[str, list[Estimate]]:
     """Indices off the design: SALib's estimators for small indices, those of pairs of runs for large ones.
 
     The size decides and not the interval, so that nothing is chosen for having come out narrow.
@@ -180,7 +200,7 @@ def _believable(estimates: list[Estimate]) -> list[Estimate]:
     ]
 
 
-def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
+def clean_rows(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
     """The same number of base points without a failure from every replicate, (R, N', d + 2, q)."""
     if not failed.any():
         return values
@@ -190,23 +210,25 @@ def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
 
 def find_sensitivity(
     work: Work, sampled: Sampled, control: IndexControl | None = None
-) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str, IndexControl]:
-    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped; the control variate.
+) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str, IndexControl, Pairs | None]:
+    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped; the control variate;
+    the runs that were paired.
 
     A control variate that is proposed is tried where the first stage is not accurate enough.
     """
     names = work.scene_names
     if not names:
         refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
-        return refused, [], [], "accuracy", IndexControl(used=False)
-    tied = _dependent(work)
+        return refused, [], [], "accuracy", IndexControl(used=False), None
+    tied = dependent_names(work)
     if tied:
         reason = (
             f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
-            "dependent inputs: remove the dependence to see what each would do alone"
+            "dependent inputs: read Shapley effects and Kucherenko's indices, or remove the dependence to see what "
+            "each would do alone"
         )
         refused = {q: _refused(work, reason) for q in work.quantities}
-        return refused, [], [], "accuracy", IndexControl(used=False)
+        return refused, [], [], "accuracy", IndexControl(used=False), None
     methods = work.study.analysis.methods
     asked = work.study.analysis.accuracy.sobol
     history: list[dict[str, Any]] = []
@@ -215,7 +237,7 @@ def find_sensitivity(
     for k, quantity in enumerate(work.quantities):
         if "pce" in methods or "auto" in methods:
             expanded[quantity], about[quantity] = _expansions(work, sampled, k)
-            _note(
+            note(
                 history,
                 seconds,
                 work,
@@ -251,8 +273,8 @@ def find_sensitivity(
         values = more if values is None else np.concatenate([values, more], axis=1)
         failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
         start += count
-        clean = _clean(values, failed)
-        found = {quantity: _sampled(clean[..., k]) for k, quantity in enumerate(work.quantities)}
+        clean = clean_rows(values, failed)
+        found = {quantity: paired_or_plain(clean[..., k]) for k, quantity in enumerate(work.quantities)}
         lacking = [q for q in work.quantities if not _accurate(found[q], expanded[q], asked)]
         try:
             control, found = sharpen(work, control, pick_and_freeze, values, failed, found, lacking)
@@ -270,7 +292,7 @@ def find_sensitivity(
                 affordable = spent + budget.evaluations - work.ledger.total
                 given_up[quantity] = "" if done[quantity] else out_of_reach(course[quantity], asked, affordable)
             if widths:
-                _note(
+                note(
                     history,
                     seconds,
                     work,
@@ -295,10 +317,11 @@ def find_sensitivity(
         seconds,
         stopped,
         control,
+        None if values is None or failed is None else Pairs(values=values, failed=failed),
     )
 
 
-def _note(
+def note(
     history: list[dict[str, Any]],
     seconds: list[float],
     work: Work,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -27,10 +27,21 @@ from uqsphere.model import (
 )
 from uqsphere.store import Store
 from uqsphere.study import Study
-from uqsphere.uq.inputs import Inputs, physical_from_normal
+from uqsphere.uq.inputs import Inputs, physical_from_normal, sub_inputs
 from uqsphere.uq.sampling import sobol_points
 
-__all__ = ["CHUNK", "REPLICATES", "Draw", "Executor", "Ledger", "OutOfBudget", "Sample", "Work", "evaluate_points"]
+__all__ = [
+    "CHUNK",
+    "REPLICATES",
+    "Draw",
+    "Executor",
+    "Ledger",
+    "OutOfBudget",
+    "Sample",
+    "Work",
+    "evaluate_points",
+    "sub_inputs",
+]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -152,17 +163,6 @@ class Work:
         ]
         names = [*self.scene_names, *factors]
         return sub_inputs(self.all_inputs, names)
-
-
-def sub_inputs(inputs: Inputs, names: Sequence[str]) -> Inputs:
-    """Some of the inputs, with what ties them to each other."""
-    at = [inputs.names.index(name) for name in names]
-    correlation = None
-    if inputs.correlation is not None:
-        correlation = inputs.correlation[np.ix_(at, at)]
-        if not np.any(correlation - np.eye(len(at))):
-            correlation = None
-    return Inputs(names=tuple(names), laws=tuple(inputs.laws[k] for k in at), correlation=correlation)
 
 
 def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replicates: int = REPLICATES) -> Draw:

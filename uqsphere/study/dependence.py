@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Dependence
+from uqsphere.study.nouns import Dependence, tie_of
 from uqsphere.study.schema import DependenceTable
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.copulas import COPULAS
+from uqsphere.uq.laws import LawError, make_law
 
 __all__ = ["read_dependence"]
 
-LATER_COPULAS: Final = ("student_t", "clayton", "gumbel", "frank")
 MOST_DEPENDENCES: Final = 100
 
 
@@ -42,12 +42,9 @@ def _read_group(
 ) -> Dependence | None:
     before = len(findings.faults)
     usable = findings.clean(place)
-    if table.copula in LATER_COPULAS:
-        said = f'the copula {shown(table.copula)} is not in this version; allowed: "gaussian"'
-        findings.add((*place, "copula"), said)
-    elif table.copula != "gaussian":
-        near = suggestion(table.copula, ["gaussian"])
-        findings.add((*place, "copula"), f'unknown copula {shown(table.copula)}, allowed: "gaussian"{near}')
+    if table.copula not in COPULAS:
+        near = suggestion(table.copula, COPULAS)
+        findings.add((*place, "copula"), f"unknown copula {shown(table.copula)}, allowed: {one_of(COPULAS)}{near}")
     if table.of is None:
         if findings.clean((*place, "of")):
             findings.add((*place, "of"), "of is missing: add the names of two or more random inputs")
@@ -58,15 +55,31 @@ def _read_group(
             findings.add((*place, "of", index), f"{shown(name)} is named twice")
         elif name not in random:
             usable = _refuse_unrandom(name, (*place, "of", index), random, fixed, findings) and usable
-    if table.spearman is None:
-        if findings.clean((*place, "spearman")):
-            findings.add((*place, "spearman"), "spearman is missing: add a rank correlation between -1 and 1")
-    elif not -1.0 < table.spearman < 1.0:
-        found = f"found {table.spearman!r}, a rank correlation between -1 and 1, both excluded, is due"
-        findings.add((*place, "spearman"), found)
-    if len(findings.faults) > before or not usable or table.of is None or table.spearman is None:
+    _check_strength(table, place, findings)
+    if len(findings.faults) > before or not usable or table.of is None:
         return None
-    return Dependence(of=tuple(table.of), copula=table.copula, spearman=table.spearman)
+    return Dependence(
+        of=tuple(table.of), copula=table.copula, spearman=table.spearman, kendall=table.kendall, dof=table.dof
+    )
+
+
+def _check_strength(table: DependenceTable, place: Place, findings: Findings) -> None:
+    """One rank correlation, within its range, and the degrees of freedom where they belong."""
+    for key, value in (("spearman", table.spearman), ("kendall", table.kendall)):
+        if value is not None and not -1.0 < value < 1.0:
+            found = f"found {value!r}, a rank correlation between -1 and 1, both excluded, is due"
+            findings.add((*place, key), found)
+    if table.spearman is not None and table.kendall is not None:
+        findings.add((*place, "kendall"), "spearman is given too: one of them says how strong the dependence is")
+    sound = findings.clean((*place, "spearman")) and findings.clean((*place, "kendall"))
+    if table.spearman is None and table.kendall is None and sound:
+        missing = "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place"
+        findings.add((*place, "spearman"), missing)
+    if table.copula == "student_t" and table.dof is None:
+        if findings.clean((*place, "dof")):
+            findings.add((*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say")
+    elif table.copula in COPULAS and table.copula != "student_t" and table.dof is not None:
+        findings.add((*place, "dof"), f'dof belongs to copula = "student_t", the copula here is {shown(table.copula)}')
 
 
 def _refuse_unrandom(
@@ -84,14 +97,18 @@ def _refuse_unrandom(
 
 def _check_together(groups: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
     """Refuse the first dependence that contradicts those before it."""
-    from uqsphere.uq.inputs import correlation_from_spearman
+    from uqsphere.uq.inputs import make_inputs
 
     # Only the names that are tied matter, and a study can have many more.
     tied = [name for name in random if any(name in group.of for group in groups)]
-    pairs = [(group.of, group.spearman) for group in groups]
-    for count in range(1, len(pairs) + 1):
+    ties = [tie_of(group) for group in groups]
+    unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
+    for count in range(1, len(ties) + 1):
         try:
-            correlation_from_spearman(tied, pairs[:count])
+            make_inputs(tied, [unit] * len(tied), ties[:count])
         except LawError as error:
-            findings.add(("dependence", count - 1, *((error.key,) if error.key else ())), error.message)
+            key = error.key
+            if key == "spearman" and ties[count - 1].spearman is None:
+                key = "kendall"
+            findings.add(("dependence", count - 1, *((key,) if key else ())), error.message)
             return

@@ -16,6 +16,7 @@ from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.study.requests import METHODS
 from uqsphere.study.scene import PULSE_KEYS
 from uqsphere.study.schema import Aim, Fidelity, OnFailure
+from uqsphere.uq.copulas import COPULAS, LEAST_DOF, MOST_DOF
 from uqsphere.uq.laws import LAWS
 
 __all__ = ["build_schema"]
@@ -186,14 +187,22 @@ def _limit() -> Node:
 
 def _dependence() -> Node:
     correlation = {"type": "number", "exclusiveMinimum": -1, "exclusiveMaximum": 1}
-    return _table(
+    table = _table(
         {
             "of": _list(_text("random input"), least=2),
-            "copula": _words(["gaussian"], "how they depend"),
+            "copula": _words(COPULAS, "how they depend"),
             "spearman": correlation | {"description": "rank correlation of every pair"},
+            "kendall": correlation | {"description": "in place of spearman: Kendall's rank correlation of every pair"},
+            "dof": {
+                "type": "number",
+                "minimum": LEAST_DOF,
+                "maximum": MOST_DOF,
+                "description": "degrees of freedom of a Student t copula",
+            },
         },
-        ("of", "spearman"),
+        ("of",),
     )
+    return table | {"oneOf": [{"required": ["spearman"]}, {"required": ["kendall"]}]}
 
 
 def _analysis() -> Node:

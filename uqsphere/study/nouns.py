@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
 
 if TYPE_CHECKING:
+    from uqsphere.uq.inputs import Dependence as Tie
     from uqsphere.uq.inputs import Inputs
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Source",
     "Study",
     "law_with_mean",
+    "tie_of",
 ]
 
 
@@ -98,11 +100,13 @@ class Margins:
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """One rank correlation, for every pair of the names."""
+    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
 
     of: tuple[str, ...]
-    spearman: float
+    spearman: float | None = None
     copula: str = "gaussian"
+    kendall: float | None = None
+    dof: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,12 +176,10 @@ class Study:
 
     def inputs(self) -> Inputs:
         """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
-        from uqsphere.uq.inputs import Inputs, correlation_from_spearman
+        from uqsphere.uq.inputs import make_inputs
 
         laws = self.laws()
-        groups = [(group.of, group.spearman) for group in self.dependence]
-        correlation = correlation_from_spearman(tuple(laws), groups) if groups else None
-        return Inputs(names=tuple(laws), laws=tuple(laws.values()), correlation=correlation)
+        return make_inputs(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
@@ -199,9 +201,7 @@ class Study:
             "sources": {name: asdict(source) for name, source in self.sources.items()},
             "model": None if self.black_box else asdict(self.model),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
-            "dependence": [
-                {"of": list(group.of), "copula": group.copula, "spearman": group.spearman} for group in self.dependence
-            ],
+            "dependence": [_dependence_json(group) for group in self.dependence],
             "analysis": _lists(asdict(self.analysis)),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
@@ -220,6 +220,19 @@ def law_with_mean(study: Study, name: str, mean: float) -> Law:
     if "mean" not in given:
         raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
     return make_law(law.kind, {**given, "mean": mean}, lower=_bound(law.lower), upper=_bound(law.upper))
+
+
+def tie_of(group: Dependence) -> Tie:
+    """A dependence as the uncertainty side reads it."""
+    from uqsphere.uq.inputs import Dependence as Tie
+
+    return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
+
+
+def _dependence_json(group: Dependence) -> dict[str, Any]:
+    """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
+    table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
+    return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
 
 
 def _bound(value: float) -> float | None:

@@ -112,6 +112,8 @@ class DependenceTable(Table):
     of: list[str] | None = None
     copula: str = "gaussian"
     spearman: float | None = None
+    kendall: float | None = None
+    dof: float | None = None
 
 
 class AccuracyTable(Table):

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from uqsphere.uq.archimedean import FARTHEST
+from uqsphere.uq.copulas import Tie, conditional_score
 from uqsphere.uq.distribution import Law, cdf, is_steps, ppf, sf
 from uqsphere.uq.estimates import Estimate, Flags, absent, quantile_estimates, student
 from uqsphere.uq.families import Array
@@ -22,9 +24,12 @@ __all__ = [
     "exceedance",
     "margin_quantiles",
     "miss",
+    "pick_replicates",
     "reliability_index",
+    "score_given_inputs",
     "shifted_tails",
     "strength_tails",
+    "tails",
     "target_met",
 ]
 
@@ -34,15 +39,19 @@ class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
     `strength` is a number or a law.  `shift` (R, n) and `remaining_sd` describe a strength that depends on
-    the inputs: its normal score is shift + remaining_sd · ε (`inputs.conditional_normal`).  `censored`
-    demands are known only to exceed their value; `failed` rows (and demands that are nan) are left out
-    (`on_failure` "drop") or counted once as exceeding and once as not ("bound"), never as survival.
+    the inputs by the Gaussian copula: its normal score is shift + remaining_sd · ε, the shift being the inputs'
+    scores times `weights` (`inputs.conditional_normal`).  `tie`, with given scores (R, n, k), is one that depends
+    on them by another copula (`inputs.strength_tie`).  `censored` demands are known only to exceed their value;
+    `failed` rows (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
+    once as not ("bound"), never as survival.
     """
 
     demands: Array
     strength: Law | float
     shift: Array | None = None
     remaining_sd: float = 1.0
+    weights: tuple[float, ...] = ()
+    tie: Tie | None = None
     censored: Flags | None = None
     failed: Flags | None = None
     on_failure: str = "drop"
@@ -83,14 +92,42 @@ def strength_tails(
     return (below, above) if shift is None else shifted_tails(below, above, shift, remaining_sd)
 
 
-def _tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
+def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0 and 0."""
     broken = state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
     below, above = strength_tails(state.strength, demands, state.shift, state.remaining_sd)
+    if state.tie is not None:
+        below, above = _tied_tails(state, below, above)
     if broken.any():
         below, above = np.where(broken, 0.0, below), np.where(broken, 0.0, above)
     return below, above
+
+
+def score_given_inputs(state: LimitState, score: Array) -> Array:
+    """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own law is `score`."""
+    if state.tie is not None:
+        copula, given = state.tie.copula, state.tie.given
+        known = given.reshape(-1, given.shape[-1])
+        last = copula.size - 1
+        near = np.clip(score, -FARTHEST, FARTHEST)
+        found = conditional_score(copula, last, range(last), known, near.reshape(-1)).reshape(score.shape)
+        return np.where(np.isinf(score), score, found)
+    if state.shift is None:
+        return score
+    if state.remaining_sd == 0.0:
+        return np.where(score > state.shift, math.inf, -math.inf)
+    return np.asarray((score - state.shift) / state.remaining_sd)
+
+
+def _tied_tails(state: LimitState, below: Array, above: Array) -> tuple[Array, Array]:
+    """The two tails given the inputs that another copula ties the strength to."""
+    from scipy.special import ndtr, ndtri
+
+    with np.errstate(divide="ignore"):
+        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
+    score = score_given_inputs(state, score)
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 
 def shifted_tails(below: Array, above: Array, shift: Array, remaining: float) -> tuple[Array, Array]:
@@ -103,6 +140,20 @@ def shifted_tails(below: Array, above: Array, shift: Array, remaining: float) ->
             return (score > 0.0).astype(float), (score <= 0.0).astype(float)
         score = score / remaining
     return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+
+
+def pick_replicates(state: LimitState, rows: Sequence[int]) -> LimitState:
+    """The state of some of the replicates, in the order given; one may come twice."""
+    at = np.asarray(rows)
+    tie = None if state.tie is None else replace(state.tie, given=state.tie.given[at])
+    return replace(
+        state,
+        demands=state.demands[at],
+        shift=None if state.shift is None else state.shift[at],
+        tie=tie,
+        censored=None if state.censored is None else state.censored[at],
+        failed=None if state.failed is None else state.failed[at],
+    )
 
 
 def _interval(event: Array, other: Array, counts: Array, resolution: float) -> tuple[float, float, float, float]:
@@ -128,7 +179,7 @@ def _interval(event: Array, other: Array, counts: Array, resolution: float) -> t
 
 def _estimate(state: LimitState, breaking: bool) -> Estimate:
     """Probability of exceedance (breaking False) or of its complement."""
-    below, above = _tails(state)
+    below, above = tails(state)
     broken, late = state.broken, state.late
     total = int(state.demands.size)
     kept_counts = (~broken).sum(axis=1).astype(float)
@@ -270,11 +321,11 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     typical = float(ppf(strength, np.array([p]))[0]) / float(np.median(positive))
 
     def replicate_probabilities(margin: float) -> Array:
-        if state.shift is None and not is_steps(strength):
+        if state.shift is None and state.tie is None and not is_steps(strength):
             # A root needs one tail only, and there are many evaluations.
             below = cdf(strength, np.where(broken, 0.0, state.demands) * margin)
             return np.asarray(np.where(broken, 0.0, below).sum(axis=1) / counts)
-        return np.asarray(_tails(state, margin)[0].sum(axis=1) / counts)
+        return np.asarray(tails(state, margin)[0].sum(axis=1) / counts)
 
     def pooled(margin: float) -> float:
         return float(replicate_probabilities(margin) @ counts / counts.sum())

@@ -1,0 +1,193 @@
+"""Tables and sentences on what drives failure, on indices beyond variance, and on what to measure first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uqsphere.report.contents import Contents
+from uqsphere.report.sections import Table
+from uqsphere.report.wording import (
+    ABSENT,
+    absent_reason,
+    estimate_text,
+    input_name,
+    limit_name,
+    number_text,
+    symbol,
+    value_text,
+)
+
+__all__ = [
+    "distances_table",
+    "failure_finding",
+    "failure_table",
+    "given_failure_table",
+    "measure_finding",
+    "measure_table",
+    "shapley_table",
+]
+
+
+def _cell(estimate: Mapping[str, Any] | None, name: str = "") -> str:
+    if estimate is None:
+        return ABSENT
+    return estimate_text(estimate, name) if estimate["value"] is not None else f"{ABSENT} ({absent_reason(estimate)})"
+
+
+def _by_value(table: Mapping[str, Any]) -> list[str]:
+    return sorted(table, key=lambda name: -float(table[name]["value"] or 0.0))
+
+
+def _known(table: Mapping[str, Any] | None) -> list[str]:
+    """Names with a value, the largest first."""
+    return [name for name in _by_value(table or {}) if (table or {})[name]["value"] is not None]
+
+
+# --- quantities -----------------------------------------------------------------------------------------
+
+
+def _shared_rows(entry: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+    both = entry["kucherenko"]
+    return tuple(
+        (input_name(n), _cell(entry["shapley"][n]), _cell(both["first"].get(n)), _cell(both["total"].get(n)))
+        for n in _by_value(entry["shapley"])
+    )
+
+
+_SHARED = ("input", "Shapley effect", "Kucherenko, first", "Kucherenko, total")
+
+
+def shapley_table(contents: Contents, quantity: str) -> Table | None:
+    """Shapley effects and Kucherenko's indices, where inputs depend on each other."""
+    entry = contents.results["sensitivity"].get(quantity) or {}
+    if not entry.get("shapley"):
+        return None
+    return Table(
+        caption=f"Shares of dependent inputs in the variance of {symbol(quantity)}, with 95 % intervals",
+        header=_SHARED,
+        rows=_shared_rows(entry),
+    )
+
+
+def distances_table(contents: Contents, quantity: str) -> Table | None:
+    """Borgonovo's delta and PAWN."""
+    entry = contents.results["sensitivity"].get(quantity) or {}
+    delta, pawn = entry.get("delta") or {}, entry.get("pawn") or {}
+    names = _known(delta)
+    if not names:
+        return None
+    threshold = entry.get("pawn_threshold")
+    idle = "" if threshold is None else f"; without any effect PAWN stays below {number_text(f'{threshold:.2g}')}"
+    return Table(
+        caption=f"How far an input moves the whole law of {symbol(quantity)}{idle}",
+        header=("input", "Borgonovo’s δ", "PAWN"),
+        rows=tuple((input_name(n), _cell(delta[n]), _cell(pawn.get(n))) for n in names),
+    )
+
+
+# --- failure --------------------------------------------------------------------------------------------
+
+
+def failure_table(contents: Contents, name: str) -> Table | None:
+    """Indices of missing the aim of a limit."""
+    entry = contents.results["limits"][name].get("drivers")
+    if not entry:
+        return None
+    caption = f"Indices of {entry['of']}, {limit_name(name)}, with 95 % intervals"
+    if entry.get("shapley"):
+        return Table(caption=caption, header=_SHARED, rows=_shared_rows(entry))
+    names = _known(entry["total"])
+    if not names:
+        return None
+    rows = tuple((input_name(n), _cell(entry["first"].get(n)), _cell(entry["total"][n])) for n in names)
+    return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
+
+
+def failure_finding(contents: Contents, name: str) -> str:
+    """Which input drives failure, or why that is not known."""
+    entry = contents.results["limits"][name].get("drivers") or {}
+    table = entry.get("shapley") or entry.get("total") or {}
+    names = _known(table)
+    if not names:
+        reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
+        return f"What drives missing the aim is not known: {reason}."
+    kind = "Shapley effect" if entry.get("shapley") else "total index"
+    largest = f"{input_name(names[0])} ({kind} {_cell(table[names[0]])})"
+    whole = entry["of"] == "missing the aim"
+    text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
+    explained = (entry.get("explained") or {}).get("value")
+    if explained is None or explained >= 0.9999:
+        return text
+    share = number_text(f"{100.0 * explained:.2g}")
+    who = "The model’s inputs" if whole else "All of them"
+    return f"{text} {who} together decide {share} % of whether the aim is missed, the rest is left to the strength."
+
+
+def given_failure_table(contents: Contents, name: str) -> Table | None:
+    """Inputs where the aim is missed, beside their laws."""
+    entry = (contents.results["limits"][name].get("drivers") or {}).get("given_failure") or {}
+    rows = []
+    for variable, found in entry.items():
+        if found["mean"]["value"] is None:
+            continue
+        subject = contents.subject(variable)
+        low, high = found["quantiles"]["0.05"]["value"], found["quantiles"]["0.95"]["value"]
+        law = found["law"]
+        rows.append(
+            (
+                input_name(variable),
+                _cell(found["mean"], subject),
+                _range(low, high, subject),
+                value_text(law["mean"], subject),
+                _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
+            )
+        )
+    if not rows:
+        return None
+    return Table(
+        caption=f"The inputs where the aim of {limit_name(name)} is missed",
+        header=("input", "mean there", "5 to 95 % there", "mean of the law", "5 to 95 % of the law"),
+        rows=tuple(rows),
+    )
+
+
+def _range(low: float, high: float, subject: str) -> str:
+    return f"{value_text(low, subject)} to {value_text(high, subject)}"
+
+
+# --- what to measure first ------------------------------------------------------------------------------
+
+
+def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None:
+    """Inputs by what knowing them better is worth, with the number of specimens."""
+    if not entry or not entry.get("rows"):
+        return None
+    probability = entry["of"] == "probability"
+    rows: list[tuple[str, ...]] = []
+    for row in entry["rows"]:
+        seen = row["observations"]
+        tests = f"{row['tests']:,}".replace(",", " ") + ("" if seen is None else f" (the law rests on {seen})")
+        if probability:
+            rows.append((input_name(row["input"]), _cell(row["sway"]), f"{100.0 * row['share']:.3g} %", tests))
+        else:
+            rows.append((input_name(row["input"]), _cell(row["share"]), tests))
+    wanted = f"{100.0 * entry['wanted']:g} %"
+    if probability:
+        header: tuple[str, ...] = (
+            "input",
+            "change of the probability per standard deviation",
+            "share in its uncertainty",
+            f"specimens for {wanted} of the probability",
+        )
+    else:
+        header = ("input", "share of the variance", f"specimens for {wanted} of it")
+    return Table(caption=caption, header=header, rows=tuple(rows))
+
+
+def measure_finding(entry: Mapping[str, Any] | None) -> str:
+    """Which input to measure first, and under which assumptions."""
+    rows = (entry or {}).get("rows") or []
+    if not rows or entry is None:
+        return ""
+    return f"First to measure: {input_name(rows[0]['input'])}. {entry['method']}"

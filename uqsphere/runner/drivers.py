@@ -1,0 +1,380 @@
+"""Beyond variance and what drives failure, from samples that are there already: no further evaluations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.runner.dependent import TASK, Shared, orders_at
+from uqsphere.runner.limits import state_of, tie_strength
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.sensitivity import Pairs, Sensitivity, clean_rows, paired_or_plain
+from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, sub_inputs
+from uqsphere.study import Limit
+from uqsphere.uq.distribution import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
+from uqsphere.uq.distributional import delta_estimates, pawn_estimates
+from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.inputs import normal_scores, tied_names
+from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
+from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.target import (
+    explained_share,
+    given_failure,
+    indicator_indices,
+    score_gradients,
+    specimens_for_probability,
+    specimens_for_share,
+    sway_estimates,
+)
+
+__all__ = ["WANTED", "Drivers", "find_drivers"]
+
+Array = npt.NDArray[np.float64]
+
+#: samples of each replicate that delta, PAWN, and the drivers of failure rest on at most
+DELTA_POINTS, PAWN_POINTS, POINTS = 2048, 512, 8192
+#: base points of each replicate of a paired design
+PAIRS = 2048
+#: what the contribution of one input is to be brought below: of the variance, or of the probability
+WANTED = 0.1
+#: quantiles over which a random model factor is averaged
+FACTORS = 32
+_H = 1e-3
+
+_VARIANCE = (
+    "After n tests S/n of today's variance is left, S the input's share alone: n = S/0.1. Assumed: the scatter of the "
+    "law is ignorance of one number, which tests find without error of their own, and the input acts by itself."
+)
+_PROBABILITY = (
+    "After n tests the standard error of the input's mean is sd/sqrt(n), which moves the probability by its sway over "
+    "sqrt(n): n = (sway/(0.1 p))^2. Assumed: tests scatter as the law says, only its centre is estimated, and the "
+    "probability answers in proportion."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drivers:
+    """Plain JSON by quantity and by limit, ready for results.json."""
+
+    quantities: dict[str, dict[str, Any]]
+    limits: dict[str, dict[str, Any]]
+
+
+def find_drivers(
+    work: Work, sampled: Sampled, sensitivity: dict[str, Sensitivity], paired: Pairs | None, shared: Shared | None
+) -> Drivers:
+    """Delta, PAWN and what to measure first for every quantity; for every limit what drives missing its aim.
+
+    `paired` are the runs of the classical indices, or `shared` has those of the Shapley effects.
+    """
+    names = work.scene_names
+    if not names:
+        return Drivers(quantities={}, limits={})
+    points, sample = _whole(sampled)
+    quantities = {
+        quantity: {
+            **_distances(work, points, sample, k),
+            "measure_first": _measure_variance(work, sensitivity[quantity]),
+        }
+        for k, quantity in enumerate(work.quantities)
+    }
+    limits = {}
+    for limit in work.study.limits:
+        if points.normals.shape[1] < 2:
+            continue
+        limits[limit.name] = _of_limit(work, limit, points, sample, paired, shared)
+    return Drivers(quantities=quantities, limits=limits)
+
+
+def _whole(sampled: Sampled) -> tuple[Draw, Sample]:
+    """The first points of every replicate, without those that failed."""
+    n = min(POINTS, sampled.sample.status.shape[1])
+    failed = sampled.sample.failed[:, :n]
+    points = Draw(
+        normals=clean_rows(sampled.points.normals[:, :n], failed),
+        physical=clean_rows(sampled.points.physical[:, :n], failed),
+    )
+    sample = Sample(
+        values=clean_rows(sampled.sample.values[:, :n], failed),
+        censored=np.asarray(clean_rows(sampled.sample.censored[:, :n].astype(float), failed) > 0.0),
+        status=np.asarray(clean_rows(sampled.sample.status[:, :n].astype(float), failed)).astype(np.int64),
+    )
+    return points, sample
+
+
+def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> dict[str, Any]:
+    return {name: estimate.as_dict() for name, estimate in zip(names, estimates, strict=True)}
+
+
+def _distances(work: Work, points: Draw, sample: Sample, k: int) -> dict[str, Any]:
+    """Delta and PAWN of every input for quantity k; censored values count as the end of the record."""
+    names = work.scene_names
+    x, y = points.physical[:, :, : len(names)], sample.values[:, :, k]
+    delta = delta_estimates(x[:, :DELTA_POINTS], y[:, :DELTA_POINTS])
+    pawn = pawn_estimates(x[:, :PAWN_POINTS], y[:, :PAWN_POINTS], seed=work.study.seed)
+    threshold = pawn.threshold if math.isfinite(pawn.threshold) else None
+    return {"delta": _json(names, delta), "pawn": _json(names, pawn.inputs), "pawn_threshold": threshold}
+
+
+def _observed(law: Law | float) -> int | None:
+    """How many observations a law was made from, where it was."""
+    return len(law.data) if isinstance(law, Law) and law.data else None
+
+
+def _measure_variance(work: Work, found: Sensitivity) -> dict[str, Any]:
+    """Inputs by what the variance would fall if they were known, with the tests that make their share small."""
+    first = found.kucherenko.get("first") or found.first
+    known = {name: e for name, e in first.items() if e.value is not None}
+    rows = [
+        {
+            "input": name,
+            "share": e.as_dict(),
+            "tests": specimens_for_share(max(0.0, e.value or 0.0), WANTED),
+            "observations": _observed(work.study.random[name]),
+        }
+        for name, e in sorted(known.items(), key=lambda item: -(item[1].value or 0.0))
+    ]
+    reason = "" if rows else next((e.reason for e in first.values() if e.reason), "no index is known")
+    return {"of": "variance", "wanted": WANTED, "method": _VARIANCE, "rows": rows, "reason": reason}
+
+
+# --- limits ---------------------------------------------------------------------------------------------
+
+
+def _missing(limit: Limit, state: LimitState) -> Array:
+    """Probability of missing the aim given the inputs, (R, n)."""
+    below, above = tails(state)
+    return above if limit.aim == "break" else below
+
+
+def _of_limit(
+    work: Work, limit: Limit, points: Draw, sample: Sample, paired: Pairs | None, shared: Shared | None
+) -> dict[str, Any]:
+    state = state_of(work, limit, points, sample)
+    chance = _missing(limit, state)
+    p = float(chance.mean())
+    driving: dict[str, Any] = {"probability": p, **_indices(work, limit, paired, shared)}
+    driving["explained"] = explained_share(chance).as_dict()
+    driving["given_failure"] = _given_failure(work, limit, points, state, chance)
+    return {"drivers": driving, "measure_first": _measure_probability(work, limit, points, state, chance)}
+
+
+def _strength_name(limit: Limit) -> str:
+    return f"limits.{limit.name}.strength"
+
+
+def _depends(work: Work, name: str) -> bool:
+    return name in tied_names(work.all_inputs)
+
+
+def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> Array:
+    """Probability of missing the aim at values of any shape, given the scores (..., d) of the model's inputs."""
+    names = work.scene_names
+    factors = np.array([limit.model_factor if not isinstance(limit.model_factor, Law) else 1.0])
+    if isinstance(limit.model_factor, Law):
+        factors = ppf(limit.model_factor, (np.arange(FACTORS) + 0.5) / FACTORS)
+    flat = values.reshape(values.shape[0], -1)
+    state = LimitState(demands=flat, strength=limit.strength)
+    if scores is not None:
+        state = tie_strength(work, limit, state, names, scores.reshape(*flat.shape, len(names)))
+    found = np.zeros_like(flat)
+    for factor in factors:
+        found += _missing(limit, replace(state, demands=flat * factor)) / factors.size
+    return np.clip(found.reshape(values.shape), 0.0, 1.0)
+
+
+def _indices(work: Work, limit: Limit, paired: Pairs | None, shared: Shared | None) -> dict[str, Any]:
+    """First and total indices of missing the aim, or Shapley effects and Kucherenko's where inputs are tied."""
+    names, k = work.scene_names, work.quantities.index(limit.quantity)
+    method = "pairs of runs, strength integrated"
+    if isinstance(limit.model_factor, Law) and _depends(work, f"limits.{limit.name}.model_factor"):
+        reason = "the model factor depends on other variables, and its share cannot be told from theirs"
+        return _no_indices(names, reason, method)
+    design = None if shared is None else shared.design
+    runs = paired if shared is None else shared.pairs
+    if runs is None:
+        return _no_indices(names, "no pairs of runs were evaluated, which these indices rest on", method)
+    values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
+    count = failed.shape[1]
+    tied = isinstance(limit.strength, Law) and _depends(work, _strength_name(limit))
+    scores = clean_rows(_scores(work, shared, count), failed) if tied else None
+    chance = _chances(work, limit, clean_rows(values, failed), scores)
+    about = "the probability of missing the aim given the inputs"
+    if design is not None:
+        from uqsphere.uq.shapley import shapley_estimates
+
+        orders = orders_at(work, design, count)
+        if orders is not None:
+            orders = np.asarray(clean_rows(orders.astype(float), failed)).astype(np.int64)
+        found = shapley_estimates(design, chance, orders)
+        refused = _no_indices(names, "inputs depend on each other: read the Shapley effects", method)
+        return {
+            **refused,
+            "of": about,
+            "shapley": _json(names, found["shapley"]),
+            "kucherenko": {order: _json(names, found[order]) for order in ("first", "total")},
+        }
+    if tied or isinstance(limit.model_factor, Law):
+        plain = paired_or_plain(chance)
+        return {"of": about, "first": _json(names, plain["first"]), "total": _json(names, plain["total"])}
+    found = indicator_indices(chance)
+    every = (*names, _strength_name(limit)) if isinstance(limit.strength, Law) else names
+    return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}
+
+
+def _no_indices(names: Sequence[str], reason: str, method: str) -> dict[str, Any]:
+    nothing = _json(names, [absent(reason, method, 0)] * len(names))
+    return {"of": "missing the aim", "first": nothing, "total": dict(nothing)}
+
+
+def _scores(work: Work, shared: Shared | None, count: int) -> Array:
+    """Dependent normal scores (R, count, rows, d) of a paired design: made again, since they are not kept."""
+    from scipy.special import ndtri
+
+    from uqsphere.uq.sensitivity import mix, saltelli_halves
+    from uqsphere.uq.shapley import subset_scores
+
+    seed, names = work.study.seed, work.scene_names
+    if shared is not None:
+        inputs = sub_inputs(work.all_inputs, names)
+        return np.stack(
+            [
+                subset_scores(shared.design, inputs, count=count, seed=seed, task=TASK, replicate=r)
+                for r in range(REPLICATES)
+            ]
+        )
+    blocks = []
+    for r in range(REPLICATES):
+        a, b = saltelli_halves(inputs_count=len(names), count=count, seed=seed, task="sensitivity", replicate=r)
+        blocks.append(np.asarray(ndtri(mix(a, b))))
+    return np.stack(blocks)
+
+
+# --- what the inputs look like where the aim is missed ----------------------------------------------------
+
+
+def _given_failure(work: Work, limit: Limit, points: Draw, state: LimitState, chance: Array) -> dict[str, Any]:
+    """Mean, sd and 5, 50, 95 % quantiles of every input given that the aim is missed, beside those of its law."""
+    laws = dict(zip(work.drawn.names, work.drawn.laws, strict=True))
+    columns = {name: points.physical[:, :, k] for k, name in enumerate(work.drawn.names)}
+    if isinstance(limit.strength, Law):
+        laws[_strength_name(limit)] = limit.strength
+        columns[_strength_name(limit)] = _strengths(work, limit, limit.strength, state, chance)
+    table = {}
+    for name, values in columns.items():
+        if name.startswith("limits.") and name.split(".")[1] != limit.name:
+            continue
+        found = given_failure(values, chance)
+        law = laws[name]
+        quantiles = ppf(law, np.array(list(found.quantiles)))
+        table[name] = {
+            "mean": found.mean.as_dict(),
+            "sd": found.sd.as_dict(),
+            "quantiles": {f"{p:g}": e.as_dict() for p, e in found.quantiles.items()},
+            "law": {
+                "mean": _finite(mean(law)),
+                "sd": _finite(sd(law)),
+                "quantiles": {f"{p:g}": float(q) for p, q in zip(found.quantiles, quantiles, strict=True)},
+            },
+        }
+    return table
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Array) -> Array:
+    """A strength drawn at every point from its law given the inputs and that the aim is missed."""
+    from scipy.special import ndtri
+
+    from uqsphere.uq.copulas import conditional_scores
+
+    generator = random_generator(seed=work.study.seed, task=f"target.{limit.name}")
+    # the tail that misses the aim, cut at a random share of it; never exactly none
+    tail = np.maximum(generator.random(chance.shape) * chance, 1e-300)
+    score = np.asarray(ndtri(np.minimum(tail, 1.0 - 1e-16)))
+    score = -score if limit.aim == "break" else score
+    if state.tie is not None:
+        known = state.tie.given.reshape(-1, state.tie.given.shape[-1])
+        last = state.tie.copula.size - 1
+        score = conditional_scores(state.tie.copula, range(last), known, score.reshape(-1, 1)).reshape(chance.shape)
+    elif state.shift is not None:
+        score = state.shift + state.remaining_sd * score
+    return from_normal(law, score)
+
+
+# --- what to measure first ------------------------------------------------------------------------------
+
+
+def _measure_probability(work: Work, limit: Limit, points: Draw, state: LimitState, chance: Array) -> dict[str, Any]:
+    """Variables by what their means' uncertainty does to the probability, with the tests that make it small."""
+    p = float(chance.mean())
+    about: dict[str, Any] = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
+    if not 0.0 < p < 1.0:
+        return {**about, "reason": "no sample decides: all miss the aim, or none"}
+    names = work.drawn.names
+    scores = normal_scores(work.drawn, points.normals.reshape(-1, len(names)))
+    gradients = score_gradients(work.drawn, scores).reshape(points.normals.shape)
+    sways = dict(zip(names, sway_estimates(chance, gradients, _tied_moves(limit, state, len(names))), strict=True))
+    laws: dict[str, Law | float] = dict(zip(names, work.drawn.laws, strict=True))
+    if isinstance(limit.strength, Law) and not is_steps(limit.strength):
+        moved = (_at_score(limit, state, -_H) - _at_score(limit, state, _H)) / (2.0 * _H)
+        rows = moved.mean(axis=1)
+        sways[_strength_name(limit)] = from_replicates(rows, "difference of the strength's law", chance.size)
+        laws[_strength_name(limit)] = limit.strength
+    sways = {n: e for n, e in sways.items() if not n.startswith("limits.") or n.split(".")[1] == limit.name}
+    total = sum((e.value or 0.0) ** 2 for e in sways.values())
+    rows_found = [
+        {
+            "input": name,
+            "sway": e.as_dict(),
+            "share": (e.value or 0.0) ** 2 / total if total > 0.0 else 0.0,
+            "tests": specimens_for_probability(e.value or 0.0, p, WANTED),
+            "observations": _observed(laws[name]),
+        }
+        for name, e in sorted(sways.items(), key=lambda item: -abs(item[1].value or 0.0))
+        if e.value is not None
+    ]
+    return {**about, "probability": p, "rows": rows_found}
+
+
+def _at_score(limit: Limit, state: LimitState, step: float) -> Array:
+    """Probability of missing the aim when the demand's score in the strength's law is moved by `step`."""
+    from scipy.special import ndtr, ndtri
+
+    assert isinstance(limit.strength, Law)
+    below, above = cdf(limit.strength, state.demands), sf(limit.strength, state.demands)
+    with np.errstate(divide="ignore"):
+        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
+    score = score_given_inputs(state, score + step)
+    return np.asarray(ndtr(-score if limit.aim == "break" else score))
+
+
+def _tied_moves(limit: Limit, state: LimitState, d: int) -> Array | None:
+    """What a tied strength adds to the derivative: it stays with the input that is left where it was."""
+    if state.tie is None and state.shift is None:
+        return None
+    found = np.zeros((*state.demands.shape, d))
+    if state.tie is not None:
+        for k, column in enumerate(state.tie.of):
+            step = np.zeros(len(state.tie.of))
+            step[k] = _H
+            lower, upper = (
+                _missing(limit, replace(state, tie=replace(state.tie, given=state.tie.given + sign * step)))
+                for sign in (-1.0, 1.0)
+            )
+            found[:, :, column] = (lower - upper) / (2.0 * _H)
+    elif state.shift is not None:
+        for column, weight in enumerate(state.weights):
+            if weight:
+                lower, upper = (
+                    _missing(limit, replace(state, shift=state.shift + sign * weight * _H)) for sign in (-1.0, 1.0)
+                )
+                found[:, :, column] = (lower - upper) / (2.0 * _H)
+    return found

@@ -1,0 +1,302 @@
+"""Clayton, Gumbel and Frank copulas of any number of exchangeable members, in normal scores.
+
+An Archimedean copula is C(u) = ψ(t_1 + ... + t_k) with t_i = ψ⁻¹(u_i).  Given j members, the distribution of one
+more is ψ^(j)(T + t)/ψ^(j)(T), T the sum over the given ones (Hofert, Mächler and McNeil, J. Multivariate Analysis
+110, 2012, 133).  Everything is computed from the logarithms of both tails, so that neither end loses digits: a
+member at 1e-300 and one at 1 - 1e-16 are as exact as one at 1/2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+
+from uqsphere.uq.families import Array
+
+__all__ = ["FARTHEST", "LARGEST_FRANK", "conditional_score", "inverse_score", "log_copula_density", "score_from_logs"]
+
+#: scores are kept within these bounds: the tail beyond is less than 1e-315
+FARTHEST = 38.0
+#: exp of it is far from the largest number
+LARGEST_FRANK = 500.0
+
+
+def score_from_logs(log_lower: Array, log_upper: Array) -> Array:
+    """Normal score from the logarithms of both tail probabilities, through the smaller tail."""
+    from scipy.special import ndtri_exp
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = np.where(log_lower <= -math.log(2.0), ndtri_exp(log_lower), -ndtri_exp(log_upper))
+    return np.clip(score, -FARTHEST, FARTHEST)
+
+
+def _log_one_less_exp(x: Array) -> Array:
+    """log(1 - e^x) for x <= 0."""
+    with np.errstate(divide="ignore"):
+        return np.where(x > -math.log(2.0), np.log(-np.expm1(x)), np.log1p(-np.exp(x)))
+
+
+def _log_exp_less_one(x: Array) -> Array:
+    """log(e^x - 1) for x >= 0."""
+    with np.errstate(divide="ignore"):
+        near = np.log(np.expm1(np.minimum(x, 30.0)))
+    return np.where(x > 30.0, x + np.log1p(-np.exp(-np.maximum(x, 30.0))), near)
+
+
+def _log_sum(terms: Array) -> Array:
+    """log Σ e^terms over the last axis."""
+    largest = np.max(terms, axis=-1, keepdims=True)
+    return np.asarray((largest + np.log(np.sum(np.exp(terms - largest), axis=-1, keepdims=True)))[..., 0])
+
+
+def _log_ratio(weights: Array, powers: Array, step: Array) -> Array:
+    """log(Σ w_k e^(k step)/Σ w_k), exact for steps near 0; `weights` (n, K) are logarithms."""
+    share = np.exp(weights - _log_sum(weights)[:, None])
+    exponent = powers * step[:, None]
+    small = np.minimum(exponent, 1.0)
+    # at a step of 1 and beyond the plain sum has all digits, and cannot overflow
+    near = np.log1p(np.sum(share * np.expm1(small), axis=1))
+    far = _log_sum(weights + exponent) - _log_sum(weights)
+    return np.where(np.max(exponent, axis=1) < 1.0, near, far)
+
+
+# --- Clayton: ψ(t) = (1 + t)^(-1/θ), t = u^-θ - 1 ------------------------------------------------------
+
+
+def _clayton_sum(theta: float, known: Array) -> tuple[Array, ...]:
+    """log(1 + T) of the given members."""
+    from scipy.special import log_ndtr
+
+    terms = _log_exp_less_one(-theta * log_ndtr(known))
+    return (np.logaddexp(0.0, _log_sum(terms)),)
+
+
+def _clayton_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+    from scipy.special import log_ndtr
+
+    step = np.logaddexp(0.0, _log_exp_less_one(-theta * log_ndtr(score)) - state[0])
+    log_p = -(1.0 / theta + count) * step
+    return score_from_logs(log_p, _log_one_less_exp(log_p))
+
+
+def _clayton_inverse(theta: float, count: int, state: tuple[Array, ...], normal: Array) -> Array:
+    """Closed form: u^-θ - 1 = (1 + T) (p^(-θ/(1 + jθ)) - 1)."""
+    from scipy.special import log_ndtr
+
+    step = -log_ndtr(normal) / (1.0 / theta + count)
+    log_u = -np.logaddexp(0.0, state[0] + _log_exp_less_one(step)) / theta
+    return score_from_logs(log_u, _log_one_less_exp(log_u))
+
+
+def _clayton_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+    """log |ψ^(j)|, with t measured in units in which ψ'(0) = -1/θ."""
+    factor = sum(math.log(1.0 / theta + i) for i in range(count))
+    return factor - (1.0 / theta + count) * state[0]
+
+
+# --- Gumbel: ψ(t) = exp(-t^(1/θ)), t = (-ln u)^θ ------------------------------------------------------
+
+
+@lru_cache(maxsize=256)
+def _gumbel_logs(alpha: float, count: int) -> tuple[float, ...]:
+    """Logarithms of a_k, k = 1 ... j, in (-1)^j ψ^(j)(t) = ψ(t) t^-j Σ a_k t^(αk).
+
+    From one derivative to the next a_k becomes α a_(k-1) + (j - αk) a_k: no term is negative for α <= 1.
+    """
+    row = [1.0]
+    for j in range(count):
+        row = [(alpha * row[k - 1] if k else 0.0) + ((j - alpha * k) * row[k] if k <= j else 0.0) for k in range(j + 2)]
+    return tuple(math.log(a) if a > 0.0 else -1e300 for a in row[1:])
+
+
+def _gumbel_sum(theta: float, known: Array) -> tuple[Array, ...]:
+    """log T of the given members."""
+    from scipy.special import log_ndtr
+
+    with np.errstate(divide="ignore"):
+        return (_log_sum(np.maximum(theta * np.log(-log_ndtr(known)), -1e290)),)
+
+
+def _gumbel_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+    from scipy.special import log_ndtr
+
+    alpha, log_t = 1.0 / theta, state[0]
+    with np.errstate(divide="ignore"):
+        step = np.logaddexp(0.0, np.maximum(theta * np.log(-log_ndtr(score)), -1e290) - log_t)
+    powers = np.arange(1.0, count + 1.0)
+    weights = np.array(_gumbel_logs(alpha, count)) + alpha * log_t[:, None] * powers
+    with np.errstate(over="ignore"):
+        fall = np.exp(alpha * log_t) * np.expm1(np.minimum(alpha * step, 700.0))
+    log_p = -fall - count * step + _log_ratio(weights, powers, alpha * step)
+    log_p = np.minimum(log_p, 0.0)
+    return score_from_logs(log_p, _log_one_less_exp(log_p))
+
+
+def _gumbel_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+    alpha, log_t = 1.0 / theta, state[0]
+    powers = np.arange(1.0, count + 1.0)
+    weights = np.array(_gumbel_logs(alpha, count)) + alpha * log_t[:, None] * powers
+    return np.asarray(-np.exp(alpha * log_t) - count * log_t + _log_sum(weights))
+
+
+# --- Frank: ψ(t) = -ln(1 - (1 - e^-θ) e^-t)/θ, e^-t = (1 - e^(-θu))/(1 - e^-θ) = r -----------------------
+
+
+@lru_cache(maxsize=64)
+def _eulerian_logs(count: int) -> tuple[float, ...]:
+    """Logarithms of the coefficients of A_n, n = j - 1, in Li_(-n)(x) = x A_n(x)/(1 - x)^(n + 1)."""
+    row = [1]
+    for n in range(2, count):
+        row = [(k + 1) * (row[k] if k < len(row) else 0) + (n - k) * (row[k - 1] if k else 0) for k in range(n)]
+    return tuple(math.log(a) for a in row)
+
+
+def _frank_share(theta: float, score: Array) -> tuple[Array, Array]:
+    """log r and log(1 - r)."""
+    from scipy.special import ndtr
+
+    lower, upper = np.asarray(ndtr(score)), np.asarray(ndtr(-score))
+    with np.errstate(divide="ignore"):
+        log_rest = np.log(np.expm1(theta * upper) / math.expm1(theta))
+        small = np.log(-np.expm1(-theta * lower)) - math.log(-math.expm1(-theta))
+    return np.where(lower < 0.5, small, np.log1p(-np.exp(np.where(lower < 0.5, -1.0, log_rest)))), log_rest
+
+
+def _frank_sum(theta: float, known: Array) -> tuple[Array, ...]:
+    """log x and log(1 - x), x = (1 - e^-θ) Π r; the first member brings the constant with it."""
+    from scipy.special import ndtr
+
+    log_x = _log_one_less_exp(-theta * np.asarray(ndtr(known[:, 0])))
+    for column in range(1, known.shape[1]):
+        log_x = log_x + _frank_share(theta, known[:, column])[0]
+    return log_x, _log_one_less_exp(log_x)
+
+
+def _frank_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+    log_x, log_rest_x = state
+    log_r, log_rest = _frank_share(theta, score)
+    log_p = log_r - count * np.logaddexp(0.0, log_x + log_rest - log_rest_x)
+    if count > 2:
+        powers = np.arange(float(count - 1))
+        weights = np.array(_eulerian_logs(count)) + powers * log_x[:, None]
+        log_p = log_p + _log_ratio(weights, powers, np.maximum(log_r, -1e290))
+    log_p = np.minimum(log_p, 0.0)
+    return score_from_logs(log_p, _log_one_less_exp(log_p))
+
+
+def _frank_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Array:
+    """Closed form given one member: r = p/(1 - x + p x)."""
+    from scipy.special import log_ndtr, ndtri
+
+    log_x, log_rest_x = state
+    log_p, log_q = log_ndtr(normal), log_ndtr(-normal)
+    log_sum = np.logaddexp(log_rest_x, log_p + log_x)
+    r, rest = np.exp(log_p - log_sum), np.exp(log_rest_x + log_q - log_sum)
+    with np.errstate(divide="ignore"):
+        lower = -np.log1p(r * math.expm1(-theta)) / theta
+    upper = np.log1p(rest * math.expm1(theta)) / theta
+    lower, upper = np.where(r <= 0.5, lower, 1.0 - upper), np.where(r <= 0.5, 1.0 - lower, upper)
+    with np.errstate(divide="ignore"):
+        score = np.where(lower <= upper, ndtri(np.maximum(lower, 0.0)), -ndtri(np.maximum(upper, 0.0)))
+    return np.clip(score, -FARTHEST, FARTHEST)
+
+
+def _frank_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+    log_x, log_rest_x = state
+    found = log_x - count * log_rest_x - math.log(theta)
+    if count > 2:
+        powers = np.arange(float(count - 1))
+        found = found + _log_sum(np.array(_eulerian_logs(count)) + powers * log_x[:, None])
+    return np.asarray(found)
+
+
+# --- what all have in common ---------------------------------------------------------------------------
+
+_SUMS: dict[str, Callable[[float, Array], tuple[Array, ...]]] = {
+    "clayton": _clayton_sum,
+    "gumbel": _gumbel_sum,
+    "frank": _frank_sum,
+}
+_FORWARD: dict[str, Callable[[float, int, tuple[Array, ...], Array], Array]] = {
+    "clayton": _clayton_forward,
+    "gumbel": _gumbel_forward,
+    "frank": _frank_forward,
+}
+_DERIVATIVES: dict[str, Callable[[float, int, tuple[Array, ...]], Array]] = {
+    "clayton": _clayton_derivative,
+    "gumbel": _gumbel_derivative,
+    "frank": _frank_derivative,
+}
+
+
+def conditional_score(kind: str, theta: float, known: Array, score: Array) -> Array:
+    """Normal score of P(member <= `score` | the members `known`), for scores (n,) and known (n, j), j >= 1.
+
+    A negative theta is that of a Frank pair: the copula of one member and the other turned upside down.
+    """
+    if theta < 0.0:
+        return -conditional_score(kind, -theta, known, -score)
+    return _FORWARD[kind](theta, known.shape[1], _SUMS[kind](theta, known), np.asarray(score, dtype=float))
+
+
+def inverse_score(kind: str, theta: float, known: Array, normal: Array) -> Array:
+    """Score (n,) of a member whose conditional score given `known` (n, j) is `normal` (n,)."""
+    if theta < 0.0:
+        return -inverse_score(kind, -theta, known, -normal)
+    count, state = known.shape[1], _SUMS[kind](theta, known)
+    if kind == "clayton":
+        return _clayton_inverse(theta, count, state, normal)
+    if kind == "frank" and count == 1:
+        return _frank_inverse(theta, state, normal)
+    forward = _FORWARD[kind]
+    return _root(lambda score: forward(theta, count, state, score) - normal, normal.size)
+
+
+def log_copula_density(kind: str, theta: float, scores: Array) -> Array:
+    """Logarithm of the copula's density at the scores (n, k): ψ^(k)(T) Π 1/ψ'(t_i)."""
+    if theta < 0.0:
+        return log_copula_density(kind, -theta, scores * np.array([1.0, -1.0]))
+    derivative, total = _DERIVATIVES[kind], _SUMS[kind]
+    found = derivative(theta, scores.shape[1], total(theta, scores))
+    for column in range(scores.shape[1]):
+        found = found - derivative(theta, 1, total(theta, scores[:, column : column + 1]))
+    return np.asarray(found)
+
+
+def _root(gap: Callable[[Array], Array], size: int) -> Array:
+    """Zeros of an increasing function of every row between the farthest scores (Chandrupatla 1997).
+
+    Inverse quadratic interpolation where it is safe, else bisection; rows that are done stand still.
+    """
+    a, b = np.full(size, -FARTHEST), np.full(size, FARTHEST)
+    fa, fb = gap(a), gap(b)
+    c, fc = a.copy(), fa.copy()
+    # beyond the bounds the answer is the bound
+    best = np.where(fa >= 0.0, a, np.where(fb <= 0.0, b, np.nan))
+    t = np.full(size, 0.5)
+    for _ in range(100):
+        x = a + t * (b - a)
+        fx = gap(x)
+        same = np.sign(fx) == np.sign(fa)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = x, fx
+        nearer = np.where(np.abs(fa) < np.abs(fb), a, b)
+        width = np.abs(b - a)
+        done = (width < 4e-15 * (1.0 + np.abs(nearer))) | (fa == 0.0)
+        best = np.where(np.isnan(best) & done, nearer, best)
+        if not np.isnan(best).any():
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+            safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            quadratic = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+            least = np.minimum(0.5, 1e-15 * (1.0 + np.abs(nearer)) / width)
+        t = np.where(safe & np.isfinite(quadratic), quadratic, 0.5)
+        t = np.clip(
+            np.where(np.isfinite(t), t, 0.5), np.nan_to_num(least, nan=0.5), 1.0 - np.nan_to_num(least, nan=0.5)
+        )
+    return np.where(np.isnan(best), nearer, best)
