@@ -95,12 +95,23 @@ def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
     return {name: estimate.as_dict() for name, estimate in table.items()}
 
 
+def _sets(indices: Sensitivity) -> dict[str, Any]:
+    """Indices of pairs, "a|b", and of groups by their name, where the study asks for them."""
+    found: dict[str, Any] = {"second": _estimates(indices.second)} if indices.second else {}
+    if indices.group_first:
+        groups = {"first": _estimates(indices.group_first), "total": _estimates(indices.group_total)}
+        found["groups"] = groups
+    return found
+
+
 def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity]) -> dict[str, Any]:
     answer = {}
     for quantity, indices in found.items():
         answer[quantity] = {
             "first": _estimates(indices.first),
             "total": _estimates(indices.total),
+            **_sets(indices),
+            "estimators": indices.estimators,
             "surrogate": indices.surrogate,
             "check": {
                 "agree": indices.agree,
@@ -236,6 +247,16 @@ def _row(estimate: Mapping[str, Any]) -> list[Any]:
     return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
 
 
+def _orders(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """The indices of one quantity by order, with those of pairs and groups where there are any."""
+    groups = entry.get("groups", {})
+    return [
+        *((order, entry[order]) for order in ("first", "total")),
+        *((order, entry[order]) for order in ("second",) if order in entry),
+        *((f"group {order}", row) for order, row in groups.items()),
+    ]
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -247,8 +268,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     index_rows = [
         [quantity, order, name, *_row(estimate)]
         for quantity, entry in results["sensitivity"].items()
-        for order in ("first", "total")
-        for name, estimate in entry[order].items()
+        for order, row in _orders(entry)
+        for name, estimate in row.items()
     ]
     limit_rows = []
     for name, entry in results["limits"].items():

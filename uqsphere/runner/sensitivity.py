@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.model import is_answered
+from uqsphere.runner.design import blocks_of, clean, pick_and_freeze
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
-from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.indices import METHOD, SampledIndices, sampled_indices
 
 __all__ = ["Sensitivity", "find_sensitivity", "pick_and_freeze"]
 
@@ -25,18 +27,19 @@ FIRST = 64
 JUDGED = 128
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
-#: indices above this are read off pairs of runs
-LARGE = 0.5
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
-METHOD = "pick and freeze"
 CHAOS = "polynomial chaos"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Indices of one quantity: which are given, both ways that found them, and how they agree."""
+    """Indices of one quantity: which are given, both ways that found them, and how they agree.
+
+    `second` goes by "a|b" of two inputs, `group_first` and `group_total` by the names of the groups; `estimators`
+    says what sampling read the indices off, and why.
+    """
 
     first: dict[str, Estimate]
     total: dict[str, Estimate]
@@ -46,6 +49,10 @@ class Sensitivity:
     agree: bool | None
     text: str
     missed: list[str] = field(default_factory=list)
+    second: dict[str, Estimate] = field(default_factory=dict)
+    group_first: dict[str, Estimate] = field(default_factory=dict)
+    group_total: dict[str, Estimate] = field(default_factory=dict)
+    estimators: str = ""
 
 
 def _dependent(work: Work) -> list[str]:
@@ -112,33 +119,6 @@ def _refused(work: Work, reason: str) -> Sensitivity:
     )
 
 
-def pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
-    from scipy.special import ndtri
-
-    from uqsphere.uq.inputs import physical_from_normal
-    from uqsphere.uq.sensitivity import mix, saltelli_halves
-
-    d = len(work.scene_names)
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
-
-    def physical(uniforms: Array) -> Array:
-        return physical_from_normal(inputs, np.asarray(ndtri(uniforms)))
-
-    # the inputs are independent here, so the halves are mapped once and mixed afterwards
-    blocks = []
-    for replicate in range(REPLICATES):
-        a, b = saltelli_halves(
-            inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate, start=start
-        )
-        blocks.append(mix(physical(a), physical(b)))
-    answered = evaluate_points(work, key, work.scene_names, np.stack(blocks).reshape(-1, d))
-    q = len(work.quantities)
-    values = answered.values.reshape(REPLICATES, count, d + 2, q)
-    failed = ~is_answered(answered.status).reshape(REPLICATES, count, d + 2)
-    return values, np.asarray(failed.any(axis=2))
-
-
 def _more(start: int, widths: list[float], asked: float) -> int:
     """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
 
@@ -150,26 +130,6 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
 
-def _sampled(outputs: Array) -> dict[str, list[Estimate]]:
-    """Indices off the design: SALib's estimators for small indices, those of pairs of runs for large ones.
-
-    The size decides and not the interval, so that nothing is chosen for having come out narrow.
-    """
-    from uqsphere.uq.sensitivity import paired_indices, sobol_indices
-
-    plain = sobol_indices(outputs)
-    if plain["first"][0].value is None:
-        return plain
-    paired = paired_indices(outputs)
-    return {
-        order: [
-            p if p.value is not None and p.value > LARGE else s
-            for s, p in zip(plain[order], paired[order], strict=True)
-        ]
-        for order in ("first", "total")
-    }
-
-
 def _believable(estimates: list[Estimate]) -> list[Estimate]:
     """Indices whose interval says nothing, since it is as wide as the range of an index, are withheld."""
     reason = "not known: rare samples carry so much of the variance that the interval spans the whole range"
@@ -177,14 +137,6 @@ def _believable(estimates: list[Estimate]) -> list[Estimate]:
         absent(reason, e.method, e.evaluations) if e.value is not None and e.half_width > WORTHLESS else e
         for e in estimates
     ]
-
-
-def _clean(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
-    """The same number of base points without a failure from every replicate, (R, N', d + 2, q)."""
-    if not failed.any():
-        return values
-    least = int((~failed).sum(axis=1).min())
-    return np.stack([row[~bad][:least] for row, bad in zip(values, failed, strict=True)])
 
 
 def find_sensitivity(
@@ -227,6 +179,8 @@ def find_sensitivity(
         else:
             expanded[quantity], about[quantity] = {}, {"kind": None, "error": None, "evaluations": 0}
     found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
+    drawn: dict[str, SampledIndices] = {}
+    blocks = blocks_of(work)
     stopped = "accuracy"
     start = 0
     widest = dict.fromkeys(work.quantities, asked)
@@ -239,31 +193,33 @@ def find_sensitivity(
     control = control or IndexControl(used=False)
     while "sobol" in methods or "auto" in methods:
         count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
-        if work.ledger.total + control.rows(REPLICATES * count * (len(names) + 2)) > budget.evaluations:
+        if work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
             stopped = "evaluations"
             break
         try:
-            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count)
+            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count, blocks)
         except OutOfBudget:
             stopped = "time"
             break
         values = more if values is None else np.concatenate([values, more], axis=1)
         failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
         start += count
-        clean = _clean(values, failed)
-        found = {quantity: _sampled(clean[..., k]) for k, quantity in enumerate(work.quantities)}
+        whole = clean(values, failed)
+        drawn = {quantity: sampled_indices(whole[..., k], blocks) for k, quantity in enumerate(work.quantities)}
+        found = {quantity: {"first": e.first, "total": e.total} for quantity, e in drawn.items()}
         lacking = [q for q in work.quantities if not _accurate(found[q], expanded[q], asked)]
         try:
-            control, found = sharpen(work, control, pick_and_freeze, values, failed, found, lacking)
+            control, found = sharpen(
+                work, control, pick_and_freeze, values[:, :, : len(names) + 2], failed, found, lacking
+            )
         except OutOfBudget:
             control = IndexControl(used=False, text="the control variate was cut short by the time budget")
         for k, quantity in enumerate(work.quantities):
-            widths = [
-                e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None
-            ]
+            widths = [e.half_width for row in found[quantity].values() for e in row if e.value is not None]
+            widths += [e.half_width for e in _sets(drawn[quantity]) if e.value is not None]
             widest[quantity] = max(widths, default=0.0)
-            done[quantity] = _accurate(found[quantity], expanded[quantity], asked)
-            spent = clean[:, :, :, k].size
+            done[quantity] = _accurate(found[quantity], expanded[quantity], asked) and _beyond(drawn[quantity]) <= asked
+            spent = whole[:, :, :, k].size
             if start >= JUDGED and not budget.exhaust:
                 course[quantity].append((spent, widest[quantity]))
                 affordable = spent + budget.evaluations - work.ledger.total
@@ -288,8 +244,9 @@ def find_sensitivity(
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
+    concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities}
     return (
-        {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities},
+        {q: _with_sets(work, indices, drawn.get(q), asked) for q, indices in concluded.items()},
         history,
         seconds,
         stopped,
@@ -318,6 +275,38 @@ def _note(
             }
         )
         seconds.append(work.ledger.elapsed)
+
+
+def _sets(drawn: SampledIndices) -> list[Estimate]:
+    """Indices of pairs and of groups."""
+    return [*drawn.second.values(), *drawn.group_first, *drawn.group_total]
+
+
+def _beyond(drawn: SampledIndices) -> float:
+    """The largest half-width among pairs and groups."""
+    return max((e.half_width for e in _sets(drawn) if e.value is not None), default=0.0)
+
+
+def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, asked: float) -> Sensitivity:
+    """The same with the indices of pairs and groups that the study asks for."""
+    names, analysis = work.scene_names, work.study.analysis
+    if drawn is None:
+        reason = "indices of pairs and groups are sampled, which was not asked for or is beyond the budget"
+        nothing = absent(reason, METHOD, 0)
+        pairs = combinations(names, 2) if analysis.second_order else ()
+        drawn_second = {f"{a}|{b}": nothing for a, b in pairs}
+        groups = dict.fromkeys(analysis.groups, nothing)
+        return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
+    width = _beyond(drawn)
+    late = [f"indices of pairs and groups: half-width {width:.2g}, asked {asked:g}"] if width > asked else []
+    return replace(
+        indices,
+        second={f"{names[i]}|{names[j]}": e for (i, j), e in drawn.second.items()},
+        group_first=dict(zip(analysis.groups, _believable(drawn.group_first), strict=True)),
+        group_total=dict(zip(analysis.groups, _believable(drawn.group_total), strict=True)),
+        estimators=drawn.text,
+        missed=indices.missed + late,
+    )
 
 
 def _widest(indices: dict[str, list[Estimate]]) -> float:
