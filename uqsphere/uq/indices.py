@@ -8,21 +8,31 @@ of freedom: the replicates' own ratios would each carry the bias of a ratio of f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.uq.blocks import Blocks, Outputs
-from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.control import control
+from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
 from uqsphere.uq.families import Array
 
-__all__ = ["ESTIMATORS", "LARGE", "METHOD", "SampledIndices", "choice_text", "index_estimates", "sampled_indices"]
-
-#: Numerators and denominators of replicates, (R, m) each, of m indices that are their ratios.
-Ratio: TypeAlias = tuple[Array, Array]
+__all__ = [
+    "ESTIMATORS",
+    "LARGE",
+    "METHOD",
+    "SampledIndices",
+    "Surrogate",
+    "choice_text",
+    "expansion_indices",
+    "index_estimates",
+    "sampled_indices",
+]
 
 #: Inputs whose total index is above this have their indices read off the correlation of pairs.
 LARGE: Final = 0.5
@@ -33,109 +43,6 @@ METHOD: Final = "pick and freeze"
 _ROUNDING: Final = 1e-15
 _NO_SCATTER: Final = "the output does not vary"
 
-
-# --- the estimators: (R, m) numerators and denominators from the outputs of blocks -------------------------
-
-
-def _mean(rows: Array) -> Array:
-    return np.asarray(rows.mean(axis=1))
-
-
-def _variance(a: Array, b: Array, like: Array) -> Array:
-    """V of every replicate about the common mean, repeated for as many indices as `like` has blocks."""
-    return np.repeat(0.5 * _mean(a * a + b * b), like.shape[2], axis=1)
-
-
-def _saltelli_first(a: Array, b: Array, ab: Array) -> Ratio:
-    """<b (ab - a)> / V (Saltelli et al., Comput. Phys. Commun. 181, 2010, 259, table 2 (b))."""
-    return _mean(b * (ab - a)), _variance(a, b, ab)
-
-
-def _jansen_first(a: Array, b: Array, ab: Array) -> Ratio:
-    """1 - <(b - ab)²> / 2V (Jansen, Comput. Phys. Commun. 117, 1999, 35; Saltelli's table 2 (c))."""
-    v = _variance(a, b, ab)
-    return v - 0.5 * _mean((b - ab) ** 2), v
-
-
-def _jansen_total(a: Array, b: Array, ab: Array) -> Ratio:
-    """<(a - ab)²> / 2V (Jansen 1999; Saltelli's table 2 (f))."""
-    return 0.5 * _mean((a - ab) ** 2), _variance(a, b, ab)
-
-
-def _pairs(y: Array, z: Array) -> Ratio:
-    """<y z> / <(y² + z²)/2> about the common mean of the pair, for runs that share some inputs.
-
-    Janon, Klein, Lagnoux, Nodet, Prieur, ESAIM: Prob. Stat. 18, 2014, 342, equation (6).  Numerator and
-    denominator share their noise: little of it is left where the index is near 1.
-    """
-    mean = 0.5 * (y.mean(axis=(0, 1)) + z.mean(axis=(0, 1)))
-    y, z = y - mean, z - mean
-    return _mean(y * z), 0.5 * _mean(y * y + z * z)
-
-
-def _janon_first(a: Array, b: Array, ab: Array) -> Ratio:
-    return _pairs(b, ab)
-
-
-def _janon_total(a: Array, b: Array, ab: Array) -> Ratio:
-    product, square = _pairs(a, ab)
-    return square - product, square
-
-
-def _martinez(y: Array, z: Array) -> Ratio:
-    """Pearson's correlation of pairs, each about its own mean and in its own scale.
-
-    J.-M. Martinez, GdR MASCOT-NUM, 2011; the statistic is that of Baudin et al., arXiv 1606.01746.
-    """
-    y, z = y - y.mean(axis=(0, 1)), z - z.mean(axis=(0, 1))
-    vy, vz = _mean(y * y), _mean(z * z)
-    # The root of the product of two means, linearised about their pooled values, is a mean over replicates again.
-    py, pz = vy.mean(axis=0), vz.mean(axis=0)
-    root = np.sqrt(py * pz)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return _mean(y * z), np.where(root > 0.0, 0.5 * root * (vy / py + vz / pz), 0.0)
-
-
-def _martinez_first(a: Array, b: Array, ab: Array) -> Ratio:
-    return _martinez(b, ab)
-
-
-def _martinez_total(a: Array, b: Array, ab: Array) -> Ratio:
-    product, root = _martinez(a, ab)
-    return root - product, root
-
-
-def _azzini_scale(a: Array, b: Array, ab: Array, ba: Array) -> Array:
-    return _mean((a - b) ** 2 + (ba - ab) ** 2)
-
-
-def _azzini_first(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
-    """2 <(ba - b)(a - ab)> / <(a - b)² + (ba - ab)²> (Azzini, Mara, Rosati, MethodsX 8, 2021, 101201)."""
-    return 2.0 * _mean((ba - b) * (a - ab)), _azzini_scale(a, b, ab, ba)
-
-
-def _azzini_total(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
-    """<(b - ba)² + (a - ab)²> / <(a - b)² + (ba - ab)²> (the same)."""
-    return _mean((b - ba) ** 2 + (a - ab) ** 2), _azzini_scale(a, b, ab, ba)
-
-
-def _owen_first(a: Array, b: Array, ac: Array, ba: Array) -> Ratio:
-    """<(a - ac)(ba - b)> / V: "correlation 2" of Owen (ACM Trans. Model. Comput. Simul. 23, 2013, article 11).
-
-    Both factors vanish with the effect of the input, so that the error of a small index is small beside it.
-    """
-    return _mean((a - ac) * (ba - b)), _variance(a, b, ba)
-
-
-#: Estimator -> order -> ratio of what it needs: a, b, ab; "azzini_rosati" also ba; "owen" a, b, ac, ba.
-ESTIMATORS: Final[Mapping[str, Mapping[str, Callable[..., Ratio]]]] = {
-    "saltelli": {"first": _saltelli_first, "total": _jansen_total},
-    "jansen": {"first": _jansen_first, "total": _jansen_total},
-    "janon_monod": {"first": _janon_first, "total": _janon_total},
-    "martinez": {"first": _martinez_first, "total": _martinez_total},
-    "azzini_rosati": {"first": _azzini_first, "total": _azzini_total},
-    "owen": {"first": _owen_first},
-}
 
 _SHOWN: Final = {
     "saltelli": "Saltelli 2010",
@@ -159,19 +66,24 @@ def _arguments(outputs: Outputs, name: str) -> tuple[Array, ...]:
     return outputs.a, outputs.b, outputs.ab
 
 
-def _estimates(ratio: Ratio, method: str, evaluations: int) -> list[Estimate]:
-    """Estimates of m indices: the pooled ratio, and the spread of numerator less index times denominator."""
+def _rows(ratio: Ratio) -> Array:
+    """Answers (R, m) of the replicates: the pooled ratio and the linearised deviation from it; nan where V is 0."""
     numerator, denominator = ratio
     scale = denominator.mean(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        index = numerator.mean(axis=0) / scale
+        return np.asarray(index + (numerator - index * denominator) / scale)
+
+
+def _estimates(rows: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
+    """Estimates of m indices from the answers (R, m) of replicates."""
     found = []
-    for j in range(numerator.shape[1]):
-        if not scale[j] > 0.0:
+    for column, method in zip(rows.T, methods, strict=True):
+        if not np.isfinite(column).all():
             found.append(absent(_NO_SCATTER, method, evaluations))
             continue
-        index = float(numerator[:, j].mean() / scale[j])
-        deviation = (numerator[:, j] - index * denominator[:, j]) / scale[j]
-        floor = _ROUNDING if index != 0.0 else 0.0
-        found.append(from_replicates(index + deviation, method, evaluations, index, floor=floor))
+        floor = _ROUNDING if np.any(column) else 0.0
+        found.append(from_replicates(column, method, evaluations, floor=floor))
     return found
 
 
@@ -179,11 +91,6 @@ def _method(name: str, order: str) -> str:
     # Saltelli's paper takes Jansen's for the total indices.
     shown = "Jansen" if (name, order) == ("saltelli", "total") else _SHOWN[name]
     return f"{METHOD}, {shown}"
-
-
-def _by(outputs: Outputs, name: str, order: str, arguments: tuple[Array, ...]) -> list[Estimate]:
-    """One order by one estimator."""
-    return _estimates(ESTIMATORS[name][order](*arguments), _method(name, order), outputs.evaluations)
 
 
 def _nothing(count: int, outputs: Outputs) -> list[Estimate]:
@@ -211,7 +118,11 @@ def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str,
     arguments = _arguments(y, estimator)
     if not y.varies:
         return {order: _nothing(blocks.inputs_count, y) for order in ESTIMATORS[estimator]}
-    return {order: _by(y, estimator, order, arguments) for order in ESTIMATORS[estimator]}
+    d = blocks.inputs_count
+    return {
+        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * d, y.evaluations)
+        for order, ratio in ESTIMATORS[estimator].items()
+    }
 
 
 # --- the answer of a design ---------------------------------------------------------------------------------
@@ -236,7 +147,17 @@ class SampledIndices:
     text: str = ""
 
 
-def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
+@dataclass(frozen=True, kw_only=True)
+class Surrogate:
+    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
+    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
+    """
+
+    outputs: Array
+    indices: Mapping[str, Array]
+
+
+def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None = None) -> SampledIndices:
     """Every index that the blocks allow, each by the estimator that suits its size.
 
     With the blocks of second order all first and total indices are those of Azzini and Rosati.  Without, an input
@@ -244,51 +165,118 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     its first index from Saltelli 2010 and its total index from Jansen.  The size of an index decides and never the
     width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.
 
+    With a `surrogate` every index is corrected by what the same points make of the surrogate's, whose truth is known
+    (`uqsphere.uq.control.control`): the answer stays that of the model, whatever the surrogate leaves out, as long as
+    it was fitted to other points.  It needs four replicates.
+
     Parameters, absent answers and ValueError as of `index_estimates`.
     """
     y = blocks.split(outputs)
     d, groups = blocks.inputs_count, len(blocks.groups)
+    pairs = list(combinations(range(d), 2)) if blocks.second else []
     if not y.varies:
         return SampledIndices(
             first=_nothing(d, y),
             total=_nothing(d, y),
-            second=dict.fromkeys(combinations(range(d), 2), _nothing(1, y)[0]) if blocks.second else {},
+            second=dict.fromkeys(pairs, _nothing(1, y)[0]),
             group_first=_nothing(groups, y),
             group_total=_nothing(groups, y),
             text=f"No index is given: {_NO_SCATTER}.",
         )
-    large: tuple[int, ...] = ()
-    if y.ba is not None:
-        arguments = _arguments(y, "azzini_rosati")
-        first, total = (_by(y, "azzini_rosati", order, arguments) for order in ("first", "total"))
+    large = _large(y, y.ab) if y.ba is None else ()
+    chosen = large, _large(y, y.groups)
+    answers = _answers(y, *chosen)
+    if surrogate is None:
+        found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
     else:
-        first, total, large = _by_size(y, y.ab)
-    group_first, group_total, _ = _by_size(y, y.groups) if groups else ([], [], ())
+        known = blocks.split(surrogate.outputs)
+        others = _answers(known, *chosen) if known.varies else {}
+        found = {
+            order: _corrected(rows, others[order][0], surrogate.indices[order], methods, y.evaluations)
+            if order in others
+            else _estimates(rows, methods, y.evaluations)
+            for order, (rows, methods) in answers.items()
+        }
     return SampledIndices(
-        first=first,
-        total=total,
-        second=_second_order(y) if y.ba is not None else {},
-        group_first=group_first,
-        group_total=group_total,
+        first=found["first"],
+        total=found["total"],
+        second=dict(zip(pairs, found["second"], strict=True)),
+        group_first=found["group_first"],
+        group_total=found["group_total"],
         large=large,
         text=choice_text(blocks, len(large)),
     )
 
 
-def _by_size(outputs: Outputs, mixed: Array) -> tuple[list[Estimate], list[Estimate], tuple[int, ...]]:
-    """First and total indices from the blocks AB of inputs or groups, and the numbers of those that are large."""
-    arguments = outputs.a, outputs.b, mixed
-    plain = {order: _by(outputs, "saltelli", order, arguments) for order in ("first", "total")}
-    large = tuple(j for j, e in enumerate(plain["total"]) if e.value is not None and e.value > LARGE)
-    if large:
-        few = outputs.a, outputs.b, mixed[:, :, list(large)]
-        for order, row in plain.items():
-            for j, estimate in zip(large, _by(outputs, "janon_monod", order, few), strict=True):
-                row[j] = estimate
-    return plain["first"], plain["total"], large
+def _corrected(rows: Array, known: Array, truth: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
+    """Estimates with the surrogate's answers (R, m), and what they should have been (m,), as control variate."""
+    replicates = len(rows)
+    factor = student(replicates - 1)
+    found = []
+    for j, method in enumerate(methods):
+        if not (np.isfinite(rows[:, j]).all() and np.isfinite(known[:, j]).all()):
+            found += _estimates(rows[:, [j]], [method], evaluations)
+            continue
+        answer = control(rows[:, j], known[:, j], np.full(replicates, truth[j]))
+        # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
+        error = max(answer.std_error, 1e-13) if np.any(rows[:, j]) else 0.0
+        found.append(
+            Estimate(
+                value=answer.value,
+                low=answer.value - factor * error,
+                high=answer.value + factor * error,
+                std_error=error,
+                method=f"{method}, controlled by a surrogate",
+                evaluations=evaluations,
+            )
+        )
+    return found
 
 
-def _second_order(outputs: Outputs) -> dict[tuple[int, int], Estimate]:
+def _large(outputs: Outputs, mixed: Array) -> tuple[int, ...]:
+    """Numbers of the inputs or groups whose total index, by Jansen's estimator, is above `LARGE`."""
+    if not mixed.shape[2]:
+        return ()
+    numerator, denominator = jansen_total(outputs.a, outputs.b, mixed)
+    return tuple(np.flatnonzero(numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)).tolist())
+
+
+def _answers(
+    outputs: Outputs, large: tuple[int, ...], large_groups: tuple[int, ...]
+) -> dict[str, tuple[Array, list[str]]]:
+    """Answers (R, m) of the replicates and their methods, by order."""
+    found = {}
+    if outputs.ba is not None:
+        arguments = outputs.a, outputs.b, outputs.ab, outputs.ba
+        for order, ratio in ESTIMATORS["azzini_rosati"].items():
+            rows = _rows(ratio(*arguments))
+            found[order] = rows, [_method("azzini_rosati", order)] * rows.shape[1]
+        rows = _rows(_second_order(outputs))
+        found["second"] = rows, [f"{METHOD}, second order"] * rows.shape[1]
+    else:
+        found |= _by_size(outputs, outputs.ab, large)
+        found["second"] = np.empty((len(outputs.a), 0)), []
+    groups = _by_size(outputs, outputs.groups, large_groups)
+    return found | {f"group_{order}": answer for order, answer in groups.items()}
+
+
+def _by_size(outputs: Outputs, mixed: Array, large: tuple[int, ...]) -> dict[str, tuple[Array, list[str]]]:
+    """First and total answers from the blocks AB of inputs or groups; those that are `large` off pairs."""
+    found = {}
+    for order in ("first", "total"):
+        rows = _rows(ESTIMATORS["saltelli"][order](outputs.a, outputs.b, mixed))
+        methods = [_method("saltelli", order)] * mixed.shape[2]
+        if large:
+            rows[:, list(large)] = _rows(
+                ESTIMATORS["janon_monod"][order](outputs.a, outputs.b, mixed[:, :, list(large)])
+            )
+        for j in large:
+            methods[j] = _method("janon_monod", order)
+        found[order] = rows, methods
+    return found
+
+
+def _second_order(outputs: Outputs) -> Ratio:
     """Interaction indices S_ij of all pairs, <(ba_i - b)(ab_j - a)> / V and the same with i and j exchanged.
 
     BA_i and AB_j share the columns i and j, so that <ba_i ab_j> is the closed index of the pair (Saltelli, Comput.
@@ -299,15 +287,41 @@ def _second_order(outputs: Outputs) -> dict[tuple[int, int], Estimate]:
         raise ValueError("second order needs the blocks BA: Blocks(second=True)")
     ba, ab = outputs.ba - outputs.b, outputs.ab - outputs.a
     _, n, d = ba.shape
-    pairs = list(combinations(range(d), 2))
-    if not pairs:
-        return {}
     products = np.matmul(ba.transpose(0, 2, 1), ab) / n
-    rows, columns = np.array(pairs).T
+    rows, columns = np.triu_indices(d, 1)
     numerator = 0.5 * (products[:, rows, columns] + products[:, columns, rows])
-    v = 0.5 * _mean(outputs.a**2 + outputs.b**2)
-    ratio = numerator, np.repeat(v, len(pairs), axis=1)
-    return dict(zip(pairs, _estimates(ratio, f"{METHOD}, second order", outputs.evaluations), strict=True))
+    v = 0.5 * block_mean(outputs.a**2 + outputs.b**2)
+    return numerator, np.repeat(v, rows.size, axis=1)
+
+
+def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:
+    """Indices of an expansion in products of orthonormal polynomials, exactly: what a `Surrogate` is known by.
+
+    Parameters
+    ----------
+    coefficients : (P,) array
+    multi_indices : (P, d) array
+        Degrees of each product; the constant has none.
+    blocks : Blocks
+
+    >>> degrees = np.array([[0, 0], [1, 0], [1, 1]])
+    >>> found = expansion_indices(np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2, second=True))
+    >>> found["first"].tolist(), found["total"].tolist(), found["second"].tolist()
+    ([0.9, 0.0], [1.0, 0.1], [0.1])
+    """
+    active = multi_indices > 0
+    count = active.sum(axis=1)
+    shares = np.where(count > 0, coefficients**2, 0.0)
+    shares = shares / shares.sum()
+    rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
+    inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
+    return {
+        "first": np.asarray(shares @ (active & (count == 1)[:, None])),
+        "total": np.asarray(shares @ active),
+        "second": np.asarray(shares @ (active[:, rows] & active[:, columns] & (count == 2)[:, None])),
+        "group_first": np.array([shares[k == count].sum() for k in inside]),
+        "group_total": np.array([shares[k > 0].sum() for k in inside]),
+    }
 
 
 def choice_text(blocks: Blocks, large: int) -> str:
