@@ -10,16 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
 from uqsphere.runner.work import REPLICATES
-from uqsphere.uq.blocks import Blocks
+from uqsphere.uq.blocks import Blocks, uniform_halves
 from uqsphere.uq.estimates import Estimate, describe
 from uqsphere.uq.families import Array
-from uqsphere.uq.indices import sampled_indices
+from uqsphere.uq.indices import SampledIndices, sampled_indices
 
 __all__ = ["CoverageRow", "Hit", "coverage_rows", "coverage_table", "coverage_text", "pooled", "surrogate_rows"]
 
@@ -29,6 +29,8 @@ INDEX_SIZES: Final = (64, 512)
 #: points that an expansion is fitted to, and the expansions of a run
 FIT_POINTS: Final = 256
 FITS: Final = 8
+#: base points of the design that an expansion sharpens
+CONTROL_POINTS: Final = 64
 NOMINAL: Final = 0.95
 #: what the share of intervals that hold the truth has to reach, pooled and in every cell
 POOLED: Final = (0.935, 0.97)
@@ -157,30 +159,51 @@ def surrogate_rows(
 
     from uqsphere.uq.chaos import chaos_indices, fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.sampling import sobol_points
+    from uqsphere.uq.surrogate import mean_expansion
 
     tally = _Tally()
     for model in coverage_models() if models is None else models:
         for repetition in range(repetitions):
-            points, outputs = [], []
+            germs, outputs = [], []
             for replicate in range(2 * FITS):
                 u = sobol_points(
                     dimension=model.dimension, count=FIT_POINTS, seed=seed + repetition, task="surrogate",
                     replicate=replicate,
                 )  # fmt: skip
-                points.append(germ_points(np.asarray(ndtri(u)), model.germs))
+                germs.append(germ_points(np.asarray(ndtri(u)), model.germs))
                 outputs.append(model.function(u))
-            fits = [fit_chaos(points[k], outputs[k], model.germs) for k in range(FITS)]
-            held = [validation_error(fits[k], points[FITS + k], outputs[FITS + k]) for k in range(FITS)]
+            fits = [fit_chaos(germs[k], outputs[k], model.germs) for k in range(FITS)]
+            held = [validation_error(fits[k], germs[FITS + k], outputs[FITS + k]) for k in range(FITS)]
             error = float(np.mean(held))
             if not judge(fits[0], error).usable:
                 continue
-            found = chaos_indices(fits, error=error, evaluations=FITS * FIT_POINTS)
-            for order, truths in (("first", model.first), ("total", model.total)):
-                tally.add(
-                    _hit(f"{order} index", "chaos", model.name, f"x{j + 1}", FIT_POINTS, estimate, truth)
-                    for j, (estimate, truth) in enumerate(zip(found[order], truths, strict=True))
-                )
+            own = chaos_indices(fits, error=error, evaluations=FITS * FIT_POINTS)
+            sampled = _controlled(model, mean_expansion(fits), seed + repetition)
+            for way, points, found in (
+                ("chaos alone", FIT_POINTS, own),
+                ("chaos as control", CONTROL_POINTS, {"first": sampled.first, "total": sampled.total}),
+            ):
+                for order, truths in (("first", model.first), ("total", model.total)):
+                    tally.add(
+                        _hit(f"{order} index", way, model.name, f"x{j + 1}", points, estimate, truth)
+                        for j, (estimate, truth) in enumerate(zip(found[order], truths, strict=True))
+                    )
     return tally.rows()
+
+
+def _controlled(model: CoverageModel, chaos: Chaos, seed: int) -> SampledIndices:
+    """Indices of a design of its own, the expansion as control variate."""
+    from scipy.special import ndtri
+
+    from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate
+
+    blocks = Blocks(inputs_count=model.dimension)
+    outputs, others = [], []
+    for replicate in range(REPLICATES):
+        halves = uniform_halves(blocks, count=CONTROL_POINTS, seed=seed, task="controlled", replicate=replicate)
+        outputs.append(model.function(blocks.mix(*halves)))
+        others.append(chaos_outputs(chaos, blocks, [np.asarray(ndtri(half)) for half in halves]))
+    return sampled_indices(np.stack(outputs), blocks, chaos_surrogate(chaos, blocks, np.stack(others)))
 
 
 class _Tally:
@@ -277,3 +300,7 @@ def coverage_table(
     notice("coverage of intervals off polynomial chaos")
     rows += surrogate_rows(repetitions=4 if quick else repetitions)
     return rows, [asdict(row) for row in [*pooled(rows), *rows]], coverage_text(rows)
+
+
+if TYPE_CHECKING:
+    from uqsphere.uq.chaos import Chaos

@@ -8,28 +8,26 @@ of freedom: the replicates' own ratios would each carry the bias of a ratio of f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.uq.blocks import Blocks, Outputs
 from uqsphere.uq.control import control
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
 from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
 from uqsphere.uq.families import Array
+from uqsphere.uq.surrogate import Surrogate
 
 __all__ = [
     "ESTIMATORS",
     "LARGE",
     "METHOD",
     "SampledIndices",
-    "Surrogate",
     "choice_text",
-    "expansion_indices",
     "index_estimates",
     "sampled_indices",
 ]
@@ -145,16 +143,6 @@ class SampledIndices:
     group_total: list[Estimate] = field(default_factory=list)
     large: tuple[int, ...] = ()
     text: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Surrogate:
-    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
-    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
-    """
-
-    outputs: Array
-    indices: Mapping[str, Array]
 
 
 def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None = None) -> SampledIndices:
@@ -292,36 +280,6 @@ def _second_order(outputs: Outputs) -> Ratio:
     numerator = 0.5 * (products[:, rows, columns] + products[:, columns, rows])
     v = 0.5 * block_mean(outputs.a**2 + outputs.b**2)
     return numerator, np.repeat(v, rows.size, axis=1)
-
-
-def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:
-    """Indices of an expansion in products of orthonormal polynomials, exactly: what a `Surrogate` is known by.
-
-    Parameters
-    ----------
-    coefficients : (P,) array
-    multi_indices : (P, d) array
-        Degrees of each product; the constant has none.
-    blocks : Blocks
-
-    >>> degrees = np.array([[0, 0], [1, 0], [1, 1]])
-    >>> found = expansion_indices(np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2, second=True))
-    >>> found["first"].tolist(), found["total"].tolist(), found["second"].tolist()
-    ([0.9, 0.0], [1.0, 0.1], [0.1])
-    """
-    active = multi_indices > 0
-    count = active.sum(axis=1)
-    shares = np.where(count > 0, coefficients**2, 0.0)
-    shares = shares / shares.sum()
-    rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
-    inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
-    return {
-        "first": np.asarray(shares @ (active & (count == 1)[:, None])),
-        "total": np.asarray(shares @ active),
-        "second": np.asarray(shares @ (active[:, rows] & active[:, columns] & (count == 2)[:, None])),
-        "group_first": np.array([shares[k == count].sum() for k in inside]),
-        "group_total": np.array([shares[k > 0].sum() for k in inside]),
-    }
 
 
 def choice_text(blocks: Blocks, large: int) -> str:
