@@ -177,6 +177,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.runner.samples import save_points
     from uqsphere.runner.sampling import sample_distributions
     from uqsphere.runner.sensitivity import find_sensitivity
+    from uqsphere.runner.tolerance import find_tolerance
 
     ledger = work.ledger
     pilot = first_look(work)
@@ -191,6 +192,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
             if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
                 interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high)
                 notice(f"limit {name}: probability of missing its aim {interval}")
+    tolerance = find_tolerance(work)
     margins = find_margins(work)
     ledger.seconds["margins"] = ledger.elapsed
     sensitivity, history, seconds, stopped, index_control = find_sensitivity(
@@ -203,6 +205,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         sensitivity=sensitivity,
         index_control=index_control,
         margins=margins,
+        tolerance=tolerance,
         history=sampled.history + history,
         seconds=sampled.seconds + seconds,
         stops={"sampling": sampled.stopped, "sensitivity": stopped},

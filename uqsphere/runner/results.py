@@ -48,6 +48,7 @@ class Findings:
     sensitivity: dict[str, Sensitivity]
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    tolerance: dict[str, dict[str, Any]] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stops: dict[str, str] = field(default_factory=dict)
@@ -78,7 +79,7 @@ def _inputs(work: Work) -> dict[str, Any]:
     return table
 
 
-def _quantities(sampled: Sampled) -> dict[str, Any]:
+def _quantities(sampled: Sampled, tolerance: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: {
             "unit": lookup(name).unit,
@@ -86,6 +87,7 @@ def _quantities(sampled: Sampled) -> dict[str, Any]:
             "sd": found.sd.as_dict(),
             "quantiles": {_share(p): estimate.as_dict() for p, estimate in found.quantiles.items()},
             "censored_share": found.censored_share.as_dict(),
+            **({"tolerance": tolerance[name]} if name in tolerance else {}),
         }
         for name, found in sampled.descriptions.items()
     }
@@ -181,7 +183,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
         "versions": versions(),
         "inputs": _inputs(work),
-        "quantities": _quantities(found.sampled),
+        "quantities": _quantities(found.sampled, found.tolerance),
         "sensitivity": _sensitivity(work.scene_names, found.sensitivity),
         "limits": {name: _limit(limit) for name, limit in found.sampled.limits.items()},
         "margins": _margins(found.margins),
@@ -247,6 +249,21 @@ def _row(estimate: Mapping[str, Any]) -> list[Any]:
     return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
 
 
+def _tolerance_rows(name: str, entry: Mapping[str, Any]) -> list[list[Any]]:
+    """Rows of the tolerance limits of a quantity: upper and lower as values, both sides as the ends of an interval."""
+    limits = entry.get("tolerance")
+    if not limits:
+        return []
+    method = f"tolerance limit, {limits['coverage']:g} with confidence {limits['confidence']:g}"
+    common = {"method": method, "evaluations": limits["runs"], "reason": limits.get("reason")}
+    low, high = limits["between"] or (None, None)
+    return [
+        [name, entry["unit"], "upper tolerance limit", *_row({**common, "value": limits["upper"]})],
+        [name, entry["unit"], "lower tolerance limit", *_row({**common, "value": limits["lower"]})],
+        [name, entry["unit"], "tolerance interval", *_row({**common, "low": low, "high": high})],
+    ]
+
+
 def _orders(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """The indices of one quantity by order, with those of pairs and groups where there are any."""
     groups = entry.get("groups", {})
@@ -265,6 +282,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
             unit = "" if what == "censored_share" else entry["unit"]
             quantity_rows.append([name, unit, what, *_row(entry[what])])
         quantity_rows += [[name, entry["unit"], f"q{p}", *_row(e)] for p, e in entry["quantiles"].items()]
+        quantity_rows += _tolerance_rows(name, entry)
     index_rows = [
         [quantity, order, name, *_row(estimate)]
         for quantity, entry in results["sensitivity"].items()
