@@ -76,8 +76,8 @@ def _hit(kind: str, way: str, model: str, answer: str, points: int, estimate: Es
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return Hit(kind=kind, way=way, model=model, answer=answer, points=points,
                    covered=False, half_width=math.inf, error=math.inf)  # fmt: skip
-    # An answer that is right to rounding is right.
-    slack = 1e-12 * max(abs(truth), abs(estimate.value))
+    # An answer that is right to rounding is right; indices are shares of 1.
+    slack = 1e-13 if kind.endswith("index") else 1e-12 * max(abs(truth), abs(estimate.value))
     return Hit(
         kind=kind,
         way=way,

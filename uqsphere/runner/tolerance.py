@@ -20,8 +20,8 @@ __all__ = ["find_tolerance"]
 def find_tolerance(work: Work) -> dict[str, dict[str, Any]]:
     """Limits by quantity, ready for results.json; empty where the study asks for none or nothing is random.
 
-    A run without an answer (where the policy for failures lets the study go on) takes the worst place of each limit, one
-    that outlasts the record that of an upper limit.
+    Where the policy for failures lets the study go on, a run without an answer takes the worst place of each limit;
+    one that outlasts the record takes that of an upper limit.
     """
     request = work.study.analysis.tolerance_intervals
     if request is None or not work.scene_names:

@@ -39,6 +39,7 @@ METHOD: Final = "pick and freeze"
 
 #: What is left of a difference of two sums that cancel, over V.
 _ROUNDING: Final = 1e-15
+_CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
 _NO_SCATTER: Final = "the output does not vary"
 
 
@@ -192,7 +193,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
         group_first=found["group_first"],
         group_total=found["group_total"],
         large=large,
-        text=choice_text(blocks, len(large)),
+        text=choice_text(blocks, len(large)) + ("" if surrogate is None else _CONTROLLED),
     )
 
 

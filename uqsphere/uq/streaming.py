@@ -197,7 +197,7 @@ class _Orders:
 
     def find(self, ranks: Iterable[int]) -> dict[int, tuple[float, Counts]]:
         """Value and counts at most as large, of every rank."""
-        found = {}
+        found: dict[int, tuple[float, Counts]] = {}
         left = dict.fromkeys(ranks, self.whole)
         for _ in range(_MOST_PASSES):
             if any(not bracket.holds(rank) for rank, bracket in left.items()):

@@ -66,7 +66,8 @@ def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
     degrees = np.concatenate([fit.multi_indices for fit in fits])
     values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
     terms, place = np.unique(degrees, axis=0, return_inverse=True)
-    coefficients = np.bincount(place.reshape(-1), weights=values, minlength=len(terms))
+    coefficients = np.zeros(len(terms))
+    np.add.at(coefficients, place.reshape(-1), values)
     # the constant first, as in every expansion: np.unique sorts it there
     return replace(fits[0], coefficients=coefficients, multi_indices=terms, samples=sum(f.samples for f in fits))
 

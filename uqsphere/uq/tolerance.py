@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
@@ -97,7 +98,7 @@ class ToleranceLimits:
 
 
 def tolerance_limits(
-    samples: Array, *, coverage: float, confidence: float, unknown_above: Array | None = None
+    samples: Array, *, coverage: float, confidence: float, unknown_above: npt.NDArray[np.bool_] | None = None
 ) -> ToleranceLimits:
     """One- and two-sided limits from independent samples (n,), by the highest order that n allows.
 
