@@ -16,11 +16,10 @@ from typing import Final
 import numpy as np
 
 from uqsphere.uq.blocks import Blocks, Outputs
-from uqsphere.uq.control import control
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
 from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
 from uqsphere.uq.families import Array
-from uqsphere.uq.surrogate import Surrogate
+from uqsphere.uq.surrogate import Surrogate, corrected
 
 __all__ = [
     "ESTIMATORS",
@@ -155,8 +154,8 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.
 
     With a `surrogate` every index is corrected by what the same points make of the surrogate's, whose truth is known
-    (`uqsphere.uq.control.control`): the answer stays that of the model, whatever the surrogate leaves out, as long as
-    it was fitted to other points.  It needs four replicates.
+    (`uqsphere.uq.surrogate.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
+    as it was fitted to other points.  It needs four replicates.
 
     Parameters, absent answers and ValueError as of `index_estimates`.
     """
@@ -206,14 +205,14 @@ def _corrected(rows: Array, known: Array, truth: Array, methods: Sequence[str], 
         if not (np.isfinite(rows[:, j]).all() and np.isfinite(known[:, j]).all()):
             found += _estimates(rows[:, [j]], [method], evaluations)
             continue
-        answer = control(rows[:, j], known[:, j], np.full(replicates, truth[j]))
+        value, error = corrected(rows[:, j], known[:, j] - truth[j])
         # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
-        error = max(answer.std_error, 1e-13) if np.any(rows[:, j]) else 0.0
+        error = max(error, 1e-13) if np.any(rows[:, j]) else 0.0
         found.append(
             Estimate(
-                value=answer.value,
-                low=answer.value - factor * error,
-                high=answer.value + factor * error,
+                value=value,
+                low=value - factor * error,
+                high=value + factor * error,
                 std_error=error,
                 method=f"{method}, controlled by a surrogate",
                 evaluations=evaluations,
