@@ -48,9 +48,12 @@ def plan_run(study: Study) -> dict[str, Any]:
     else:
         rough = any(name in _ROUGH for name in study.analysis.quantities)
         sampling = 65_536 * (0.01 / asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
-        sensitivity = (d + 2) * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
+        analysis = study.analysis
+        blocks = d + 2 + (d if analysis.second_order else 0) + len(analysis.groups)
+        sensitivity = blocks * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
         margins = 20_000 if study.margins is not None else 0
-        planned = max(2_048.0, sampling) + max(1_024.0 * (d + 2), sensitivity) + margins
+        planned = max(2_048.0, sampling) + max(1_024.0 * blocks, sensitivity) + margins
+        planned += analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0
         evaluations = round(min(planned, study.analysis.budget.evaluations), -3)
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
     if not study.black_box:
