@@ -56,7 +56,8 @@ class CoverageRow:
     """A cell of the table: one answer of one model, or all of a kind together (`model` "all").
 
     `width` is the mean half-width over 1.96 times the root mean square of the true error: 1.1 where errors are normal
-    and 16 replicates show their spread.  `exact` if every answer is the truth itself and the interval a point: such
+    and 16 replicates show their spread.  `error` is that root mean square, None where an
+    estimate was absent, pooled the largest.  `exact` if every answer is the truth itself and the interval a point: such
     cells, of inputs without effect, are not pooled, since they would flatter.
     """
 
@@ -68,7 +69,7 @@ class CoverageRow:
     repetitions: int
     covered: float
     width: float | None
-    error: float
+    error: float | None
     exact: bool = False
 
 
@@ -232,7 +233,7 @@ class _Tally:
                     repetitions=int(count),
                     covered=covered / count,
                     width=width / count / (1.96 * rms) if 0.0 < rms < math.inf else None,
-                    error=rms if math.isfinite(rms) else -1.0,
+                    error=rms if math.isfinite(rms) else None,
                     exact=rms == 0.0 and covered == count,
                 )
             )
@@ -262,7 +263,7 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
                 repetitions=sum(models.values()),
                 covered=float(np.mean(shares)),
                 width=float(np.mean([r.width for r in cells if r.width is not None])),
-                error=math.nan if any(r.error < 0.0 for r in cells) else max(r.error for r in cells),
+                error=max((r.error for r in cells if r.error is not None), default=None),
             )
         )
     return found
