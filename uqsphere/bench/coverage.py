@@ -251,6 +251,7 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
         if not cells:
             continue
         models = {r.model: r.repetitions for r in cells}
+        widths = [r.width for r in cells if r.width is not None]
         # Every model counts alike, and so every answer of a model with many inputs less.
         shares = [float(np.mean([r.covered for r in cells if r.model == model])) for model in models]
         found.append(
@@ -262,7 +263,7 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
                 points=points,
                 repetitions=sum(models.values()),
                 covered=float(np.mean(shares)),
-                width=float(np.mean([r.width for r in cells if r.width is not None])),
+                width=float(np.mean(widths)) if widths else None,
                 error=max((r.error for r in cells if r.error is not None), default=None),
             )
         )
