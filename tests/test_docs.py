@@ -27,6 +27,7 @@ from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
 from uqsphere.runner import pilot, sampling, sensitivity, stopping, work
 from uqsphere.study import load_study, schema
+from uqsphere.uq import indices
 from uqsphere.uq.specification import LAWS
 
 ROOT = Path(__file__).parent.parent
@@ -339,7 +340,7 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
         f"more than {stopping.CAUTION:g} times what",
         f"at least {stopping.SLOWEST:g}, at most {stopping.FASTEST:g}",
         f"from {sampling.JUDGED} points of each scrambling (indices: {sensitivity.JUDGED} base points)",
-        f"puts above {sensitivity.LARGE:g} is taken from (29)",
+        f"total index (28) puts above {indices.LARGE:g} are taken from (29)",
         f"half-width is above {sensitivity.WORTHLESS:g} is withheld",
         f"up to {sensitivity.FIT_POINTS} points of each of {sensitivity.FITS} scramblings",
     ):

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.estimates import from_replicates
+from uqsphere.uq.indices import index_estimates
 from uqsphere.uq.sensitivity import (
     agree,
     cross_check,
     mix,
-    paired_indices,
     saltelli_halves,
     saltelli_points,
     sobol_indices,
@@ -176,7 +177,7 @@ def test_pairs_agree_with_salib_and_cost_less_where_outliers_rule() -> None:
         model(ndtri(saltelli_points(inputs_count=3, count=2048, seed=3, task="outliers", replicate=r)))
         for r in range(16)
     ])  # fmt: skip
-    plain, pairs = sobol_indices(outputs), paired_indices(outputs)
+    plain, pairs = sobol_indices(outputs), index_estimates(outputs, Blocks(inputs_count=3), "janon_monod")
     for found in (plain, pairs):
         for order in ("first", "total"):
             for estimate, truth in zip(found[order], exact, strict=True):
@@ -196,7 +197,7 @@ def test_intervals_of_pairs_cover() -> None:
                 for r in range(8)
             ]
         )
-        found = paired_indices(outputs)
+        found = index_estimates(outputs, Blocks(inputs_count=3), "janon_monod")
         hits += [
             e.low <= truth <= e.high
             for order in ("first", "total")

@@ -37,7 +37,7 @@ def _rows(study: Study) -> int:
     """Evaluations for a base point of the indices: of all subsets, or of random orders, where inputs are tied."""
     d = len(study.random)
     if not any(sum(name in study.random for name in group.of) > 1 for group in study.dependence):
-        return d + 2
+        return d + 2 + (d if study.analysis.second_order else 0) + len(study.analysis.groups)
     return 2**d if d <= 10 else 3 * d - 1
 
 
@@ -56,11 +56,12 @@ def plan_run(study: Study) -> dict[str, Any]:
     else:
         rough = any(name in _ROUGH for name in study.analysis.quantities)
         sampling = 65_536 * (0.01 / asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
-        sensitivity = _rows(study) * (
-            80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2
-        )
+        analysis = study.analysis
+        blocks = _rows(study)
+        sensitivity = blocks * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
         margins = 20_000 if study.margins is not None else 0
-        planned = max(2_048.0, sampling) + max(1_024.0 * _rows(study), sensitivity) + margins
+        planned = max(2_048.0, sampling) + max(1_024.0 * blocks, sensitivity) + margins
+        planned += analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0
         evaluations = round(min(planned, study.analysis.budget.evaluations), -3)
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
     if not study.black_box:

@@ -9,7 +9,7 @@ import numpy as np
 
 from uqsphere.model import scene_of
 from uqsphere.report.timelines import history_figure, xt_figure
-from uqsphere.runner.results import csv_text
+from uqsphere.runner.tables import csv_text
 from uqsphere.store import write_atomically
 from uqsphere.study import Study
 

@@ -179,6 +179,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.runner.samples import save_points
     from uqsphere.runner.sampling import sample_distributions
     from uqsphere.runner.sensitivity import dependent_names, find_sensitivity
+    from uqsphere.runner.tolerance import find_tolerance
 
     ledger = work.ledger
     pilot = first_look(work)
@@ -193,6 +194,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
             if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
                 interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high)
                 notice(f"limit {name}: probability of missing its aim {interval}")
+    tolerance = find_tolerance(work)
     margins = find_margins(work)
     ledger.seconds["margins"] = ledger.elapsed
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
@@ -211,6 +213,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         drivers=drivers,
         index_control=index_control,
         margins=margins,
+        tolerance=tolerance,
         history=sampled.history + history,
         seconds=sampled.seconds + seconds,
         stops={"sampling": sampled.stopped, "sensitivity": stopped},

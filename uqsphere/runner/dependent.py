@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.sensitivity import Pairs, Sensitivity, clean_rows, note
+from uqsphere.runner.design import clean
+from uqsphere.runner.sensitivity import Pairs, Sensitivity, note
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate
@@ -161,12 +162,12 @@ def _joined(one: Pairs, other: Pairs) -> Pairs:
 
 
 def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict[str, list[Estimate]]]:
-    clean = clean_rows(pairs.values, pairs.failed)
+    whole = clean(pairs.values, pairs.failed)
     orders = orders_at(work, design, pairs.failed.shape[1])
     if orders is not None and pairs.failed.any():
-        least = clean.shape[1]
+        least = whole.shape[1]
         orders = np.stack([row[~bad][:least] for row, bad in zip(orders, pairs.failed, strict=True)])
-    return {q: shapley_estimates(design, clean[..., k], orders) for k, q in enumerate(work.quantities)}
+    return {q: shapley_estimates(design, whole[..., k], orders) for k, q in enumerate(work.quantities)}
 
 
 def _conclude(

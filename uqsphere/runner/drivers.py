@@ -11,14 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.dependent import TASK, Shared, orders_at
+from uqsphere.runner.design import clean
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.sensitivity import Pairs, Sensitivity, clean_rows, paired_or_plain
+from uqsphere.runner.sensitivity import Pairs, Sensitivity
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, sub_inputs
 from uqsphere.study import Limit
+from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.distribution import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
 from uqsphere.uq.distributional import delta_estimates, pawn_estimates
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.inputs import normal_scores, tied_names
 from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
 from uqsphere.uq.sampling import random_generator
@@ -96,13 +99,13 @@ def _whole(sampled: Sampled) -> tuple[Draw, Sample]:
     n = min(POINTS, sampled.sample.status.shape[1])
     failed = sampled.sample.failed[:, :n]
     points = Draw(
-        normals=clean_rows(sampled.points.normals[:, :n], failed),
-        physical=clean_rows(sampled.points.physical[:, :n], failed),
+        normals=clean(sampled.points.normals[:, :n], failed),
+        physical=clean(sampled.points.physical[:, :n], failed),
     )
     sample = Sample(
-        values=clean_rows(sampled.sample.values[:, :n], failed),
-        censored=np.asarray(clean_rows(sampled.sample.censored[:, :n].astype(float), failed) > 0.0),
-        status=np.asarray(clean_rows(sampled.sample.status[:, :n].astype(float), failed)).astype(np.int64),
+        values=clean(sampled.sample.values[:, :n], failed),
+        censored=np.asarray(clean(sampled.sample.censored[:, :n].astype(float), failed) > 0.0),
+        status=np.asarray(clean(sampled.sample.status[:, :n].astype(float), failed)).astype(np.int64),
     )
     return points, sample
 
@@ -202,15 +205,15 @@ def _indices(work: Work, limit: Limit, paired: Pairs | None, shared: Shared | No
     values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
     count = failed.shape[1]
     tied = isinstance(limit.strength, Law) and _depends(work, _strength_name(limit))
-    scores = clean_rows(_scores(work, shared, count), failed) if tied else None
-    chance = _chances(work, limit, clean_rows(values, failed), scores)
+    scores = clean(_scores(work, shared, count), failed) if tied else None
+    chance = _chances(work, limit, clean(values, failed), scores)
     about = "the probability of missing the aim given the inputs"
     if design is not None:
         from uqsphere.uq.shapley import shapley_estimates
 
         orders = orders_at(work, design, count)
         if orders is not None:
-            orders = np.asarray(clean_rows(orders.astype(float), failed)).astype(np.int64)
+            orders = np.asarray(clean(orders.astype(float), failed)).astype(np.int64)
         found = shapley_estimates(design, chance, orders)
         refused = _no_indices(names, "inputs depend on each other: read the Shapley effects", method)
         return {
@@ -220,8 +223,8 @@ def _indices(work: Work, limit: Limit, paired: Pairs | None, shared: Shared | No
             "kucherenko": {order: _json(names, found[order]) for order in ("first", "total")},
         }
     if tied or isinstance(limit.model_factor, Law):
-        plain = paired_or_plain(chance)
-        return {"of": about, "first": _json(names, plain["first"]), "total": _json(names, plain["total"])}
+        plain = sampled_indices(chance, Blocks(inputs_count=len(names)))
+        return {"of": about, "first": _json(names, plain.first), "total": _json(names, plain.total)}
     found = indicator_indices(chance)
     every = (*names, _strength_name(limit)) if isinstance(limit.strength, Law) else names
     return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}

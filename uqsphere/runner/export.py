@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.runner.results import tables
+from uqsphere.runner.tables import tables
 from uqsphere.store import write_atomically
 
 if TYPE_CHECKING:

@@ -1,11 +1,9 @@
-"""The answers of a run as the JSON document and the tables that the contract fixes."""
+"""The answers of a run as the JSON document that the contract fixes."""
 
 from __future__ import annotations
 
-import csv
-import io
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any
@@ -20,6 +18,7 @@ from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.pilot import Pilot
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.tables import tables
 from uqsphere.runner.work import Ledger, Work
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.uq.estimates import Estimate
@@ -29,10 +28,8 @@ __all__ = [
     "Findings",
     "build_manifest",
     "build_results",
-    "csv_text",
     "damage_of",
     "savings",
-    "tables",
     "versions",
     "write_results",
 ]
@@ -51,6 +48,7 @@ class Findings:
     drivers: Drivers = field(default_factory=lambda: Drivers(quantities={}, limits={}))
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    tolerance: dict[str, dict[str, Any]] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stops: dict[str, str] = field(default_factory=dict)
@@ -81,7 +79,7 @@ def _inputs(work: Work) -> dict[str, Any]:
     return table
 
 
-def _quantities(sampled: Sampled) -> dict[str, Any]:
+def _quantities(sampled: Sampled, tolerance: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: {
             "unit": lookup(name).unit,
@@ -89,6 +87,7 @@ def _quantities(sampled: Sampled) -> dict[str, Any]:
             "sd": found.sd.as_dict(),
             "quantiles": {_share(p): estimate.as_dict() for p, estimate in found.quantiles.items()},
             "censored_share": found.censored_share.as_dict(),
+            **({"tolerance": tolerance[name]} if name in tolerance else {}),
         }
         for name, found in sampled.descriptions.items()
     }
@@ -98,12 +97,23 @@ def _estimates(table: Mapping[str, Estimate]) -> dict[str, Any]:
     return {name: estimate.as_dict() for name, estimate in table.items()}
 
 
+def _sets(indices: Sensitivity) -> dict[str, Any]:
+    """Indices of pairs, "a|b", and of groups by their name, where the study asks for them."""
+    found: dict[str, Any] = {"second": _estimates(indices.second)} if indices.second else {}
+    if indices.group_first:
+        groups = {"first": _estimates(indices.group_first), "total": _estimates(indices.group_total)}
+        found["groups"] = groups
+    return found
+
+
 def _sensitivity(names: Sequence[str], found: dict[str, Sensitivity], drivers: Drivers) -> dict[str, Any]:
     answer = {}
     for quantity, indices in found.items():
         answer[quantity] = {
             "first": _estimates(indices.first),
             "total": _estimates(indices.total),
+            **_sets(indices),
+            "estimators": indices.estimators,
             "surrogate": indices.surrogate,
             "check": {
                 "agree": indices.agree,
@@ -180,7 +190,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "inputs": _inputs(work),
         "quantities": {
             name: {**entry, "ignorance": quantities_open.get(name)}
-            for name, entry in _quantities(found.sampled).items()
+            for name, entry in _quantities(found.sampled, found.tolerance).items()
         },
         "sensitivity": _sensitivity(work.scene_names, found.sensitivity, found.drivers),
         "limits": {
@@ -229,103 +239,6 @@ def savings(model: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
-    for row in rows:
-        writer.writerow([_cell(value) for value in row])
-    return buffer.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
-        return "'" + value
-    return repr(value) if isinstance(value, float) else value
-
-
-_ESTIMATE = ("value", "low", "high", "std_error", "method", "evaluations", "reason")
-
-
-def _row(estimate: Mapping[str, Any]) -> list[Any]:
-    return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
-
-
-def _index_tables(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """First and total indices, and what takes their place where inputs depend on each other, by order."""
-    found = [("first", entry["first"]), ("total", entry["total"])]
-    if entry.get("shapley"):
-        found.append(("shapley", entry["shapley"]))
-        found += [(f"kucherenko {order}", table) for order, table in entry["kucherenko"].items()]
-    return found
-
-
-def _driver_rows(results: Mapping[str, Any]) -> list[list[Any]]:
-    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and specimens of both."""
-    rows: list[list[Any]] = []
-    for kind in ("sensitivity", "limits"):
-        for name, entry in results[kind].items():
-            tables = [(key, entry[key]) for key in ("delta", "pawn") if kind == "sensitivity" and key in entry]
-            tables += _index_tables(entry["drivers"]) if kind == "limits" and "drivers" in entry else []
-            rows += [[name, what, n, *_row(e), ""] for what, table in tables for n, e in table.items()]
-            for row in (entry.get("measure_first") or {}).get("rows", ()):
-                what = "sway" if "sway" in row else "share"
-                rows.append([name, what, row["input"], *_row(row[what]), row["tests"]])
-    return rows
-
-
-def tables(results: Mapping[str, Any]) -> dict[str, str]:
-    """CSV tables by file name, from the content of results.json alone."""
-    quantity_rows = []
-    for name, entry in results["quantities"].items():
-        for what in ("mean", "sd", "censored_share"):
-            unit = "" if what == "censored_share" else entry["unit"]
-            quantity_rows.append([name, unit, what, *_row(entry[what])])
-        quantity_rows += [[name, entry["unit"], f"q{p}", *_row(e)] for p, e in entry["quantiles"].items()]
-    index_rows = [
-        [quantity, order, name, *_row(estimate)]
-        for quantity, entry in results["sensitivity"].items()
-        for order, table in _index_tables(entry)
-        for name, estimate in table.items()
-    ]
-    limit_rows = []
-    for name, entry in results["limits"].items():
-        limit_rows += [[name, what, *_row(entry[what])] for what in ("exceedance", "miss")]
-        limit_rows += [[name, f"margin {which}", *_row(e)] for which, e in entry["margin"].items()]
-    margin_rows = [
-        [name, entry["solve"], entry["unit"], p, *_row(e)]
-        for name, entry in results["margins"].items()
-        for p, e in entry["values"].items()
-    ]
-    curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
-    inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
-    checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
-    speed = [
-        [r["method"], r["quantity"], r["evaluations"], r["error"], r["error_kind"]] for r in results["speed_error"]
-    ]
-    found = {
-        "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
-        "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
-        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
-        "drivers": (("of", "statistic", "input", *_ESTIMATE, "specimens"), _driver_rows(results)),
-        "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
-        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
-        "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),
-        "validity": (("check", "share", "worst", "text"), checks),
-        "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
-    }
-    if results.get("paper"):
-        found["paper"] = (
-            ("quantity", "unit", "as_printed", "corrected", "full", "note"),
-            [
-                [p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
-                for p in results["paper"]
-            ],
-        )
-    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
 
 
 def _unlike_estimates(node: Any) -> bool:

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.model import is_answered
+from uqsphere.runner.design import blocks_of, clean, helpers_of, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
-from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.indices import METHOD, SampledIndices, sampled_indices
 from uqsphere.uq.inputs import tied_names
 
 __all__ = [
     "Pairs",
     "Sensitivity",
-    "clean_rows",
     "dependent_names",
     "find_sensitivity",
     "note",
-    "paired_or_plain",
-    "pick_and_freeze",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -35,12 +34,9 @@ FIRST = 64
 JUDGED = 128
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
-#: indices above this are read off pairs of runs
-LARGE = 0.5
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
-METHOD = "pick and freeze"
 CHAOS = "polynomial chaos"
 
 
@@ -48,8 +44,9 @@ CHAOS = "polynomial chaos"
 class Sensitivity:
     """Indices of one quantity: which are given, both ways that found them, and how they agree.
 
-    Where inputs depend on each other `first` and `total` are absent, and `shapley` and `kucherenko` ("first" and
-    "total" of each input) take their place.
+    `second` goes by "a|b" of two inputs, `group_first` and `group_total` by the names of the groups; `estimators`
+    says what sampling read the indices off, and why.  Where inputs depend on each other `first` and `total` are
+    absent, and `shapley` and `kucherenko` ("first" and "total" of each input) take their place.
     """
 
     first: dict[str, Estimate]
@@ -62,6 +59,10 @@ class Sensitivity:
     missed: list[str] = field(default_factory=list)
     shapley: dict[str, Estimate] = field(default_factory=dict)
     kucherenko: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    second: dict[str, Estimate] = field(default_factory=dict)
+    group_first: dict[str, Estimate] = field(default_factory=dict)
+    group_total: dict[str, Estimate] = field(default_factory=dict)
+    estimators: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +78,14 @@ def dependent_names(work: Work) -> list[str]:
     return tied_names(sub_inputs(work.all_inputs, work.scene_names))
 
 
-def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any]]:
-    """Indices of quantity k off polynomial chaos, with what its validation says; empty where it is refused."""
-    from uqsphere.uq.chaos import Chaos, chaos_indices, fit_chaos, germ_points, judge, validation_error
+def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any], Chaos | None]:
+    """Indices of quantity k off polynomial chaos, what its validation says, and the mean of the expansions.
+
+    Empty and None where they are refused.  The output itself is expanded, no transform of it: only then are the
+    indices of the expansion known exactly, as those of a control variate must be.
+    """
+    from uqsphere.uq.chaos import chaos_indices, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)
     germs = tuple(
@@ -96,9 +102,13 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         keep = whole[replicate, :used]
         points = germ_points(sampled.points.normals[replicate, :used, :d][keep], germs)
         if len(points) < 4 * (d + 1):
-            return {}, {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"}
+            return (
+                {},
+                {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"},
+                None,
+            )
         like = fits[0] if fits else None
-        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs, like))
+        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs, like, transform=False))
         # held out: another randomisation altogether
         other = FITS + replicate
         points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
@@ -116,8 +126,8 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         "terms": int(fits[0].coefficients.size),
     }
     if not verdict.usable:
-        return {}, about
-    return chaos_indices(fits, error=error, evaluations=evaluations), about
+        return {}, about, None
+    return chaos_indices(fits, error=error, evaluations=evaluations), about, mean_expansion(fits)
 
 
 def _refused(work: Work, reason: str) -> Sensitivity:
@@ -133,33 +143,6 @@ def _refused(work: Work, reason: str) -> Sensitivity:
     )
 
 
-def pick_and_freeze(work: Work, key: str, start: int, count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Outputs (R, count, d + 2, q) and failures (R, count) of more points of the design."""
-    from scipy.special import ndtri
-
-    from uqsphere.uq.inputs import physical_from_normal
-    from uqsphere.uq.sensitivity import mix, saltelli_halves
-
-    d = len(work.scene_names)
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
-
-    def physical(uniforms: Array) -> Array:
-        return physical_from_normal(inputs, np.asarray(ndtri(uniforms)))
-
-    # the inputs are independent here, so the halves are mapped once and mixed afterwards
-    blocks = []
-    for replicate in range(REPLICATES):
-        a, b = saltelli_halves(
-            inputs_count=d, count=count, seed=work.study.seed, task="sensitivity", replicate=replicate, start=start
-        )
-        blocks.append(mix(physical(a), physical(b)))
-    answered = evaluate_points(work, key, work.scene_names, np.stack(blocks).reshape(-1, d))
-    q = len(work.quantities)
-    values = answered.values.reshape(REPLICATES, count, d + 2, q)
-    failed = ~is_answered(answered.status).reshape(REPLICATES, count, d + 2)
-    return values, np.asarray(failed.any(axis=2))
-
-
 def _more(start: int, widths: list[float], asked: float) -> int:
     """Base points to add to every replicate: what the widest interval calls for, at most three times what is there.
 
@@ -171,26 +154,6 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
 
-def paired_or_plain(outputs: Array) -> dict[str, list[Estimate]]:
-    """Indices off the design: SALib's estimators for small indices, those of pairs of runs for large ones.
-
-    The size decides and not the interval, so that nothing is chosen for having come out narrow.
-    """
-    from uqsphere.uq.sensitivity import paired_indices, sobol_indices
-
-    plain = sobol_indices(outputs)
-    if plain["first"][0].value is None:
-        return plain
-    paired = paired_indices(outputs)
-    return {
-        order: [
-            p if p.value is not None and p.value > LARGE else s
-            for s, p in zip(plain[order], paired[order], strict=True)
-        ]
-        for order in ("first", "total")
-    }
-
-
 def _believable(estimates: list[Estimate]) -> list[Estimate]:
     """Indices whose interval says nothing, since it is as wide as the range of an index, are withheld."""
     reason = "not known: rare samples carry so much of the variance that the interval spans the whole range"
@@ -198,14 +161,6 @@ def _believable(estimates: list[Estimate]) -> list[Estimate]:
         absent(reason, e.method, e.evaluations) if e.value is not None and e.half_width > WORTHLESS else e
         for e in estimates
     ]
-
-
-def clean_rows(values: Array, failed: npt.NDArray[np.bool_]) -> Array:
-    """The same number of base points without a failure from every replicate, (R, N', d + 2, q)."""
-    if not failed.any():
-        return values
-    least = int((~failed).sum(axis=1).min())
-    return np.stack([row[~bad][:least] for row, bad in zip(values, failed, strict=True)])
 
 
 def find_sensitivity(
@@ -234,9 +189,12 @@ def find_sensitivity(
     history: list[dict[str, Any]] = []
     seconds: list[float] = []
     expanded, about = {}, {}
+    surrogates: dict[str, Chaos] = {}
     for k, quantity in enumerate(work.quantities):
         if "pce" in methods or "auto" in methods:
-            expanded[quantity], about[quantity] = _expansions(work, sampled, k)
+            expanded[quantity], about[quantity], chaos = _expansions(work, sampled, k)
+            if chaos is not None:
+                surrogates[quantity] = chaos
             note(
                 history,
                 seconds,
@@ -250,6 +208,8 @@ def find_sensitivity(
         else:
             expanded[quantity], about[quantity] = {}, {"kind": None, "error": None, "evaluations": 0}
     found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
+    drawn: dict[str, SampledIndices] = {}
+    blocks = blocks_of(work)
     stopped = "accuracy"
     start = 0
     widest = dict.fromkeys(work.quantities, asked)
@@ -258,35 +218,42 @@ def find_sensitivity(
     given_up = dict.fromkeys(work.quantities, "")
     budget = work.study.analysis.budget
     values: Array | None = None
+    others: Array | None = None
     failed: npt.NDArray[np.bool_] | None = None
     control = control or IndexControl(used=False)
     while "sobol" in methods or "auto" in methods:
         count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
-        if work.ledger.total + control.rows(REPLICATES * count * (len(names) + 2)) > budget.evaluations:
+        if work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
             stopped = "evaluations"
             break
         try:
-            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count)
+            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count, blocks)
         except OutOfBudget:
             stopped = "time"
             break
         values = more if values is None else np.concatenate([values, more], axis=1)
         failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
+        if surrogates:
+            known = surrogate_outputs(work, start, count, blocks, list(surrogates.values()))
+            others = known if others is None else np.concatenate([others, known], axis=1)
         start += count
-        clean = clean_rows(values, failed)
-        found = {quantity: paired_or_plain(clean[..., k]) for k, quantity in enumerate(work.quantities)}
-        lacking = [q for q in work.quantities if not _accurate(found[q], expanded[q], asked)]
+        whole = clean(values, failed)
+        helpers = helpers_of(surrogates, blocks, None if others is None else clean(others, failed))
+        drawn = {q: sampled_indices(whole[..., k], blocks, helpers.get(q)) for k, q in enumerate(work.quantities)}
+        found = {quantity: {"first": e.first, "total": e.total} for quantity, e in drawn.items()}
+        lacking = [q for q in work.quantities if not _accurate(found[q], asked)]
         try:
-            control, found = sharpen(work, control, pick_and_freeze, values, failed, found, lacking)
+            control, found = sharpen(
+                work, control, pick_and_freeze, values[:, :, : len(names) + 2], failed, found, lacking
+            )
         except OutOfBudget:
             control = IndexControl(used=False, text="the control variate was cut short by the time budget")
         for k, quantity in enumerate(work.quantities):
-            widths = [
-                e.half_width for e in (*found[quantity]["first"], *found[quantity]["total"]) if e.value is not None
-            ]
+            widths = [e.half_width for row in found[quantity].values() for e in row if e.value is not None]
+            widths += [e.half_width for e in _sets(drawn[quantity]) if e.value is not None]
             widest[quantity] = max(widths, default=0.0)
-            done[quantity] = _accurate(found[quantity], expanded[quantity], asked)
-            spent = clean[:, :, :, k].size
+            done[quantity] = _accurate(found[quantity], asked) and _beyond(drawn[quantity]) <= asked
+            spent = whole[:, :, :, k].size
             if start >= JUDGED and not budget.exhaust:
                 course[quantity].append((spent, widest[quantity]))
                 affordable = spent + budget.evaluations - work.ledger.total
@@ -311,13 +278,14 @@ def find_sensitivity(
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
+    concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities}
     return (
-        {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities},
+        {q: _with_sets(work, indices, drawn.get(q), asked) for q, indices in concluded.items()},
         history,
         seconds,
         stopped,
         control,
-        None if values is None or failed is None else Pairs(values=values, failed=failed),
+        None if values is None or failed is None else Pairs(values=values[:, :, : len(names) + 2], failed=failed),
     )
 
 
@@ -344,26 +312,44 @@ def note(
         seconds.append(work.ledger.elapsed)
 
 
+def _sets(drawn: SampledIndices) -> list[Estimate]:
+    """Indices of pairs and of groups."""
+    return [*drawn.second.values(), *drawn.group_first, *drawn.group_total]
+
+
+def _beyond(drawn: SampledIndices) -> float:
+    """The largest half-width among pairs and groups."""
+    return max((e.half_width for e in _sets(drawn) if e.value is not None), default=0.0)
+
+
+def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, asked: float) -> Sensitivity:
+    """The same with the indices of pairs and groups that the study asks for."""
+    names, analysis = work.scene_names, work.study.analysis
+    if drawn is None:
+        reason = "indices of pairs and groups are sampled, which was not asked for or is beyond the budget"
+        nothing = absent(reason, METHOD, 0)
+        pairs = combinations(names, 2) if analysis.second_order else ()
+        drawn_second = {f"{a}|{b}": nothing for a, b in pairs}
+        groups = dict.fromkeys(analysis.groups, nothing)
+        return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
+    width = _beyond(drawn)
+    late = [f"indices of pairs and groups: half-width {width:.2g}, asked {asked:g}"] if width > asked else []
+    return replace(
+        indices,
+        second={f"{names[i]}|{names[j]}": e for (i, j), e in drawn.second.items()},
+        group_first=dict(zip(analysis.groups, _believable(drawn.group_first), strict=True)),
+        group_total=dict(zip(analysis.groups, _believable(drawn.group_total), strict=True)),
+        estimators=drawn.text,
+        missed=indices.missed + late,
+    )
+
+
 def _widest(indices: dict[str, list[Estimate]]) -> float:
     return max((e.half_width for e in (*indices["first"], *indices["total"]) if e.value is not None), default=0.0)
 
 
-def _preferred(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]]) -> bool:
-    """Whether the expansion is the better answer: it contradicts nothing and its intervals are narrower."""
-    from uqsphere.uq.sensitivity import cross_check
-
-    if not expanded:
-        return False
-    if not sampled:
-        return True
-    agree, _ = cross_check(["x"] * len(sampled["first"]), sampled, expanded)
-    return agree and _widest(expanded) < _widest(sampled)
-
-
-def _accurate(sampled: dict[str, list[Estimate]], expanded: dict[str, list[Estimate]], asked: float) -> bool:
-    if _widest(sampled) <= asked:
-        return True
-    return _preferred(sampled, expanded) and _widest(expanded) <= asked
+def _accurate(sampled: dict[str, list[Estimate]], asked: float) -> bool:
+    return _widest(sampled) <= asked
 
 
 def _conclude(
@@ -376,7 +362,8 @@ def _conclude(
 ) -> Sensitivity:
     from uqsphere.uq.sensitivity import cross_check
 
-    given = expanded if _preferred(sampled, expanded) else sampled
+    # What is sampled is the answer: of the model itself, with the expansion as control variate where there is one.
+    given = sampled or expanded
     if not given:
         reason = about.get("reason") or "no method that was asked for gives indices within the budget"
         nothing = {name: absent(reason, METHOD, 0) for name in names}
@@ -404,8 +391,6 @@ def _conclude(
         if width > asked
         else []
     )
-    if agree is False:
-        missed.append("indices: sampling and polynomial chaos disagree")
     return Sensitivity(
         first=dict(zip(names, given["first"], strict=True)),
         total=dict(zip(names, given["total"], strict=True)),
@@ -416,3 +401,7 @@ def _conclude(
         text=text,
         missed=missed,
     )
+
+
+if TYPE_CHECKING:
+    from uqsphere.uq.chaos import Chaos

@@ -26,6 +26,7 @@ __all__ = [
     "ModelChoice",
     "Source",
     "Study",
+    "ToleranceRequest",
     "law_with_mean",
     "tie_of",
 ]
@@ -67,8 +68,21 @@ class Budget:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ToleranceRequest:
+    """Distribution-free limits from independent runs: the share that they hold, with which confidence."""
+
+    coverage: float
+    confidence: float
+    runs: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """What is asked, how precisely, and at what cost."""
+    """What is asked, how precisely, and at what cost.
+
+    `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
+    name of the user's.
+    """
 
     quantities: tuple[str, ...]
     accuracy: Accuracy = field(default_factory=Accuracy)
@@ -76,6 +90,9 @@ class Analysis:
     quantiles: tuple[float, ...] = (0.01, 0.05, 0.5, 0.95, 0.99)
     methods: tuple[str, ...] = ("auto",)
     on_failure: str = "abort"
+    second_order: bool = False
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    tolerance_intervals: ToleranceRequest | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,4 +281,11 @@ def _limit_json(limit: Limit) -> dict[str, Any]:
 
 
 def _lists(table: dict[str, Any]) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in table.items()}
+    """The same with lists for tuples, at every depth, as JSON has them."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _lists(value)
+        return list(value) if isinstance(value, tuple) else value
+
+    return {key: plain(value) for key, value in table.items()}

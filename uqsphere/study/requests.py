@@ -13,6 +13,7 @@ from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
 from uqsphere.study.numbers import Reading, read_fixed, read_number
 from uqsphere.study.schema import AnalysisTable, LimitTable, ModelTable
+from uqsphere.study.sensitivities import read_tolerance
 
 __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares", "valid_name"]
 
@@ -174,6 +175,8 @@ def read_analysis(
         quantiles=shares(table.quantiles, ("analysis", "quantiles"), findings),
         methods=_methods(table.methods, findings),
         on_failure=table.on_failure,
+        second_order=table.second_order,
+        tolerance_intervals=read_tolerance(table.tolerance_intervals, findings),
     )
 
 

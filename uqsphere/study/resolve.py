@@ -22,6 +22,7 @@ from uqsphere.study.reading import drop_unusable_numbers, parse_text, read_text
 from uqsphere.study.requests import LimitReading, read_analysis, read_limits, read_model, valid_name
 from uqsphere.study.scene import SECTIONS, Scene, read_scene
 from uqsphere.study.schema import Document, ModelTable, read_document
+from uqsphere.study.sensitivities import read_groups
 from uqsphere.uq.laws import Law
 
 __all__ = ["load_study"]
@@ -83,6 +84,9 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
     dependence: tuple[Dependence, ...] = ()
     margins = None
     if black_box is not None:
+        scattering = [name for name, reading in scene.readings.items() if isinstance(reading.value, Law)]
+        groups = read_groups(document.analysis.groups, scattering, numbers, findings)
+        analysis = replace(analysis, groups=groups)
         dependence = read_dependence(document.dependence, random, numbers, findings)
         margins = read_margins(document.margins, scene, black_box, numbers, findings)
     if document.margins is not None and not document.limits and findings.clean(("limits",)):

@@ -29,6 +29,7 @@ __all__ = [
     "PulseTable",
     "SphereTable",
     "StrikerTable",
+    "ToleranceTable",
     "read_document",
 ]
 
@@ -129,6 +130,12 @@ class BudgetTable(Table):
     exhaust: bool = False
 
 
+class ToleranceTable(Table):
+    coverage: float = 0.95
+    confidence: float = 0.95
+    runs: int | None = None
+
+
 class AnalysisTable(Table):
     quantities: list[str] | None = None
     accuracy: AccuracyTable = Field(default_factory=AccuracyTable)
@@ -136,6 +143,9 @@ class AnalysisTable(Table):
     quantiles: list[float] = Field(default_factory=lambda: [0.01, 0.05, 0.5, 0.95, 0.99])
     methods: Any = "auto"
     on_failure: OnFailure = "abort"
+    second_order: bool = False
+    groups: dict[str, list[str]] = Field(default_factory=dict)
+    tolerance_intervals: ToleranceTable | None = None
 
 
 class MarginsTable(Table):
@@ -177,6 +187,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "margins": MarginsTable,
     "accuracy": AccuracyTable,
     "budget": BudgetTable,
+    "tolerance_intervals": ToleranceTable,
 }
 
 #: pydantic's name of a fault -> what is due there

@@ -1,4 +1,4 @@
-"""First and total Sobol' indices by pick and freeze, through SALib, on our own scrambled Sobol' points.
+"""First and total Sobol' indices through SALib, on our own scrambled Sobol' points: the check of `uqsphere.uq.indices`.
 
 SALib's bootstrap is not used: on quasi-random points its intervals are several times too wide.  The whole
 design is repeated with independent randomisations, and the interval is the spread of the answers.
@@ -18,7 +18,6 @@ __all__ = [
     "agree",
     "cross_check",
     "mix",
-    "paired_indices",
     "saltelli_halves",
     "saltelli_points",
     "sobol_indices",
@@ -26,7 +25,6 @@ __all__ = [
 ]
 
 _METHOD = "pick and freeze on randomised Sobol' points"
-_PAIRED = "pick and freeze, correlation of pairs"
 
 
 def saltelli_halves(
@@ -104,36 +102,6 @@ def sobol_indices(outputs: Array) -> dict[str, list[Estimate]]:
         "first": [from_replicates(first[:, j], _METHOD, outputs.size) for j in range(d)],
         "total": [from_replicates(total[:, j], _METHOD, outputs.size) for j in range(d)],
     }
-
-
-def paired_indices(outputs: Array) -> dict[str, list[Estimate]]:
-    """The same indices by the correlation of pairs of runs, for outputs (R, N, d + 2) that are finite and vary.
-
-    B and AB_j share input j alone, A and AB_j all but j: with y, y' of such a pair about their common mean,
-    the first index is <y y'>/<(y² + y'²)/2> and the total index 1 less that of the other pair (Janon, Klein,
-    Lagnoux, Nodet, Prieur, ESAIM: Prob. Stat. 18, 2014, 342).  Numerator and denominator share their noise, so
-    that rare outliers, and indices near 1, cost far less than in the estimators of `sobol_indices`; small
-    first indices cost more.  The value pools all replicates; the interval is that of the linearised ratio.
-    """
-    outputs = np.asarray(outputs, dtype=float)
-    d = outputs.shape[2] - 2
-    first = [_correlation(outputs[:, :, d + 1], outputs[:, :, 1 + j]) for j in range(d)]
-    total = [_correlation(outputs[:, :, 0], outputs[:, :, 1 + j]) for j in range(d)]
-    return {
-        "first": [from_replicates(index + error, _PAIRED, outputs.size, index) for index, error in first],
-        "total": [from_replicates(1.0 - index - error, _PAIRED, outputs.size, 1.0 - index) for index, error in total],
-    }
-
-
-def _correlation(y: Array, z: Array) -> tuple[float, Array]:
-    """Pooled correlation of two outputs (R, N), and the deviation of every replicate from it, linearised."""
-    mean = 0.5 * (y.mean() + z.mean())
-    y, z = y - mean, z - mean
-    numerator = (y * z).mean(axis=1)
-    denominator = 0.5 * (y * y + z * z).mean(axis=1)
-    scale = float(denominator.mean())
-    index = float(numerator.mean()) / scale
-    return index, (numerator - index * denominator) / scale
 
 
 def widest(indices: Mapping[str, Sequence[Estimate]], order: str) -> float:

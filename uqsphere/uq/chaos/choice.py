@@ -190,7 +190,7 @@ def _predicted(candidate: _Candidate, values: Sequence[Array], outputs: Array) -
     return float(squares[terms] / (n * outputs.var())), terms
 
 
-def choose(points: Array, outputs: Array, germs: Sequence[str]) -> Choice:
+def choose(points: Array, outputs: Array, germs: Sequence[str], *, transform: bool = True) -> Choice:
     """The expansion of outputs (n,) at germ points (n, d) that predicts best; a constant where none predicts."""
     dimension = points.shape[1]
     constant = np.zeros((1, dimension), dtype=np.int64)
@@ -199,13 +199,13 @@ def choose(points: Array, outputs: Array, germs: Sequence[str]) -> Choice:
     least = 1.0
     values = [orthonormal_values(germ, points[:, j], HIGHEST_DEGREE) for j, germ in enumerate(germs)]
     bases = _bases(dimension, outputs.size)
-    for transform in _transforms(outputs):
-        ranked = _ranked(values, outputs, bases, transform)
+    for name in _transforms(outputs) if transform else ("none",):
+        ranked = _ranked(values, outputs, bases, name)
         if ranked[0].rank > _HOPELESS * least:
             continue
         for candidate in _finalists(ranked):
             error, terms = _predicted(candidate, values, outputs)
-            needed = least * (_CLEARLY if transform != best.transform and best.solver != "none" else 1.0)
+            needed = least * (_CLEARLY if name != best.transform and best.solver != "none" else 1.0)
             if error < needed:
                 least = error
                 best = _taken(candidate, outputs, terms, _reported(candidate, terms, error), constant)
@@ -243,7 +243,7 @@ def repeat(won: Choice, points: Array, outputs: Array, germs: Sequence[str]) -> 
     The terms and their coefficients are found anew, the error is that of what won.
     """
     if won.transform not in _transforms(outputs) or not len(won.basis):
-        return choose(points, outputs, germs)
+        return choose(points, outputs, germs, transform=won.transform != "none")
     values = [orthonormal_values(germ, points[:, j], int(won.basis[:, j].max())) for j, germ in enumerate(germs)]
     terms = len(won.multi_indices) - 1
     targets, weights = _transformed(outputs, won.transform)

@@ -74,13 +74,15 @@ class Verdict:
     reason: str
 
 
-def fit_chaos(points: Array, outputs: Array, germs: Sequence[str], like: Chaos | None = None) -> Chaos:
+def fit_chaos(
+    points: Array, outputs: Array, germs: Sequence[str], like: Chaos | None = None, *, transform: bool = True
+) -> Chaos:
     """Expansion of outputs (n,) at germ points (n, d); basis, solver, size and transform by what they predict.
 
     Never more terms than half the points.  A fit whose error reaches the variance is given up for the
     constant.  `like` is an expansion of the same output at as many other points: what won there is taken, its
-    terms found anew, which costs a hundredth.  Raises ValueError for outputs that are not finite and for shapes
-    that do not go together.
+    terms found anew, which costs a hundredth.  Without `transform` the output is expanded as it is.  Raises
+    ValueError for outputs that are not finite and for shapes that do not go together.
     """
     points, outputs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float)
     n = outputs.size
@@ -97,7 +99,11 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[str], like: Chaos |
     if scale <= 1e-14 * abs(centre) or dimension == 0:
         return Chaos(coefficients=np.array([centre * size]), multi_indices=constant, germs=tuple(germs),
                      cross_validation_error=0.0 if dimension else 1.0, samples=n)  # fmt: skip
-    found = choose(points, scaled, germs) if like is None else repeat(_won(like), points, scaled, germs)
+    found = (
+        choose(points, scaled, germs, transform=transform)
+        if like is None
+        else repeat(_won(like), points, scaled, germs)
+    )
     coefficients = found.coefficients * size
     if found.transform == "logarithm":
         coefficients = found.coefficients.copy()

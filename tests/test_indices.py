@@ -1,0 +1,208 @@
+"""Sampled Sobol' indices: exact answers, SALib on the same outputs, invariances, what is refused."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from uqsphere.bench.coverage_models import CoverageModel, coverage_models
+from uqsphere.uq.blocks import Blocks, uniform_halves
+from uqsphere.uq.indices import ESTIMATORS, choice_text, index_estimates, sampled_indices
+
+MODELS = {model.name: model for model in coverage_models()}
+
+
+def outputs(model: CoverageModel, blocks: Blocks, count: int, seed: int = 1, replicates: int = 16) -> np.ndarray:
+    rows = [
+        blocks.mix(*uniform_halves(blocks, count=count, seed=seed, task="indices", replicate=r))
+        for r in range(replicates)
+    ]
+    return model.function(np.stack(rows))
+
+
+def within(estimate, truth: float, errors: float = 4.0) -> bool:
+    return abs(estimate.value - truth) <= errors * estimate.std_error + 1e-9
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_every_estimator_finds_the_exact_indices(name: str, estimator: str) -> None:
+    model = MODELS[name]
+    blocks = Blocks(
+        inputs_count=model.dimension, second=estimator in ("azzini_rosati", "owen"), third=estimator == "owen"
+    )
+    found = index_estimates(outputs(model, blocks, 512), blocks, estimator)
+    for order, row in found.items():
+        for estimate, truth in zip(row, getattr(model, order), strict=True):
+            assert within(estimate, truth)
+            # an interaction of 0.8 of the variance is what Owen's is not made for
+            assert estimate.half_width < (0.1 if estimator == "owen" else 0.06)
+            assert estimate.evaluations == 16 * 512 * blocks.count
+
+
+def second_order_of_ishigami() -> dict[tuple[int, int], float]:
+    model = MODELS["ishigami"]
+    return {(0, 1): 0.0, (0, 2): model.total[2] - model.first[2], (1, 2): 0.0}
+
+
+@pytest.mark.parametrize("name", ["ishigami", "product", "g-function"])
+def test_second_order_finds_the_interactions(name: str) -> None:
+    model = MODELS[name]
+    blocks = Blocks(inputs_count=model.dimension, second=True)
+    g = MODELS["g-function"]
+    exact = {
+        "ishigami": second_order_of_ishigami(),
+        "product": {(0, 1): 0.8, (0, 2): 0.0, (1, 2): 0.0},
+        # of a product of factors about 1 the interaction's variance is the product of theirs
+        "g-function": {
+            (i, j): g.first[i] * g.first[j] * g.sd**2 for i, j in combinations(range(6), 2)
+        },
+    }[name]  # fmt: skip
+    found = sampled_indices(outputs(model, blocks, 1024), blocks).second
+    assert list(found) == list(exact)
+    for pair, truth in exact.items():
+        assert within(found[pair], truth), pair
+        assert found[pair].half_width < 0.02
+
+
+def test_a_group_is_worth_its_inputs_and_what_they_do_together() -> None:
+    model = MODELS["ishigami"]
+    blocks = Blocks(inputs_count=3, groups=((0, 2), (1,), (0, 1, 2)))
+    found = sampled_indices(outputs(model, blocks, 1024), blocks)
+    closed = model.first[0] + model.first[2] + second_order_of_ishigami()[0, 2]
+    for estimate, truth in zip(found.group_first, (closed, model.first[1], 1.0), strict=True):
+        assert within(estimate, truth)
+    for estimate, truth in zip(found.group_total, (1.0 - model.first[1], model.total[1], 1.0), strict=True):
+        assert within(estimate, truth)
+    assert not found.second
+
+
+def test_salib_agrees_on_the_same_outputs() -> None:
+    from SALib.analyze import sobol
+
+    model = MODELS["g-function"]
+    d = model.dimension
+    blocks = Blocks(inputs_count=d, second=True)
+    y = outputs(model, blocks, 1024, replicates=4)
+    mine = index_estimates(y, blocks, "saltelli")
+    pairs = sampled_indices(y, blocks).second
+    # SALib's order: A, AB_1 ... AB_d, BA_1 ... BA_d, B for each base point
+    order = [*range(d + 1), *range(d + 2, 2 * d + 2), d + 1]
+    problem = {"num_vars": d, "names": [f"x{j}" for j in range(d)], "bounds": [[0.0, 1.0]] * d}
+    theirs = sobol.analyze(problem, y[:, :, order].reshape(-1), calc_second_order=True, num_resamples=2, seed=1)
+    for j in range(d):
+        # the same sums, about means and variances that differ in the last digits of the sample's
+        assert mine["first"][j].value == pytest.approx(theirs["S1"][j], abs=2e-3)
+        assert mine["total"][j].value == pytest.approx(theirs["ST"][j], abs=2e-3)
+    for (i, j), estimate in pairs.items():
+        assert estimate.value == pytest.approx(theirs["S2"][i, j], abs=0.02)
+
+
+def test_indices_do_not_depend_on_unit_offset_or_order_of_inputs() -> None:
+    model = MODELS["ishigami"]
+    blocks = Blocks(inputs_count=3, second=True, groups=((0, 2),))
+    y = outputs(model, blocks, 128)
+    one, other = sampled_indices(y, blocks), sampled_indices(1e-3 * y + 40.0, blocks)
+    for a, b in zip(one.first + one.total, other.first + other.total, strict=True):
+        assert b.value == pytest.approx(a.value, rel=1e-9, abs=1e-11)
+        assert b.half_width == pytest.approx(a.half_width, rel=1e-8, abs=1e-11)
+    order = [2, 0, 1]
+    moved = [0, *(1 + k for k in order), 4, *(5 + k for k in order), 8]
+    turned = Blocks(inputs_count=3, second=True, groups=((1, 0),))
+    permuted = sampled_indices(y[:, :, moved], turned)
+    assert [e.value for e in permuted.first] == pytest.approx([one.first[k].value for k in order], rel=1e-12)
+    assert permuted.second[0, 1].value == pytest.approx(one.second[0, 2].value, rel=1e-12)
+    assert permuted.group_first == one.group_first
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_outputs_of_any_size_have_indices(size: float) -> None:
+    model = MODELS["linear"]
+    blocks = Blocks(inputs_count=5)
+    y = outputs(model, blocks, 64)
+    one, other = sampled_indices(y, blocks), sampled_indices(size * y, blocks)
+    assert [e.value for e in other.total] == pytest.approx([e.value for e in one.total], rel=1e-9)
+
+
+@pytest.mark.parametrize("estimator", ["saltelli", "janon_monod", "martinez", "azzini_rosati"])
+def test_an_input_without_effect_is_zero_within_its_interval(estimator: str) -> None:
+    model = MODELS["g-function"]
+    blocks = Blocks(inputs_count=6, second=True)
+    found = index_estimates(outputs(model, blocks, 64, seed=2), blocks, estimator)
+    for row in found.values():
+        for estimate in row[4:]:
+            assert estimate.low <= 0.0 <= estimate.high
+    assert found["total"][5].high < 1e-12
+
+
+def test_small_indices_are_found_better_by_estimators_of_differences() -> None:
+    model = MODELS["linear"]
+    blocks = Blocks(inputs_count=5, second=True, third=True)
+    y = outputs(model, blocks, 256)
+    width = {name: index_estimates(y, blocks, name)["first"][4].half_width for name in ESTIMATORS}
+    assert width["azzini_rosati"] < 0.2 * width["saltelli"] < 0.1 * width["janon_monod"]
+    assert width["owen"] < 0.2 * width["saltelli"]
+
+
+def test_the_size_of_the_total_index_decides_and_the_text_says_so() -> None:
+    model = MODELS["ishigami"]
+    blocks = Blocks(inputs_count=3)
+    y = outputs(model, blocks, 256)
+    found = sampled_indices(y, blocks)
+    assert found.large == (0,)  # total index 0.56; those of x2 and x3 are below a half
+    pairs, plain = (index_estimates(y, blocks, name) for name in ("janon_monod", "saltelli"))
+    assert found.first[0].value == pytest.approx(pairs["first"][0].value, rel=1e-12)
+    assert found.total[0].half_width == pytest.approx(pairs["total"][0].half_width, rel=1e-9)
+    assert (found.first[1:], found.total[1:]) == (plain["first"][1:], plain["total"][1:])
+    assert "1 of 3 input has a total index above 0.5" in found.text
+    assert "2 of 5 inputs have" in choice_text(Blocks(inputs_count=5), 2)
+
+
+def test_constant_outputs_are_absent_and_bad_ones_refused() -> None:
+    blocks = Blocks(inputs_count=2, second=True, groups=((0, 1),))
+    found = sampled_indices(np.full((4, 16, blocks.count), 2.5), blocks)
+    every = [*found.first, *found.total, *found.second.values(), *found.group_first, *found.group_total]
+    assert len(every) == 7
+    assert all(e.value is None and e.reason == "the output does not vary" for e in every)
+    y = np.random.default_rng(1).random((4, 16, blocks.count))
+    for bad in (math.nan, math.inf):
+        spoiled = y.copy()
+        spoiled[1, 2, 3] = bad
+        with pytest.raises(ValueError, match="1 outputs are not finite"):
+            sampled_indices(spoiled, blocks)
+    for shape in ((4, 16), (1, 16, blocks.count), (4, 16, 3)):
+        with pytest.raises(ValueError, match="shape"):
+            sampled_indices(np.ones(shape), blocks)
+
+
+def test_blocks_that_an_estimator_lacks_and_wrong_groups_are_refused() -> None:
+    y = np.random.default_rng(1).random((2, 8, 4))
+    with pytest.raises(ValueError, match="needs the blocks BA"):
+        index_estimates(y, Blocks(inputs_count=2), "azzini_rosati")
+    with pytest.raises(ValueError, match="needs the third half"):
+        index_estimates(y, Blocks(inputs_count=2), "owen")
+    with pytest.raises(ValueError, match="second as well"):
+        Blocks(inputs_count=2, third=True)
+    for group in ((), (0, 0), (2,)):
+        with pytest.raises(ValueError, match="a group names inputs"):
+            Blocks(inputs_count=2, groups=(group,))
+    with pytest.raises(ValueError, match="2 halves"):
+        Blocks(inputs_count=2).mix(np.ones((3, 2)))
+
+
+def test_the_first_blocks_are_those_of_the_small_design_and_a_design_continues() -> None:
+    small = Blocks(inputs_count=3)
+    large = Blocks(inputs_count=3, second=True, groups=((1, 2),), third=True)
+    a, b, c = (np.random.default_rng(k).random((4, 3)) for k in range(3))
+    rows = large.mix(a, b, c)
+    assert rows.shape == (4, large.count, 3) == (4, 12, 3)
+    assert np.array_equal(rows[:, :5], small.mix(a, b))
+    assert np.array_equal(rows[:, 8], np.column_stack([a[:, 0], b[:, 1:]]))
+    assert np.array_equal(rows[:, 6], np.column_stack([b[:, 0], a[:, 1], b[:, 2]]))
+    assert np.array_equal(rows[:, 11], np.column_stack([a[:, :2], c[:, 2]]))
+    whole = uniform_halves(large, count=8, seed=1, task="t", replicate=2)
+    more = uniform_halves(large, count=4, start=4, seed=1, task="t", replicate=2)
+    assert all(np.array_equal(x[4:], y) for x, y in zip(whole, more, strict=True))

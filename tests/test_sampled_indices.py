@@ -1,0 +1,210 @@
+"""Second order, groups, tolerance limits and the expansion as control variate: from the study to the results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.bench.coverage_models import coverage_models
+from uqsphere.errors import StudyError
+from uqsphere.study import Study
+from uqsphere.uq.blocks import Blocks, uniform_halves
+from uqsphere.uq.chaos import fit_chaos, germ_points
+from uqsphere.uq.indices import sampled_indices
+from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
+
+MODELS = {model.name: model for model in coverage_models()}
+ISHIGAMI = """
+seed = 5
+[inputs]
+x1 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+x2 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+x3 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+[outputs]
+names = ["y"]
+[analysis]
+accuracy = { mean = 0.05, quantile = 0.1, sobol = 0.02, probability = 0.2 }
+second_order = true
+groups = { both = ["x1", "x3"], one = ["x2"] }
+tolerance_intervals = { coverage = 0.9, confidence = 0.9 }
+"""
+
+
+def ishigami(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {"y": np.sin(x["x1"]) + 7.0 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"])}
+
+
+@pytest.fixture
+def results(study_from: Callable[..., Study], tmp_path: Path) -> Callable[..., dict[str, Any]]:
+    def run(*overrides: str) -> dict[str, Any]:
+        return dict(uqsphere.run(study_from(*overrides, text=ISHIGAMI), out=tmp_path / "r", model=ishigami).results)
+
+    return run
+
+
+def near(estimate: dict[str, Any], truth: float) -> bool:
+    return abs(estimate["value"] - truth) <= 4.0 * estimate["std_error"] + 1e-9
+
+
+def test_a_run_answers_pairs_groups_and_tolerance_limits(results, tmp_path: Path) -> None:
+    found = results()
+    entry, model = found["sensitivity"]["y"], MODELS["ishigami"]
+    interaction = model.total[2]
+    for key, truth in {"x1|x2": 0.0, "x1|x3": interaction, "x2|x3": 0.0}.items():
+        assert near(entry["second"][key], truth)
+        assert entry["second"][key]["high"] - entry["second"][key]["low"] < 0.04
+    assert near(entry["groups"]["first"]["both"], 1.0 - model.first[1])
+    assert near(entry["groups"]["total"]["one"], model.total[1])
+    for order in ("first", "total"):
+        for name, truth in zip(("x1", "x2", "x3"), getattr(model, order), strict=True):
+            assert near(entry[order][name], truth)
+            assert "controlled by a surrogate" in entry[order][name]["method"]
+    assert "Azzini and Rosati" in entry["estimators"]
+    limits = found["quantities"]["y"]["tolerance"]
+    assert (limits["runs"], limits["orders"]) == (38, [2, 1])
+    # Ishigami's function stays between -10.8 and 17.8
+    assert -10.8 <= limits["between"][0] <= limits["lower"] < limits["upper"] <= limits["between"][1] <= 17.8
+    tables = tmp_path / "r" / "tables"
+    assert "y,group first,both," in (tables / "sensitivity.csv").read_text(encoding="utf-8")
+    assert "upper tolerance limit" in (tables / "quantities.csv").read_text(encoding="utf-8")
+
+
+def test_what_is_not_asked_for_is_not_there_and_what_cannot_be_sampled_is_absent(results) -> None:
+    plain = results(
+        "analysis.second_order=false", "analysis.groups={}", 'analysis.methods=["pce"]',
+        "analysis.tolerance_intervals.runs=30",
+    )  # fmt: skip
+    assert not {"second", "groups"} & set(plain["sensitivity"]["y"])
+    assert plain["quantities"]["y"]["tolerance"]["between"] is None  # thirty runs allow one side alone
+    assert plain["sensitivity"]["y"]["first"]["x1"]["method"] == "polynomial chaos"
+
+
+def test_expansions_alone_have_no_pairs(results) -> None:
+    entry = results('analysis.methods=["pce"]')["sensitivity"]["y"]
+    assert all(e["value"] is None and "sampled" in e["reason"] for e in entry["second"].values())
+    assert entry["groups"]["first"]["both"]["value"] is None
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ('analysis.groups={a=["x9"]}', "unknown random input"),
+        ('analysis.groups={a=["x1","x1"]}', "named twice"),
+        ("analysis.groups={a=[]}", "the group is empty"),
+        ("analysis.groups={a=3}", "an array is due"),
+        ("analysis.second_order=1", "true or false is due"),
+        ("analysis.tolerance_intervals.coverage=1.0", "both excluded"),
+        ("analysis.tolerance_intervals.runs=5", "from 22"),
+        ("analysis.tolerance_intervals.coverage=0.99999999", "at most"),
+        ("analysis.tolerance_intervals.sides=2", "unknown key"),
+        ("inputs.x3=1.0", "does not scatter here"),
+    ],
+)
+def test_faults_of_the_new_keys_are_told(study_from: Callable[..., Study], override: str, says: str) -> None:
+    with pytest.raises(StudyError, match=says):
+        study_from(override, text=ISHIGAMI)
+
+
+def test_the_resolved_study_tells_one_request_from_another(study_from: Callable[..., Study]) -> None:
+    one = study_from(text=ISHIGAMI)
+    assert one.resolved()["analysis"]["groups"] == {"both": ["x1", "x3"], "one": ["x2"]}
+    assert one.analysis.tolerance_intervals.runs == 38
+    others = [
+        study_from(text=ISHIGAMI.replace("second_order = true", "second_order = false")),
+        study_from('analysis.groups={both=["x1"]}', text=ISHIGAMI),
+        study_from("analysis.tolerance_intervals.runs=60", text=ISHIGAMI),
+    ]
+    assert len({study.hash for study in (one, *others)}) == 4
+
+
+# --- the expansion as control variate ---------------------------------------------------------------------
+
+
+def expansion(name: str, seed: int, points: int = 256, fits: int = 4):
+    from scipy.special import ndtri
+
+    model = MODELS[name]
+    found = []
+    for k in range(fits):
+        u = sobol_points(dimension=model.dimension, count=points, seed=seed, task="fit", replicate=k)
+        found.append(fit_chaos(germ_points(ndtri(u), model.germs), model.function(u), model.germs))
+    return found
+
+
+def controlled(name: str, seed: int, blocks: Blocks, count: int = 64, fits=None):
+    """Indices without and with the expansion."""
+    from scipy.special import ndtri
+
+    model = MODELS[name]
+    chaos = mean_expansion(fits or expansion(name, seed))
+    halves = [uniform_halves(blocks, count=count, seed=seed, task="pf", replicate=r) for r in range(16)]
+    outputs = model.function(np.stack([blocks.mix(*half) for half in halves]))
+    others = np.stack([chaos_outputs(chaos, blocks, [ndtri(half) for half in row]) for row in halves])
+    plain = sampled_indices(outputs, blocks)
+    return plain, sampled_indices(outputs, blocks, chaos_surrogate(chaos, blocks, others))
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_a_surrogate_sharpens_indices_and_they_stay_right(second: bool) -> None:
+    blocks = Blocks(inputs_count=8, second=second, groups=((0, 3),))
+    plain, sharp = controlled("borehole", 3, blocks)
+    model = MODELS["borehole"]
+    for order in ("first", "total"):
+        for estimate, truth in zip(getattr(sharp, order), getattr(model, order), strict=True):
+            assert abs(estimate.value - truth) <= 4.5 * estimate.std_error + 1e-7
+    widths = [max(e.half_width for e in found.first + found.total) for found in (plain, sharp)]
+    assert widths[1] < 0.3 * widths[0]
+    assert sharp.group_total[0].half_width < 0.3 * plain.group_total[0].half_width
+
+
+def test_intervals_with_a_surrogate_that_is_wrong_still_cover() -> None:
+    """A surrogate that lacks the interactions: sampling corrects what chaos alone cannot know."""
+    from dataclasses import replace
+
+    model, blocks = MODELS["ishigami"], Blocks(inputs_count=3)
+    hits = []
+    for seed in range(40):
+        fits = []
+        for fit in expansion("ishigami", seed, fits=1):
+            alone = (fit.multi_indices > 0).sum(axis=1) <= 1
+            fits.append(replace(fit, coefficients=fit.coefficients[alone], multi_indices=fit.multi_indices[alone]))
+        _, found = controlled("ishigami", seed, blocks, fits=fits)
+        for order in ("first", "total"):
+            hits += [e.low <= t <= e.high for e, t in zip(getattr(found, order), getattr(model, order), strict=True)]
+    # 240 answers of 40 repetitions
+    assert 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 120) <= np.mean(hits) <= 1.0
+
+
+def test_indices_of_an_expansion_are_those_of_its_terms() -> None:
+    degrees = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 1, 0], [1, 1, 3]])
+    blocks = Blocks(inputs_count=3, second=True, groups=((0, 1), (2,)))
+    found = expansion_indices(np.array([9.0, 2.0, 1.0, 2.0, 1.0]), degrees, blocks)
+    assert found["first"] == pytest.approx([0.4, 0.1, 0.0])
+    assert found["total"] == pytest.approx([0.9, 0.6, 0.1])
+    assert found["second"] == pytest.approx([0.4, 0.0, 0.0])
+    assert found["group_first"] == pytest.approx([0.9, 0.0])
+    assert found["group_total"] == pytest.approx([1.0, 0.1])
+
+
+def test_the_mean_of_expansions_is_the_mean_of_their_values() -> None:
+    fits = expansion("borehole", 1, points=128)
+    points = germ_points(np.random.default_rng(1).standard_normal((50, 8)), MODELS["borehole"].germs)
+    from uqsphere.uq.chaos import predict
+
+    each = np.mean([predict(fit, points) for fit in fits], axis=0)
+    assert predict(mean_expansion(fits), points) == pytest.approx(each, rel=1e-10)
+
+
+def test_a_constant_expansion_is_no_surrogate() -> None:
+    fits = expansion("linear", 1, points=32, fits=1)
+    from dataclasses import replace
+
+    flat = replace(fits[0], coefficients=fits[0].coefficients[:1], multi_indices=fits[0].multi_indices[:1])
+    assert chaos_surrogate(flat, Blocks(inputs_count=5), np.ones((2, 4, 7))) is None

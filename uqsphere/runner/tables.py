@@ -1,0 +1,126 @@
+"""The answers of a run as CSV tables, from the content of results.json alone."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+__all__ = ["csv_text", "tables"]
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    for row in rows:
+        writer.writerow([_cell(value) for value in row])
+    return buffer.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return repr(value) if isinstance(value, float) else value
+
+
+_ESTIMATE = ("value", "low", "high", "std_error", "method", "evaluations", "reason")
+
+
+def _row(estimate: Mapping[str, Any]) -> list[Any]:
+    return [estimate.get(key, "") if estimate.get(key) is not None else "" for key in _ESTIMATE]
+
+
+def _index_tables(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """First and total indices, those of pairs and groups, and what takes their place where inputs depend, by order."""
+    found = [("first", entry["first"]), ("total", entry["total"])]
+    if "second" in entry:
+        found.append(("second", entry["second"]))
+    found += [(f"group {order}", table) for order, table in entry.get("groups", {}).items()]
+    if entry.get("shapley"):
+        found.append(("shapley", entry["shapley"]))
+        found += [(f"kucherenko {order}", table) for order, table in entry["kucherenko"].items()]
+    return found
+
+
+def _driver_rows(results: Mapping[str, Any]) -> list[list[Any]]:
+    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and specimens of both."""
+    rows: list[list[Any]] = []
+    for kind in ("sensitivity", "limits"):
+        for name, entry in results[kind].items():
+            tables = [(key, entry[key]) for key in ("delta", "pawn") if kind == "sensitivity" and key in entry]
+            tables += _index_tables(entry["drivers"]) if kind == "limits" and "drivers" in entry else []
+            rows += [[name, what, n, *_row(e), ""] for what, table in tables for n, e in table.items()]
+            for row in (entry.get("measure_first") or {}).get("rows", ()):
+                what = "sway" if "sway" in row else "share"
+                rows.append([name, what, row["input"], *_row(row[what]), row["tests"]])
+    return rows
+
+
+def _tolerance_rows(name: str, entry: Mapping[str, Any]) -> list[list[Any]]:
+    """Rows of the tolerance limits of a quantity: upper and lower as values, both sides as the ends of an interval."""
+    limits = entry.get("tolerance")
+    if not limits:
+        return []
+    method = f"tolerance limit, {limits['coverage']:g} with confidence {limits['confidence']:g}"
+    common = {"method": method, "evaluations": limits["runs"], "reason": limits.get("reason")}
+    low, high = limits["between"] or (None, None)
+    return [
+        [name, entry["unit"], "upper tolerance limit", *_row({**common, "value": limits["upper"]})],
+        [name, entry["unit"], "lower tolerance limit", *_row({**common, "value": limits["lower"]})],
+        [name, entry["unit"], "tolerance interval", *_row({**common, "low": low, "high": high})],
+    ]
+
+
+def tables(results: Mapping[str, Any]) -> dict[str, str]:
+    """CSV tables by file name, from the content of results.json alone."""
+    quantity_rows = []
+    for name, entry in results["quantities"].items():
+        for what in ("mean", "sd", "censored_share"):
+            unit = "" if what == "censored_share" else entry["unit"]
+            quantity_rows.append([name, unit, what, *_row(entry[what])])
+        quantity_rows += [[name, entry["unit"], f"q{p}", *_row(e)] for p, e in entry["quantiles"].items()]
+        quantity_rows += _tolerance_rows(name, entry)
+    index_rows = [
+        [quantity, order, name, *_row(estimate)]
+        for quantity, entry in results["sensitivity"].items()
+        for order, table in _index_tables(entry)
+        for name, estimate in table.items()
+    ]
+    limit_rows = []
+    for name, entry in results["limits"].items():
+        limit_rows += [[name, what, *_row(entry[what])] for what in ("exceedance", "miss")]
+        limit_rows += [[name, f"margin {which}", *_row(e)] for which, e in entry["margin"].items()]
+    margin_rows = [
+        [name, entry["solve"], entry["unit"], p, *_row(e)]
+        for name, entry in results["margins"].items()
+        for p, e in entry["values"].items()
+    ]
+    curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
+    inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
+    checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
+    speed = [
+        [r["method"], r["quantity"], r["evaluations"], r["error"], r["error_kind"]] for r in results["speed_error"]
+    ]
+    found = {
+        "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
+        "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
+        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "drivers": (("of", "statistic", "input", *_ESTIMATE, "specimens"), _driver_rows(results)),
+        "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
+        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
+        "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),
+        "validity": (("check", "share", "worst", "text"), checks),
+        "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
+    }
+    if results.get("paper"):
+        found["paper"] = (
+            ("quantity", "unit", "as_printed", "corrected", "full", "note"),
+            [
+                [p["quantity"], p["unit"], p["as_printed"], p["corrected"], p["full"], p["note"]]
+                for p in results["paper"]
+            ],
+        )
+    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}

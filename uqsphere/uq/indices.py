@@ -1,0 +1,304 @@
+"""Sobol' indices by pick and freeze: first, total, second order and groups, for all replicates and inputs at once.
+
+Write a, b, ab, ba for the outputs on the blocks A, B, AB_j, BA_j of a design (`uqsphere.uq.blocks`), about their common
+mean, and V for their variance.  Every estimator is a ratio of two means over the points of a replicate.  The value is
+the ratio of the means over all replicates, and the interval that of the linearised ratio, Student's with R - 1 degrees
+of freedom: the replicates' own ratios would each carry the bias of a ratio of few points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from uqsphere.uq.blocks import Blocks, Outputs
+from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
+from uqsphere.uq.families import Array
+from uqsphere.uq.surrogate import Surrogate, corrected
+
+__all__ = [
+    "ESTIMATORS",
+    "LARGE",
+    "METHOD",
+    "SampledIndices",
+    "choice_text",
+    "index_estimates",
+    "sampled_indices",
+]
+
+#: Inputs whose total index is above this have their indices read off the correlation of pairs.
+LARGE: Final = 0.5
+
+METHOD: Final = "pick and freeze"
+
+#: What is left of a difference of two sums that cancel, over V.
+_ROUNDING: Final = 1e-15
+_CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
+_NO_SCATTER: Final = "the output does not vary"
+
+
+_SHOWN: Final = {
+    "saltelli": "Saltelli 2010",
+    "jansen": "Jansen",
+    "janon_monod": "correlation of pairs",
+    "martinez": "Martinez",
+    "azzini_rosati": "Azzini and Rosati",
+    "owen": "Owen's correlation 2",
+}
+
+
+def _arguments(outputs: Outputs, name: str) -> tuple[Array, ...]:
+    if name == "owen":
+        if outputs.ac is None or outputs.ba is None:
+            raise ValueError("Owen's estimator needs the third half: Blocks(second=True, third=True)")
+        return outputs.a, outputs.b, outputs.ac, outputs.ba
+    if name == "azzini_rosati":
+        if outputs.ba is None:
+            raise ValueError("the estimator of Azzini and Rosati needs the blocks BA: Blocks(second=True)")
+        return outputs.a, outputs.b, outputs.ab, outputs.ba
+    return outputs.a, outputs.b, outputs.ab
+
+
+def _rows(ratio: Ratio) -> Array:
+    """Answers (R, m) of the replicates: the pooled ratio and the linearised deviation from it; nan where V is 0."""
+    numerator, denominator = ratio
+    scale = denominator.mean(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        index = numerator.mean(axis=0) / scale
+        return np.asarray(index + (numerator - index * denominator) / scale)
+
+
+def _estimates(rows: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
+    """Estimates of m indices from the answers (R, m) of replicates."""
+    found = []
+    for column, method in zip(rows.T, methods, strict=True):
+        if not np.isfinite(column).all():
+            found.append(absent(_NO_SCATTER, method, evaluations))
+            continue
+        floor = _ROUNDING if np.any(column) else 0.0
+        found.append(from_replicates(column, method, evaluations, floor=floor))
+    return found
+
+
+def _method(name: str, order: str) -> str:
+    # Saltelli's paper takes Jansen's for the total indices.
+    shown = "Jansen" if (name, order) == ("saltelli", "total") else _SHOWN[name]
+    return f"{METHOD}, {shown}"
+
+
+def _nothing(count: int, outputs: Outputs) -> list[Estimate]:
+    return [absent(_NO_SCATTER, METHOD, outputs.evaluations)] * count
+
+
+def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str, list[Estimate]]:
+    """First and total indices {"first": [...], "total": [...]} of every input by one estimator of `ESTIMATORS`.
+
+    Parameters
+    ----------
+    outputs : (R, N, blocks.count) array
+        The model on the blocks of R independent replicates.
+    blocks : Blocks
+    estimator : name; "owen" has first indices alone
+
+    An output that does not vary is answered by absent estimates.  Nothing is clipped.
+
+    Raises
+    ------
+    ValueError
+        For outputs that are not finite or of another shape, and blocks that the estimator lacks.
+    """
+    y = blocks.split(outputs)
+    arguments = _arguments(y, estimator)
+    if not y.varies:
+        return {order: _nothing(blocks.inputs_count, y) for order in ESTIMATORS[estimator]}
+    d = blocks.inputs_count
+    return {
+        order: _estimates(_rows(ratio(*arguments)), [_method(estimator, order)] * d, y.evaluations)
+        for order, ratio in ESTIMATORS[estimator].items()
+    }
+
+
+# --- the answer of a design ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledIndices:
+    """Indices of one output.
+
+    `first` and `total` are in the order of the inputs, `second` by the pair (i, j), i < j, of their numbers;
+    `group_first` (the closed index of the group: all that its inputs do, alone and with each other) and
+    `group_total` are in the order of the groups.  `large` are the inputs that were read off pairs, `text` says
+    which estimator was taken, and why.
+    """
+
+    first: list[Estimate]
+    total: list[Estimate]
+    second: dict[tuple[int, int], Estimate] = field(default_factory=dict)
+    group_first: list[Estimate] = field(default_factory=list)
+    group_total: list[Estimate] = field(default_factory=list)
+    large: tuple[int, ...] = ()
+    text: str = ""
+
+
+def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None = None) -> SampledIndices:
+    """Every index that the blocks allow, each by the estimator that suits its size.
+
+    With the blocks of second order all first and total indices are those of Azzini and Rosati.  Without, an input
+    whose total index (Jansen's) is above `LARGE` has both of its indices from the correlation of pairs, every other
+    its first index from Saltelli 2010 and its total index from Jansen.  The size of an index decides and never the
+    width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.
+
+    With a `surrogate` every index is corrected by what the same points make of the surrogate's, whose truth is known
+    (`uqsphere.uq.surrogate.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
+    as it was fitted to other points.  It needs four replicates.
+
+    Parameters, absent answers and ValueError as of `index_estimates`.
+    """
+    y = blocks.split(outputs)
+    d, groups = blocks.inputs_count, len(blocks.groups)
+    pairs = list(combinations(range(d), 2)) if blocks.second else []
+    if not y.varies:
+        return SampledIndices(
+            first=_nothing(d, y),
+            total=_nothing(d, y),
+            second=dict.fromkeys(pairs, _nothing(1, y)[0]),
+            group_first=_nothing(groups, y),
+            group_total=_nothing(groups, y),
+            text=f"No index is given: {_NO_SCATTER}.",
+        )
+    large = _large(y, y.ab) if y.ba is None else ()
+    chosen = large, _large(y, y.groups)
+    answers = _answers(y, *chosen)
+    if surrogate is None:
+        found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
+    else:
+        known = blocks.split(surrogate.outputs)
+        others = _answers(known, *chosen) if known.varies else {}
+        found = {
+            order: _corrected(rows, others[order][0], surrogate.indices[order], methods, y.evaluations)
+            if order in others
+            else _estimates(rows, methods, y.evaluations)
+            for order, (rows, methods) in answers.items()
+        }
+    return SampledIndices(
+        first=found["first"],
+        total=found["total"],
+        second=dict(zip(pairs, found["second"], strict=True)),
+        group_first=found["group_first"],
+        group_total=found["group_total"],
+        large=large,
+        text=choice_text(blocks, len(large)) + ("" if surrogate is None else _CONTROLLED),
+    )
+
+
+def _corrected(rows: Array, known: Array, truth: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
+    """Estimates with the surrogate's answers (R, m), and what they should have been (m,), as control variate."""
+    replicates = len(rows)
+    factor = student(replicates - 1)
+    found = []
+    for j, method in enumerate(methods):
+        if not (np.isfinite(rows[:, j]).all() and np.isfinite(known[:, j]).all()):
+            found += _estimates(rows[:, [j]], [method], evaluations)
+            continue
+        value, error = corrected(rows[:, j], known[:, j] - truth[j])
+        # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
+        error = max(error, 1e-13) if np.any(rows[:, j]) else 0.0
+        found.append(
+            Estimate(
+                value=value,
+                low=value - factor * error,
+                high=value + factor * error,
+                std_error=error,
+                method=f"{method}, controlled by a surrogate",
+                evaluations=evaluations,
+            )
+        )
+    return found
+
+
+def _large(outputs: Outputs, mixed: Array) -> tuple[int, ...]:
+    """Numbers of the inputs or groups whose total index, by Jansen's estimator, is above `LARGE`."""
+    if not mixed.shape[2]:
+        return ()
+    numerator, denominator = jansen_total(outputs.a, outputs.b, mixed)
+    return tuple(np.flatnonzero(numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)).tolist())
+
+
+def _answers(
+    outputs: Outputs, large: tuple[int, ...], large_groups: tuple[int, ...]
+) -> dict[str, tuple[Array, list[str]]]:
+    """Answers (R, m) of the replicates and their methods, by order."""
+    found = {}
+    if outputs.ba is not None:
+        arguments = outputs.a, outputs.b, outputs.ab, outputs.ba
+        for order, ratio in ESTIMATORS["azzini_rosati"].items():
+            rows = _rows(ratio(*arguments))
+            found[order] = rows, [_method("azzini_rosati", order)] * rows.shape[1]
+        rows = _rows(_second_order(outputs))
+        found["second"] = rows, [f"{METHOD}, second order"] * rows.shape[1]
+    else:
+        found |= _by_size(outputs, outputs.ab, large)
+        found["second"] = np.empty((len(outputs.a), 0)), []
+    groups = _by_size(outputs, outputs.groups, large_groups)
+    return found | {f"group_{order}": answer for order, answer in groups.items()}
+
+
+def _by_size(outputs: Outputs, mixed: Array, large: tuple[int, ...]) -> dict[str, tuple[Array, list[str]]]:
+    """First and total answers from the blocks AB of inputs or groups; those that are `large` off pairs."""
+    found = {}
+    for order in ("first", "total"):
+        rows = _rows(ESTIMATORS["saltelli"][order](outputs.a, outputs.b, mixed))
+        methods = [_method("saltelli", order)] * mixed.shape[2]
+        if large:
+            rows[:, list(large)] = _rows(
+                ESTIMATORS["janon_monod"][order](outputs.a, outputs.b, mixed[:, :, list(large)])
+            )
+        for j in large:
+            methods[j] = _method("janon_monod", order)
+        found[order] = rows, methods
+    return found
+
+
+def _second_order(outputs: Outputs) -> Ratio:
+    """Interaction indices S_ij of all pairs, <(ba_i - b)(ab_j - a)> / V and the same with i and j exchanged.
+
+    BA_i and AB_j share the columns i and j, so that <ba_i ab_j> is the closed index of the pair (Saltelli, Comput.
+    Phys. Commun. 145, 2002, 280, theorem 2); <ba_i a> and <b ab_j> are the first indices, which the product takes off
+    with the noise that they share.
+    """
+    if outputs.ba is None:
+        raise ValueError("second order needs the blocks BA: Blocks(second=True)")
+    ba, ab = outputs.ba - outputs.b, outputs.ab - outputs.a
+    _, n, d = ba.shape
+    products = np.matmul(ba.transpose(0, 2, 1), ab) / n
+    rows, columns = np.triu_indices(d, 1)
+    numerator = 0.5 * (products[:, rows, columns] + products[:, columns, rows])
+    v = 0.5 * block_mean(outputs.a**2 + outputs.b**2)
+    return numerator, np.repeat(v, rows.size, axis=1)
+
+
+def choice_text(blocks: Blocks, large: int) -> str:
+    """Which estimators were taken and why, for the report.
+
+    >>> choice_text(Blocks(inputs_count=3, second=True), 0)[:40]
+    'All indices by Azzini and Rosati, whose '
+    """
+    d = blocks.inputs_count
+    if blocks.second:
+        return (
+            "All indices by Azzini and Rosati, whose blocks second order needs anyway "
+            f"({2 * d + 2} evaluations for a base point): their error falls with the size of the index."
+        )
+    small = "Saltelli 2010 for first and Jansen for total indices: their errors fall with the total index."
+    if large == 0:
+        return f"{small} No total index is above {LARGE:g}."
+    inputs, verb = ("input has", "It is") if large == 1 else ("inputs have", "They are")
+    return (
+        f"{small} {large} of {d} {inputs} a total index above {LARGE:g}. {verb} read off the correlation of pairs of "
+        "runs, whose error falls as an index nears 1."
+    )

@@ -1,0 +1,109 @@
+"""A surrogate whose indices are known exactly, as control variate of sampled Sobol' indices.
+
+Indices read off an expansion are those of the expansion: what it leaves out is missing from them, and an interval from
+the spread of several fits does not know of it.  As control variate the same expansion sharpens an answer that remains
+that of the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.blocks import Blocks
+from uqsphere.uq.chaos import Chaos, germ_points, predict
+from uqsphere.uq.families import Array
+
+__all__ = ["Surrogate", "chaos_outputs", "chaos_surrogate", "corrected", "expansion_indices", "mean_expansion"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surrogate:
+    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
+    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
+    """
+
+    outputs: Array
+    indices: Mapping[str, Array]
+
+
+def corrected(rows: Array, gaps: Array) -> tuple[float, float]:
+    """Where the regression of answers (R,) on the surrogate's errors (R,) meets no error, and the standard error there.
+
+    The standard error is the jackknife's, each replicate left out in turn.  That of ordinary regression supposes that
+    what is left scatters alike everywhere; but a replicate that holds a rare sample is off in both, and on skewed
+    outputs such intervals held the truth in 88 % of the cases.  R - 2 degrees of freedom.
+
+    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
+    >>> value, error = corrected(1.0 + 2.0 * noise, noise)
+    >>> round(value, 12), error < 1e-12
+    (1.0, True)
+    """
+    count, mean = len(rows), float(gaps.mean())
+    centred = gaps - mean
+    spread = float(centred @ centred)
+    if not spread > 0.0:
+        return float(rows.mean()), float(np.std(rows, ddof=1)) / math.sqrt(count)
+    slope = float(centred @ rows) / spread
+    rest = rows - rows.mean() - slope * centred
+    leverage = np.minimum(1.0 / count + centred**2 / spread, 1.0 - 1e-9)
+    left_out = (1.0 / count - mean * centred / spread) * rest / (1.0 - leverage)
+    return float(rows.mean()) - slope * mean, math.sqrt(float(left_out @ left_out))
+
+
+def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:
+    """Indices of an expansion in products of orthonormal polynomials, exactly: what a `Surrogate` is known by.
+
+    Parameters
+    ----------
+    coefficients : (P,) array
+    multi_indices : (P, d) array
+        Degrees of each product; the constant has none.
+    blocks : Blocks
+
+    >>> degrees = np.array([[0, 0], [1, 0], [1, 1]])
+    >>> found = expansion_indices(np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2, second=True))
+    >>> found["first"].tolist(), found["total"].tolist(), found["second"].tolist()
+    ([0.9, 0.0], [1.0, 0.1], [0.1])
+    """
+    active = multi_indices > 0
+    count = active.sum(axis=1)
+    shares = np.where(count > 0, coefficients**2, 0.0)
+    shares = shares / shares.sum()
+    rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
+    inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
+    return {
+        "first": np.asarray(shares @ (active & (count == 1)[:, None])),
+        "total": np.asarray(shares @ active),
+        "second": np.asarray(shares @ (active[:, rows] & active[:, columns] & (count == 2)[:, None])),
+        "group_first": np.array([shares[k == count].sum() for k in inside]),
+        "group_total": np.array([shares[k > 0].sum() for k in inside]),
+    }
+
+
+def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
+    """The mean of expansions in the same germs: their terms together, each with its mean coefficient."""
+    degrees = np.concatenate([fit.multi_indices for fit in fits])
+    values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
+    terms, place = np.unique(degrees, axis=0, return_inverse=True)
+    coefficients = np.zeros(len(terms))
+    np.add.at(coefficients, place.reshape(-1), values)
+    # the constant first, as in every expansion: np.unique sorts it there
+    return replace(fits[0], coefficients=coefficients, multi_indices=terms, samples=sum(f.samples for f in fits))
+
+
+def chaos_outputs(chaos: Chaos, blocks: Blocks, halves: Sequence[Array]) -> Array:
+    """Values (N, blocks.count) of an expansion on the blocks of halves of independent standard normals, (N, d) each."""
+    points = blocks.mix(*(germ_points(half, chaos.germs) for half in halves))
+    return predict(chaos, points.reshape(-1, blocks.inputs_count)).reshape(-1, blocks.count)
+
+
+def chaos_surrogate(chaos: Chaos, blocks: Blocks, outputs: Array) -> Surrogate | None:
+    """An expansion with its `chaos_outputs` (R, N, blocks.count) as a surrogate; None where it is a constant."""
+    if not math.fsum(chaos.coefficients[chaos.multi_indices.any(axis=1)] ** 2) > 0.0:
+        return None
+    return Surrogate(outputs=outputs, indices=expansion_indices(chaos.coefficients, chaos.multi_indices, blocks))
