@@ -161,7 +161,9 @@ def test_both_ways_to_the_indices_are_right(answers: dict[str, Any]) -> None:
         for order in ("first", "total"):
             for name, estimate in entry["check"][way][order].items():
                 value = exact()["sensitivity", "p_max", order, name]
-                assert abs(estimate["value"] - value) <= 4.0 * estimate["std_error"], (way, order, name)
+                # what lies in the tails beyond the samples is in no standard error of an expansion
+                hidden = 1e-6 if way == "chaos" else 0.0
+                assert abs(estimate["value"] - value) <= 4.0 * estimate["std_error"] + hidden, (way, order, name)
 
 
 def test_what_governs_is_the_direction_of_the_design_point(answers: dict[str, Any]) -> None:

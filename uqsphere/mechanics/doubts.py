@@ -17,7 +17,7 @@ from uqsphere.mechanics.layout import (
     ANSWER_X_MAX,
 )
 
-__all__ = ["doubtful", "jumping", "other_ends", "other_times"]
+__all__ = ["CLOSEST", "doubtful", "jumping", "other_ends", "other_times", "unsettled"]
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +25,10 @@ Array = npt.NDArray[np.float64]
 _MANY_STEPS = 1_000
 #: change of a time over that of its threshold, both relative, that is no longer smooth
 _JUMP = 100.0
+#: smallest share of the tolerance that a row is looked at with
+CLOSEST = 1e-6
+#: a look a hundred times closer may change an answer by this many tolerances: what is left is below one
+_SETTLED = 30.0
 
 
 def jumping(answers: Array, tolerance: float) -> npt.NDArray[np.bool_]:
@@ -69,11 +73,21 @@ def doubtful(
     sharpness = np.where(doubtful, np.fmin(sharpness, 0.5), sharpness)
     done = status[block] == 0
     groups = []
-    for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, 1e-6)):
+    for low, high, factor in ((1e-2, 3.0, 1e-2), (1e-4, 1e-2, 1e-4), (0.0, 1e-4, CLOSEST)):
         rows = block[done & (sharpness >= low) & (sharpness < high)]
         if len(rows):
             groups.append((factor, rows))
     return groups
+
+
+def unsettled(before: Array, after: Array, tolerance: float) -> npt.NDArray[np.bool_]:
+    """Rows whose largest approach or end of contact a closer look has changed by so much that it takes another."""
+    moved = np.zeros(len(after), dtype=bool)
+    for column in (ANSWER_X_MAX, ANSWER_CONTACT):
+        with np.errstate(invalid="ignore"):
+            change = np.abs(after[:, column] - before[:, column])
+            moved |= change > _SETTLED * tolerance * np.abs(after[:, column])
+    return moved
 
 
 def other_ends(answers: Array, tolerance: float) -> Array:

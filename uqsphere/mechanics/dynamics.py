@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.doubts import doubtful, jumping, other_ends, other_times
+from uqsphere.mechanics.doubts import CLOSEST, doubtful, jumping, other_ends, other_times, unsettled
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
@@ -252,10 +252,17 @@ def integrate(
 
     def run(block: npt.NDArray[np.int64]) -> None:
         _march(arguments, block, mode, tolerance, True, inner, inner_status, inner_steps, wanted=wanted)
-        for factor, again in doubtful(inner, inner_status, inner_steps, block, tolerance):
+        looks = doubtful(inner, inner_status, inner_steps, block, tolerance)
+        while looks:
+            factor, again = looks.pop(0)
             closer = max(1e-13, factor * tolerance)
+            before = inner[again].copy()
             inner[again] = np.nan
             _march(arguments, again, mode, closer, True, inner, inner_status, inner_steps, wanted=wanted)
+            open_still = unsettled(before, inner[again], tolerance) & (inner_status[again] == 0)
+            if closer > 1e-13 and factor > CLOSEST and open_still.any():
+                looks.append((max(0.01 * factor, CLOSEST), again[open_still]))
+                again = again[~open_still]
             graze = other_ends(inner, tolerance)
             open_rows = again[(inner_status[again] == 0) & (graze[again] != 0.0)]
             if len(open_rows):

@@ -9,6 +9,8 @@ __all__ = ["evaluations_needed", "out_of_reach"]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
+#: a fall that was followed over less than this factor of points says little: the usual one is taken if it is faster
+LONG, USUAL = 4.0, 0.75
 #: how far a forecast must lie beyond the budget before it is acted on
 CAUTION = 1.5
 
@@ -29,6 +31,9 @@ def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> flo
     rate = SLOWEST
     if len(course) > 1 and wide > width > 0.0:
         rate = min(max(math.log(wide / width) / math.log(n / first), SLOWEST), FASTEST)
+    if len(course) > 1 and n < LONG * first:
+        # half-widths themselves are uncertain by a fifth, as standard deviations of sixteen replicates are
+        rate = max(rate, USUAL)
     return float(n * (width / asked) ** (1.0 / rate))
 
 
