@@ -14,19 +14,17 @@ from scipy.special import ndtri
 from uqsphere.uq.chaos import (
     chaos_indices,
     chaos_moments,
-    closed_index,
+    fit_again,
     fit_chaos,
     germ_points,
-    gradient,
+    gradients,
     hyperbolic_indices,
+    index_of,
     judge,
     orthonormal_values,
     predict,
-    total_index,
     validation_error,
 )
-from uqsphere.uq.chaos.bases import products
-from uqsphere.uq.chaos.solvers import SOLVERS
 from uqsphere.uq.sampling import sobol_points
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.4])
@@ -141,12 +139,12 @@ def test_the_fit_does_not_depend_on_the_unit_of_the_output(unit: float) -> None:
     assert other.cross_validation_error == pytest.approx(one.cross_validation_error, rel=1e-6)
 
 
-def tame(z: np.ndarray) -> np.ndarray:
-    """A contact pressure with a little of something that no logarithm straightens."""
-    return product(0.4 * z) * (1.0 + 0.05 * np.tanh(z[:, 0] - z[:, 1]))
+def tame_product(z: np.ndarray) -> np.ndarray:
+    """The scatter of a contact pressure; at twice that, rare samples carry the error and nobody sees them."""
+    return product(0.4 * z)
 
 
-@pytest.mark.parametrize(("model", "germs"), [(ishigami, ("uniform",) * 3), (tame, ("normal",) * 4)])
+@pytest.mark.parametrize(("model", "germs"), [(ishigami, ("uniform",) * 3), (tame_product, ("normal",) * 4)])
 def test_the_reported_error_is_near_the_true_one(model, germs) -> None:
     held_out = points(999, 0, 4096, germs)
     ratios = []
@@ -154,10 +152,8 @@ def test_the_reported_error_is_near_the_true_one(model, germs) -> None:
         p = points(seed, 0, 128, germs)
         chaos = fit_chaos(p, model(p), germs)
         ratios.append(chaos.cross_validation_error / validation_error(chaos, held_out, model(held_out)))
-    # beyond the samples, in the tails of normal inputs, lies an error that no sample shows
-    assert (1 / 3 if germs[0] == "uniform" else 1 / 6) < np.median(ratios) < 3.0
-    # where the error falls as fast as Ishigami's, to 1e-14 here, it differs between designs by as much
-    assert np.mean((np.array(ratios) > 0.04) & (np.array(ratios) < 10.0)) >= 0.8
+    assert 1 / 3 < np.median(ratios) < 3.0
+    assert np.mean((np.array(ratios) > 0.1) & (np.array(ratios) < 10.0)) >= 0.9
 
 
 @pytest.mark.parametrize("name", ["ishigami", "product"])
@@ -168,9 +164,7 @@ def test_indices_cover_the_closed_form(name: str, n: int) -> None:
     hits, tries = 0, 0
     for seed in range(4 if name == "ishigami" else 8):
         designs = [points(seed, r, n, germs) for r in range(6)]
-        first = fit_chaos(designs[0], model(designs[0]), germs)
-        fits = [first, *(fit_chaos(p, model(p), germs, like=first) for p in designs[1:])]
-        found = chaos_indices(fits)
+        found = chaos_indices([fit_chaos(p, model(p), germs) for p in designs])
         for order, values in exact.items():
             for estimate, value in zip(found[order], values, strict=True):
                 hits += estimate.low <= value <= estimate.high
@@ -186,10 +180,9 @@ def test_a_single_fit_is_bounded_by_what_it_leaves_unexplained() -> None:
     for order, values in exact_indices("product").items():
         for estimate, value in zip(found[order], values, strict=True):
             assert estimate.low <= value <= estimate.high
-            # the values of an expansion of the logarithm are read at points, to a few thousandths
-            assert math.sqrt(estimate.high) - math.sqrt(estimate.value) <= 0.1 + 0.03
+            assert math.sqrt(estimate.high) - math.sqrt(estimate.value) <= 0.1 + 1e-12
     narrow = chaos_indices([chaos], error=1e-4)
-    assert narrow["total"][0].half_width < 0.5 * found["total"][0].half_width
+    assert narrow["total"][0].half_width < 0.2 * found["total"][0].half_width
 
 
 def test_a_jump_is_refused_and_noise_is_a_constant() -> None:
@@ -220,109 +213,6 @@ def test_judgement_takes_the_larger_error_and_never_hides_it() -> None:
     assert validation_error(wavy, 12.0 * p, np.sin(24.0 * p[:, 0])) > 0.5
 
 
-@pytest.mark.parametrize("solver", list(SOLVERS))
-def test_every_solver_finds_a_sparse_polynomial(solver: str) -> None:
-    """Six of 165 products, 100 samples: coefficients to rounding, and nothing else."""
-    p = points(3, 0, 100, ("uniform",) * 3)
-    basis = hyperbolic_indices(3, 8, 1.0, 1000)
-    matrix = products([orthonormal_values("uniform", p[:, j], 8) for j in range(3)], basis[1:])
-    chosen = [3, 17, 40, 90, 4, 20] if solver != "least squares" else [0, 1, 2, 3, 4, 5]
-    coefficients = np.array([1.0, -0.7, 0.5, 0.3, 2.0, -1.5])
-    outputs = 5.0 + coefficients @ matrix[chosen]
-    path = SOLVERS[solver](matrix, outputs, np.ones(100), 50)
-    terms = path.cut
-    assert set(path.terms[:terms]) >= set(chosen)
-    found = path.coefficients(terms)
-    assert found[0] == pytest.approx(5.0, abs=1e-10)
-    for k, term in enumerate(path.terms[:terms]):
-        wanted = coefficients[chosen.index(term)] if term in chosen else 0.0
-        assert found[1 + k] == pytest.approx(wanted, abs=1e-10)
-
-
-@pytest.mark.parametrize("solver", list(SOLVERS))
-def test_the_error_of_leaving_one_out_is_that_of_fitting_again(solver: str) -> None:
-    p = points(4, 0, 40, ("uniform",) * 2)
-    basis = hyperbolic_indices(2, 5, 1.0, 1000)
-    matrix = products([orthonormal_values("uniform", p[:, j], 5) for j in range(2)], basis[1:])
-    outputs = np.exp(p[:, 0]) * np.abs(p[:, 1])
-    path = SOLVERS[solver](matrix, outputs, np.ones(40), 8)
-    terms = 5
-    design = np.vstack([np.ones(40), matrix[path.terms[:terms]]]).T
-    left = []
-    for k in range(40):
-        kept = np.arange(40) != k
-        coefficients = np.linalg.lstsq(design[kept], outputs[kept], rcond=None)[0]
-        left.append(outputs[k] - design[k] @ coefficients)
-    assert path.plain[terms] == pytest.approx(np.mean(np.square(left)), rel=1e-9)
-    trace = np.trace(np.linalg.inv(design.T @ design))
-    assert path.corrected[terms] == pytest.approx(path.plain[terms] * 40 / 34 * (1.0 + trace), rel=1e-9)
-    np.testing.assert_allclose(path.predictions(matrix)[terms], design @ path.coefficients(terms), rtol=1e-9)
-
-
-def test_least_angle_regression_moves_along_the_bisector() -> None:
-    """Orthogonal terms enter by the size of their coefficients, whatever their signs."""
-    matrix = np.sqrt(64.0) * np.linalg.qr(np.random.default_rng(1).standard_normal((64, 6)))[0].T
-    matrix -= matrix.mean(axis=1, keepdims=True)
-    outputs = np.array([0.3, -2.0, 0.1, 1.0, 0.0, -0.5]) @ matrix
-    order = SOLVERS["least angle"](matrix, outputs, np.ones(64), 6).terms.tolist()
-    assert order[:4] == [1, 3, 5, 0]
-
-
-def test_a_logarithm_is_taken_only_where_it_helps() -> None:
-    germs = ("normal",) * 4
-    p = points(7, 0, 128, germs)
-    assert fit_chaos(p, product(p), germs).transform == "logarithm"
-    assert fit_chaos(p, -product(p), germs).negative
-    assert fit_chaos(p, 50.0 + p[:, 0] + 0.2 * p[:, 1] * p[:, 2], germs).transform == "none"
-    assert fit_chaos(p, p[:, 0] ** 3, germs).transform == "none"
-
-
-@pytest.mark.parametrize("model", [ishigami, product])
-def test_derivatives_are_those_of_the_values(model) -> None:
-    germs = ("uniform",) * 3 if model is ishigami else ("normal",) * 4
-    p = points(1, 0, 128, germs)
-    chaos = fit_chaos(p, model(p), germs)
-    at, step = 0.9 * p[:20], 1e-5
-    slopes = gradient(chaos, at)
-    for j in range(len(germs)):
-        shift = np.zeros(len(germs))
-        shift[j] = step
-        differences = (predict(chaos, at + shift) - predict(chaos, at - shift)) / (2.0 * step)
-        np.testing.assert_allclose(slopes[:, j], differences, rtol=1e-5, atol=1e-6 * np.abs(slopes).max())
-
-
-def test_indices_of_any_order() -> None:
-    p = points(2, 0, 256, ("uniform",) * 3)
-    chaos = fit_chaos(p, ishigami(p), ("uniform",) * 3)
-    exact = exact_indices("ishigami")
-    assert closed_index(chaos, [0]) == pytest.approx(exact["first"][0], abs=1e-6)
-    assert closed_index(chaos, [0, 2]) == pytest.approx(exact["total"][0], abs=1e-6)
-    assert total_index(chaos, [0, 1]) == pytest.approx(1.0, abs=1e-6)
-    assert closed_index(chaos, [0, 1, 2]) == pytest.approx(1.0)
-    z = points(2, 0, 128, ("normal",) * 4)
-    read = fit_chaos(z, product(z), ("normal",) * 4)
-    assert closed_index(read, [3]) == pytest.approx(exact_indices("product")["first"][3], abs=5e-3)
-
-
-def test_what_won_once_is_taken_again_for_other_samples() -> None:
-    germs = ("uniform",) * 3
-    p, q = points(2, 0, 128, germs), points(2, 1, 128, germs)
-    first = fit_chaos(p, ishigami(p), germs)
-    again = fit_chaos(q, ishigami(q), germs, like=first)
-    assert again.solver == first.solver
-    held = points(9, 0, 2000, germs)
-    assert validation_error(again, held, ishigami(held)) < 1e-8
-
-
-def test_few_samples_of_many_inputs() -> None:
-    """Twenty inputs of which two matter: found from 64 samples, where plain least squares has 21 terms at least."""
-    germs = ("normal",) * 20
-    p = points(5, 0, 64, germs)
-    chaos = fit_chaos(p, 3.0 * p[:, 4] + p[:, 11] * p[:, 4], germs)
-    assert chaos.cross_validation_error < 1e-12
-    assert closed_index(chaos, [4]) == pytest.approx(0.9, abs=1e-8)
-
-
 def test_constant_outputs_and_bad_input() -> None:
     germs = ("normal",) * 4
     p = points(1, 0, 64, germs)
@@ -336,3 +226,66 @@ def test_constant_outputs_and_bad_input() -> None:
         fit_chaos(p[:, :2], product(p), germs)
     with pytest.raises(ValueError, match="unknown germ"):
         germ_points(p, ("normal", "beta", "normal", "normal"))
+
+
+@pytest.mark.parametrize("model", [ishigami, product])
+def test_derivatives_are_those_of_the_values(model) -> None:
+    germs = ("uniform",) * 3 if model is ishigami else ("normal",) * 4
+    p = points(1, 0, 128, germs)
+    chaos = fit_chaos(p, model(p), germs)
+    at, step = 0.9 * p[:20], 1e-5
+    slopes = gradients(chaos, at)
+    for j in range(len(germs)):
+        shift = np.zeros(len(germs))
+        shift[j] = step
+        differences = (predict(chaos, at + shift) - predict(chaos, at - shift)) / (2.0 * step)
+        np.testing.assert_allclose(slopes[:, j], differences, rtol=1e-5, atol=1e-6 * np.abs(slopes).max())
+
+
+def test_indices_of_any_group() -> None:
+    p = points(2, 0, 256, ("uniform",) * 3)
+    chaos = fit_chaos(p, ishigami(p), ("uniform",) * 3)
+    exact = exact_indices("ishigami")
+    assert index_of(chaos, [0]) == pytest.approx(exact["first"][0], abs=1e-6)
+    assert index_of(chaos, [0, 2]) == pytest.approx(exact["total"][0] - exact["first"][0], abs=1e-6)
+
+
+def test_few_samples_of_many_inputs() -> None:
+    """Twenty inputs of which two matter: found from 64 samples, where plain least squares has 21 terms at least."""
+    germs = ("normal",) * 20
+    p, held = points(5, 0, 64, germs), points(6, 0, 500, germs)
+
+    def model(z: np.ndarray) -> np.ndarray:
+        return 3.0 * z[:, 4] + z[:, 11] * z[:, 4]
+
+    assert validation_error(fit_chaos(p, model(p), germs), held, model(held)) < 1e-12
+
+
+def test_a_plain_expansion_is_fitted_again_with_the_same_terms() -> None:
+    germs = ("normal",) * 4
+    p, q = points(2, 0, 128, germs), points(2, 1, 128, germs)
+    assert not fit_chaos(p, product(p), germs).plain
+    first = fit_chaos(p, product(p), germs, plain=True)
+    again = fit_again(first, q, product(q))
+    assert again.plain
+    assert (again.multi_indices == first.multi_indices).all()
+    held = points(9, 0, 2000, germs)
+    assert validation_error(again, held, product(held)) < 30.0 * validation_error(first, held, product(held))
+    with pytest.raises(ValueError, match="in one piece"):
+        fit_again(fit_chaos(p, product(p), germs), q, product(q))
+    with pytest.raises(ValueError, match="as many samples"):
+        fit_again(first, q[:3], product(q[:3]))
+
+
+def test_a_kink_is_found_and_taken_in_two_pieces() -> None:
+    """A plain expansion of the same samples leaves percents of the variance and would be refused or wrong."""
+    germs = ("normal",) * 3
+
+    def kinked(z: np.ndarray) -> np.ndarray:
+        return np.abs(z[:, 0] + 0.5 * z[:, 1] - 0.3) + 0.2 * z[:, 2]
+
+    p, held = points(3, 0, 256, germs), points(4, 0, 2000, germs)
+    chaos, plain = fit_chaos(p, kinked(p), germs), fit_chaos(p, kinked(p), germs, plain=True)
+    assert len(chaos.pieces) == 2
+    assert validation_error(chaos, held, kinked(held)) < 1e-6
+    assert validation_error(plain, held, kinked(held)) > 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -84,7 +85,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     Empty and None where they are refused.  The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.chaos import chaos_indices, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.chaos import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)
@@ -107,8 +108,8 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
                 {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"},
                 None,
             )
-        like = fits[0] if fits else None
-        fits.append(fit_chaos(points, outputs[replicate, :used][keep], germs, like, transform=False))
+        column = outputs[replicate, :used][keep]
+        fits.append(fit_again(fits[0], points, column) if fits else fit_chaos(points, column, germs, plain=True))
         # held out: another randomisation altogether
         other = FITS + replicate
         points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
@@ -152,6 +153,19 @@ def _more(start: int, widths: list[float], asked: float) -> int:
         return FIRST
     wanted: float = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
+
+
+def _no_finer(work: Work, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Intervals no narrower than the tolerance of the model itself, which a surrogate that fits it can be."""
+    if work.study.black_box:
+        return list(estimates)
+    least = work.study.model.tolerance
+    return [
+        e
+        if e.value is None or e.half_width >= least
+        else replace(e, low=e.value - least, high=e.value + least, std_error=max(e.std_error or 0.0, 0.5 * least))
+        for e in estimates
+    ]
 
 
 def _believable(estimates: list[Estimate]) -> list[Estimate]:
@@ -240,7 +254,10 @@ def find_sensitivity(
         whole = clean(values, failed)
         helpers = helpers_of(surrogates, blocks, None if others is None else clean(others, failed))
         drawn = {q: sampled_indices(whole[..., k], blocks, helpers.get(q)) for k, q in enumerate(work.quantities)}
-        found = {quantity: {"first": e.first, "total": e.total} for quantity, e in drawn.items()}
+        found = {
+            quantity: {"first": _no_finer(work, e.first), "total": _no_finer(work, e.total)}
+            for quantity, e in drawn.items()
+        }
         lacking = [q for q in work.quantities if not _accurate(found[q], asked)]
         try:
             control, found = sharpen(

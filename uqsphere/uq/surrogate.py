@@ -86,14 +86,15 @@ def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64],
 
 
 def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
-    """The mean of expansions in the same germs: their terms together, each with its mean coefficient."""
+    """The mean of plain expansions in the same germs: their terms together, each with its mean coefficient."""
     degrees = np.concatenate([fit.multi_indices for fit in fits])
     values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
     terms, place = np.unique(degrees, axis=0, return_inverse=True)
     coefficients = np.zeros(len(terms))
     np.add.at(coefficients, place.reshape(-1), values)
     # the constant first, as in every expansion: np.unique sorts it there
-    return replace(fits[0], coefficients=coefficients, multi_indices=terms, samples=sum(f.samples for f in fits))
+    piece = replace(fits[0].pieces[0], coefficients=coefficients, multi_indices=terms)
+    return replace(fits[0], pieces=(piece,), samples=sum(f.samples for f in fits))
 
 
 def chaos_outputs(chaos: Chaos, blocks: Blocks, halves: Sequence[Array]) -> Array:
