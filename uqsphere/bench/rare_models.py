@@ -26,8 +26,9 @@ Array = npt.NDArray[np.float64]
 class Problem:
     """A limit function of `dimension` standard normals, failure where negative.
 
-    `reference` is its probability, found by `how`: "closed form", "quadrature" (`integrate_plane`, to 1e-5 of
-    itself) or "long run" (relative standard error in `error`).  `modes` counts what matters of its failure domain.
+    `reference` is its probability, found by `how`: "closed form", "quadrature" (`integrate_plane` in two inputs)
+    or "long run": randomised Sobol' points with one input integrated exactly, 16 times 65,536, joined with a million
+    points of importance sampling where those are as good (relative standard error in `error`).  `modes` counts what matters of its failure domain.
     """
 
     name: str
@@ -141,9 +142,9 @@ PROBLEMS: Final = (
             how="closed form"),
     Problem(name="RP8", text="linear in six lognormals", dimension=6,
             function=_mapped(_RP8, lambda a, b, c, d, e, f: a + 2 * b + 2 * c + d - 5 * e - 5 * f),
-            reference=7.86e-4, how="long run", published=7.84e-4),
+            reference=7.901e-4, how="long run", error=8e-4, published=7.84e-4),
     Problem(name="RP14", text="shaft in torsion, five inputs", dimension=5, function=_mapped(_RP14, _rp14),
-            reference=7.7e-4, how="long run", published=7.52e-3),
+            reference=7.724e-4, how="long run", error=7e-4, published=7.52e-3),
     Problem(name="RP22", text="parabola bent outwards", dimension=2,
             function=lambda u: np.asarray(2.5 - (u[:, 0] + u[:, 1]) / math.sqrt(2.0) + 0.1 * (u[:, 0] - u[:, 1]) ** 2),
             reference=4.207306750e-3, how="quadrature", published=4.16e-3),
@@ -158,21 +159,21 @@ PROBLEMS: Final = (
             function=_mapped((_normal(78064.0, 11710.0), _normal(0.0104, 0.00156)), lambda a, b: a * b - 146.14),
             reference=1.453294655e-7, how="quadrature", published=1.763e-7, modes=None),
     Problem(name="RP31", text="narrow quartic valley", dimension=2,
-            function=lambda u: np.asarray(2.0 - u[:, 1] + 256.0 * u[:, 0] ** 4), reference=3.226681210e-3, how="quadrature",
-            published=1.8e-4),
+            function=lambda u: np.asarray(2.0 - u[:, 1] + 256.0 * u[:, 0] ** 4),
+            reference=3.226681210e-3, how="quadrature", published=1.8e-4),
     Problem(name="RP33", text="union of two planes, three inputs", dimension=3,
             function=lambda u: np.asarray(np.minimum(3.0 * math.sqrt(3.0) - u.sum(axis=1), 3.0 - u[:, 2])),
             reference=2.575597791e-3, how="quadrature", published=2.57e-3, modes=None),
     Problem(name="RP35", text="union with a product", dimension=2, function=_rp35, reference=3.478946145e-3,
             how="quadrature", published=3.54e-3, modes=None),
-    Problem(name="RP38", text="seven normals", dimension=7, function=_mapped(_RP38, _rp38), reference=8.1e-3,
-            how="long run", published=8.1e-3),
+    Problem(name="RP38", text="seven normals", dimension=7, function=_mapped(_RP38, _rp38), reference=8.050e-3,
+            how="long run", error=3e-4, published=8.1e-3),
     Problem(name="RP53", text="sine", dimension=2, function=_mapped((_normal(1.5, 1.0), _normal(2.5, 1.0)), _rp53),
             reference=3.132048569e-2, how="quadrature", published=3.13e-2, modes=None),
     Problem(name="RP57", text="union of a corner and a disc", dimension=2, function=_rp57, reference=2.823628421e-2,
             how="quadrature", published=2.84e-2, modes=None),
     Problem(name="RP60", text="system of five lognormals", dimension=5, function=_mapped(_RP60, _rp60),
-            reference=4.56e-2, how="long run", published=4.56e-2, modes=None),
+            reference=4.483987e-2, how="long run", error=2e-6, published=4.56e-2, modes=None),
     Problem(name="RP75", text="product above 3", dimension=2, function=lambda u: np.asarray(3.0 - u[:, 0] * u[:, 1]),
             reference=9.819298722e-3, how="quadrature", published=1.07e-2, modes=2),
     Problem(name="RP77", text="discontinuous, three inputs", dimension=3,
@@ -187,7 +188,7 @@ PROBLEMS: Final = (
             function=lambda u: np.asarray(12.5 - np.abs(u[:, 0] * u[:, 1])), reference=8.035085965e-7, how="quadrature",
             published=8.08e-7, modes=4),
     Problem(name="roof truss", text="deflection of a roof truss, six inputs", dimension=6,
-            function=_mapped(_TRUSS, _roof_truss), reference=9.4e-3, how="long run"),
+            function=_mapped(_TRUSS, _roof_truss), reference=9.3584e-3, how="long run", error=2.4e-4),
     Problem(name="plane 50", text="plane at 4.5, fifty inputs", dimension=50, function=_plane(4.5),
             reference=3.3976731247300535e-06, how="closed form"),
     Problem(name="plane 40 1e-9", text="plane at 5.9978, forty inputs", dimension=40,
