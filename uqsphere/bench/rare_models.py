@@ -27,8 +27,9 @@ class Problem:
     """A limit function of `dimension` standard normals, failure where negative.
 
     `reference` is its probability, found by `how`: "closed form", "quadrature" (`integrate_plane` in two inputs)
-    or "long run": randomised Sobol' points with one input integrated exactly, 16 times 65,536, joined with a million
-    points of importance sampling where those are as good (relative standard error in `error`).  `modes` counts what matters of its failure domain.
+    or "long run": randomised Sobol' points with one input integrated exactly, 16 times 65,536, joined with a
+    million points of importance sampling where those are as good (relative standard error in `error`).  `modes`
+    counts what matters of its failure domain.
     """
 
     name: str

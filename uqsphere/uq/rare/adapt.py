@@ -14,14 +14,14 @@ import numpy as np
 
 from uqsphere.uq.families import Array
 from uqsphere.uq.rare.importance import defended
-from uqsphere.uq.rare.mixture import Mixture, allocate, draw_mixture, fit_mixture, joined, log_density
+from uqsphere.uq.rare.mixture import Mixture, allocate, draw_mixture, fit_mixture, joined, log_density, log_total
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Pool", "adapt", "collect", "pooled_weights", "refit"]
 
 #: points that a fit is made on at most
-_MOST_FITTED = 4000
+_MOST_FITTED = 2000
 
 
 @dataclass(kw_only=True)
@@ -56,11 +56,9 @@ def pooled_weights(pool: Pool) -> tuple[Array, Array]:
     points, mass = points[failing], mass[failing]
     if not len(points):
         return points, mass
-    from scipy.special import logsumexp
-
     sizes = np.array([len(part) for part in pool.points], dtype=float)
     table = np.column_stack([log_density(mixture, points) for mixture in pool.mixtures])
-    together = np.asarray(logsumexp(table + np.log(sizes / sizes.sum()), axis=1))
+    together = log_total(table + np.log(sizes / sizes.sum()))
     return points, mass * np.exp(log_normal_density(points) - together)
 
 
@@ -75,8 +73,10 @@ def refit(pool: Pool, *, rng: np.random.Generator, most: int) -> Mixture | None:
     worth = worth_of(weights)
     if worth < max(12.0, 2.0 * pool.points[0].shape[1]):
         return None
-    order = np.argsort(-weights, kind="stable")[:_MOST_FITTED] if len(weights) > _MOST_FITTED else slice(None)
-    return fit_mixture(points[order], weights[order], rng=rng, most=most)
+    if len(weights) > _MOST_FITTED:
+        chosen = rng.choice(len(weights), _MOST_FITTED, replace=False)
+        points, weights = points[chosen], weights[chosen]
+    return fit_mixture(points, weights, rng=rng, most=most)
 
 
 def adapt(

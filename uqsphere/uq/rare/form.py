@@ -175,7 +175,9 @@ def _gradients(function: Callable[[Array], tuple[Array, Array]], points: Array) 
     shifts = np.concatenate([np.zeros((1, size)), STEP * np.eye(size), -STEP * np.eye(size)])
     stencil = (points[:, None, :] + shifts[None, :, :]).reshape(-1, size)
     raised, plain = (table.reshape(s, -1) for table in function(stencil))
-    slopes = (raised[:, 1 : size + 1] - raised[:, size + 1 :]) / (2.0 * STEP)
+    with np.errstate(invalid="ignore"):
+        # failed evaluations are infinite: no slope there
+        slopes = (raised[:, 1 : size + 1] - raised[:, size + 1 :]) / (2.0 * STEP)
     return raised[:, 0], plain[:, 0], np.where(np.isfinite(slopes), slopes, 0.0)
 
 
