@@ -221,7 +221,7 @@ CASES = [
         'of = ["sphere.E", "sphere.radius", "striker.speed"]\nspearman = -0.7', "not positive definite",
         at="spearman = -0.7"),
     # analysis and margins
-    one("a method of later", "quantiles = [0.05, 0.5]", 'methods = ["form"]', "not in this version"),
+    one("a method of later", "quantiles = [0.05, 0.5]", 'methods = ["active"]', "not in this version"),
     one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "between 0 and 1"),
     one("a budget of nothing", "quantiles = [0.05, 0.5]", "budget = { evaluations = 0 }", "above 0"),
     one("a tolerance of one", "tolerance = 1e-6", "tolerance = 1.0", "1e-12 to 1e-2"),

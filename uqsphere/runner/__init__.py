@@ -175,6 +175,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
+    from uqsphere.runner.rare import refine_limits
     from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
     from uqsphere.runner.sampling import sample_distributions
@@ -189,6 +190,8 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     proposed = propose(pilot)
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.seconds["sampling"] = ledger.elapsed
+    sampled = refine_limits(work, sampled)
+    ledger.seconds["rare events"] = ledger.elapsed
     if notice is not None:
         for name, limit in sampled.limits.items():
             if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:

@@ -23,12 +23,14 @@ from uqsphere.uq.reliability import (
     target_met,
 )
 
-__all__ = ["LimitAnswer", "judge_limits", "state_of", "tie_strength"]
+__all__ = ["LimitAnswer", "judge_limits", "state_of", "takes_over", "tie_strength"]
 
 Array = npt.NDArray[np.float64]
 
 #: a probability below this is not chased for its relative accuracy by plain sampling
 NEGLIGIBLE = 1e-12
+#: a probability below this is left to the methods for rare events where sampling is not accurate
+RARE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,20 +47,35 @@ class LimitAnswer:
     margin: dict[str, Estimate]
     governing: dict[str, float] | None
     met: bool | None
+    governing_method: str = "squared direction of the centre of failures in standard normal space"
+    design: dict[str, float] | None = None
+    design_points: int = 0
+    design_reason: str = "no search for a design point was made"
+    modes: int | None = None
+    checks: tuple[str, ...] = ()
 
     def accuracy_missed(self, which: str, asked: float) -> str:
         """Why a probability is not as accurate as asked, or an empty text."""
         estimate: Estimate = getattr(self, which)
         if estimate.value is None:
             return f"{which}: {estimate.reason}"
-        if estimate.high is not None and (
-            estimate.high < NEGLIGIBLE or (self.target is not None and estimate.high < 0.01 * self.target)
-        ):
+        if self.beneath(which):
             return ""
         if estimate.half_width <= asked * estimate.value:
             return ""
         relative = estimate.half_width / estimate.value if estimate.value > 0.0 else float("inf")
         return f"{which}: half-width {relative:.2g} of the probability, asked {asked:g}"
+
+    def beneath(self, which: str) -> bool:
+        """Whether a probability is too small to matter: beneath notice, or far beneath the target."""
+        high = getattr(self, which).high
+        return high is not None and (high < NEGLIGIBLE or (self.target is not None and high < 0.01 * self.target))
+
+
+def takes_over(work: Work, answer: LimitAnswer) -> bool:
+    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen."""
+    small = answer.miss.value is None or answer.miss.value < RARE
+    return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
 
 
 def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitState:

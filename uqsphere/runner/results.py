@@ -143,10 +143,13 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
         "reliability_index": limit.reliability_index,
         "reliability_index_interval": list(limit.reliability_interval),
         "margin": _estimates(limit.margin),
-        "design_point": None,
-        "design_point_reason": "needs a reliability method, which this version does not have",
+        "design_point": limit.design,
+        "design_point_reason": None if limit.design else limit.design_reason,
+        "design_points": limit.design_points,
+        "modes": limit.modes,
+        "checks": list(limit.checks),
         "governing_inputs": limit.governing,
-        "governing_inputs_method": "squared direction of the centre of failures in standard normal space",
+        "governing_inputs_method": limit.governing_method,
         "met": limit.met,
     }
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import out_of_reach
 from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
@@ -98,6 +98,8 @@ def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, 
         _, texts = reached(description, mean=asked.mean, quantile=asked.quantile)
         missed += [f"{name}: {text}" for text in texts]
     for name, limit in limits.items():
+        if takes_over(work, limit):
+            continue
         for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
             text = limit.accuracy_missed(which, asked.probability)
             if text:
@@ -151,6 +153,8 @@ def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, 
         ]
         found[name] = max(ratios) / description.scale
     for name, limit in limits.items():
+        if takes_over(work, limit):
+            continue
         for which in ("exceedance", "miss"):
             estimate = getattr(limit, which)
             if estimate.value and limit.accuracy_missed(which, asked.probability):

@@ -17,8 +17,8 @@ from uqsphere.study.sensitivities import read_tolerance
 
 __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares", "valid_name"]
 
-METHODS: Final = ("qmc", "pce", "sobol")
-LATER_METHODS: Final = ("form", "sorm", "importance", "subset", "monte_carlo", "active")
+METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
+LATER_METHODS: Final = ("sorm", "monte_carlo", "active")
 #: quantities of the theory that this version does not answer
 LATER_QUANTITIES: Final = ("core_tension",)
 MOST_LIMITS: Final = 50

@@ -1,0 +1,286 @@
+"""Small probabilities: limits that sampling leaves open go on in standard normal space, and get their design points.
+
+The strength stays integrated: given the inputs' normal scores u, the aim is missed with the probability Phi(-g(u)),
+where g is the strength's normal score at the demand (`uqsphere.uq.rare`).  Everything is evaluated through the
+run's own chunks.  Rows far out of the ordinary may have no answer: they widen the interval and end nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.model import is_answered
+from uqsphere.runner.limits import LimitAnswer, takes_over
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
+from uqsphere.study import Limit
+from uqsphere.uq.distribution import Law, from_normal
+from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.inputs import conditional_normal, normal_scores, physical_from_normal, strength_tie
+from uqsphere.uq.rare.auto import RareAnswer, find_probability
+from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction
+from uqsphere.uq.reliability import reliability_index, strength_tails, target_met
+
+__all__ = ["METHOD", "refine_limits"]
+
+Array = npt.NDArray[np.float64]
+
+METHOD: Final = "importance sampling"
+#: evaluations that one limit may take at most, the share of what is left that all limits may take, and the least
+MOST: Final = 100_000
+SHARE: Final = 0.5
+LEAST: Final = 3000
+#: evaluations for the design points of a limit whose probability is known
+FOR_DESIGN: Final = 1000
+#: probability below which sampling's own interval is not believed
+DOUBTFUL: Final = 1e-4
+#: normal scores beyond which a tail is taken for certain
+_FAR: Final = 37.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Space:
+    """A limit in standard normal space: its function, and what it takes to come back."""
+
+    limit: Limit
+    function: LimitFunction
+    flipped: bool
+    weights: Array
+    remaining: float
+
+
+def refine_limits(work: Work, sampled: Sampled) -> Sampled:
+    """Sampled limits with design points, and with importance sampling's probabilities where sampling fell short."""
+    limits = work.study.limits
+    if not work.drawn.names or not limits or not _asked(work, "form", "importance", "subset"):
+        return sampled
+    found = dict(sampled.limits)
+    history, seconds = list(sampled.history), list(sampled.seconds)
+    stopped = sampled.stopped
+    for at, limit in enumerate(limits):
+        answer = found[limit.name]
+        if _tied(work, limit):
+            reason = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
+            found[limit.name] = replace(answer, design_reason=reason)
+            continue
+        space = _space(replace(work, spare=True), limit, at)
+        left = work.study.analysis.budget.evaluations - work.ledger.total
+        budget = int(min(MOST, SHARE * left / (len(limits) - at)))
+        try:
+            if _goes_on(work, answer, budget):
+                asked = work.study.analysis.accuracy.probability
+                rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
+                found[limit.name] = _joined(work, limit, answer, rare, space)
+                rows = _record(limit.name, found[limit.name], rare)
+                history += rows
+                seconds += [work.ledger.elapsed] * len(rows)
+            elif budget >= FOR_DESIGN:
+                design = find_design_points(
+                    Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=FOR_DESIGN
+                )
+                found[limit.name] = _with_design(work, answer, design, space)
+        except OutOfBudget:
+            work.ledger.stopped_by_time = True
+            stopped = "time"
+            break
+    missed = [text for text in sampled.missed if not text.startswith("limit ")] + _missed(work, found)
+    return replace(sampled, limits=found, missed=missed, history=history, seconds=seconds, stopped=stopped)
+
+
+def _tied(work: Work, limit: Limit) -> bool:
+    """Whether a strength depends on drawn inputs otherwise than by the Gaussian copula."""
+    names = work.drawn.names
+    nowhere = np.zeros((1, len(names)))
+    strength = f"limits.{limit.name}.strength"
+    return isinstance(limit.strength, Law) and strength_tie(work.all_inputs, strength, names, nowhere) is not None
+
+
+def _asked(work: Work, *names: str) -> bool:
+    methods = work.study.analysis.methods
+    return "auto" in methods or any(name in methods for name in names)
+
+
+def _goes_on(work: Work, answer: LimitAnswer, budget: int) -> bool:
+    """Whether a limit needs more than sampling gave, and can be paid for."""
+    methods = work.study.analysis.methods
+    if budget < LEAST:
+        return False
+    if "importance" in methods or "subset" in methods:
+        return True
+    if not takes_over(work, answer):
+        return False
+    missed = answer.accuracy_missed("miss", work.study.analysis.accuracy.probability)
+    # so far out a few samples carry the answer, and the spread of the replicates cannot be relied on
+    doubtful = answer.miss.value is not None and answer.miss.value < DOUBTFUL and not answer.beneath("miss")
+    return bool(missed) or doubtful
+
+
+def _missed(work: Work, limits: dict[str, LimitAnswer]) -> list[str]:
+    asked = work.study.analysis.accuracy.probability
+    texts = []
+    for name, limit in limits.items():
+        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
+            text = limit.accuracy_missed(which, asked)
+            if text:
+                texts.append(f"limit {name}: {text}")
+    return texts
+
+
+# --- the limit as a function of normal scores -----------------------------------------------------
+
+
+def _space(work: Work, limit: Limit, at: int) -> _Space:
+    """The limit function of missing the aim: negative, or with a probability Phi(-g)."""
+    names = work.drawn.names
+    k, d = work.quantities.index(limit.quantity), len(work.scene_names)
+    weights, remaining = np.zeros(len(names)), 1.0
+    if isinstance(limit.strength, Law):
+        weights, remaining = conditional_normal(work.all_inputs, f"limits.{limit.name}.strength", names)
+    factor = names.index(f"limits.{limit.name}.model_factor") if isinstance(limit.model_factor, Law) else None
+    fixed = 1.0 if isinstance(limit.model_factor, Law) else limit.model_factor
+    calls = iter(range(10**9))
+    evaluate = _evaluate_without_scatter if d == 0 else evaluate_points
+
+    def g(normals: Array) -> Array:
+        if work.ledger.elapsed > work.seconds:
+            raise OutOfBudget
+        physical = physical_from_normal(work.drawn, normals)
+        answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, physical[:, :d])
+        demands = answered.values[:, k] * (fixed if factor is None else physical[:, factor])
+        demands = np.where(is_answered(answered.status), demands, np.nan)
+        if isinstance(limit.strength, Law):
+            shift = normal_scores(work.drawn, normals) @ weights if np.any(weights) else None
+            below, above = strength_tails(limit.strength, np.nan_to_num(demands), shift, remaining)
+            value = -_score(below, above)
+        else:
+            value = limit.strength - demands
+        # a demand that outlasts the record is only known to be larger: it is not known whether it fails
+        open_ended = answered.censored[:, k] & (value > (-_FAR if isinstance(limit.strength, Law) else 0.0))
+        value = np.where(np.isnan(demands) | open_ended, np.nan, value)
+        return np.asarray(-value if limit.aim == "break" else value)
+
+    function = LimitFunction(
+        function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
+    )
+    return _Space(limit=limit, function=function, flipped=limit.aim == "break", weights=weights, remaining=remaining)
+
+
+def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows: Array) -> Any:
+    """One evaluation stands for all rows where only model factors and strengths scatter."""
+    answered = evaluate_points(work, key, names, rows[:1])
+    return replace(
+        answered,
+        values=np.repeat(answered.values, len(rows), axis=0),
+        censored=np.repeat(answered.censored, len(rows), axis=0),
+        status=np.repeat(answered.status, len(rows)),
+        route=np.repeat(answered.routes, len(rows)),
+    )
+
+
+def _score(below: Array, above: Array) -> Array:
+    """Normal score of a probability that is given with its complement."""
+    from scipy.special import ndtri
+
+    with np.errstate(divide="ignore"):
+        score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
+    return np.clip(score, -_FAR, _FAR)
+
+
+# --- answers --------------------------------------------------------------------------------------
+
+
+def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, space: _Space) -> LimitAnswer:
+    """The limit's answer with the rare-event probability, unless sampling's own interval is the narrower."""
+    checks = list(rare.checks)
+    own, old = rare.estimate, answer.miss
+    kept, text = _choose(own, old)
+    if text:
+        checks.append(text)
+    exceeded = answer.exceedance
+    if kept is own:
+        exceeded = own if limit.aim == "survive" else _complement(own)
+    updated = replace(
+        answer,
+        miss=kept,
+        exceedance=exceeded,
+        reliability_index=reliability_index(kept.value),
+        reliability_interval=(reliability_index(kept.high), reliability_index(kept.low)),
+        met=None if limit.target is None else target_met(kept, limit.target),
+        modes=rare.modes or None,
+        checks=tuple(checks),
+    )
+    return _with_design(work, updated, rare.design, space)
+
+
+def _choose(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
+    """The narrower of two estimates that agree; where they do not, one that holds both, and why."""
+    if own.value is None or own.low is None or own.high is None:
+        better = old.value is None or old.high is None or (own.high is not None and own.high < old.high)
+        return (own if better and old.value is None else old), f"importance sampling: {own.reason}"
+    if old.value is None or old.low is None or old.high is None:
+        return own, ""
+    if own.half_width >= old.half_width and old.value >= DOUBTFUL:
+        return old, "sampling was as accurate: its answer is kept"
+    if own.low > old.high or own.high < old.low:
+        text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
+        low, high = min(own.low, old.low), max(own.high, old.high)
+        return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
+    return own, "plain sampling agrees"
+
+
+def _complement(e: Estimate) -> Estimate:
+    if e.value is None or e.low is None or e.high is None:
+        return e
+    return replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low)
+
+
+def _with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: _Space) -> LimitAnswer:
+    """Physical design point and importance factors of the nearest design point."""
+    known = [point for point in design.points if point.converged]
+    if not known:
+        return replace(answer, design_reason=design.text or "no design point was found")
+    point = known[0]
+    names = list(work.drawn.names)
+    if space.function.integrated:
+        names.append(f"limits.{space.limit.name}.strength")
+    shares = {name: float(share) for name, share in zip(names, point.importance, strict=True)}
+    return replace(
+        answer,
+        design=_physical(work, point, space),
+        design_points=len(known),
+        governing=shares,
+        governing_method="squared direction cosines of the design point (importance factors)",
+    )
+
+
+def _physical(work: Work, point: DesignPoint, space: _Space) -> dict[str, float]:
+    """Values of the inputs, and of a random strength, at a design point; SI."""
+    d = len(work.drawn.names)
+    normals = point.point[None, :d]
+    values = physical_from_normal(work.drawn, normals)[0]
+    found = {name: float(value) for name, value in zip(work.drawn.names, values, strict=True)}
+    if isinstance(space.limit.strength, Law):
+        own = -float(point.point[d]) if space.flipped else float(point.point[d])
+        score = float((normal_scores(work.drawn, normals) @ space.weights)[0]) + space.remaining * own
+        found[f"limits.{space.limit.name}.strength"] = float(from_normal(space.limit.strength, np.array([score]))[0])
+    return {name: value for name, value in found.items() if np.isfinite(value)}
+
+
+def _record(name: str, answer: LimitAnswer, rare: RareAnswer) -> list[dict[str, Any]]:
+    """Rows of the speed-error table."""
+    return [
+        {
+            "method": method,
+            "quantity": f"limits.{name}",
+            "evaluations": evaluations,
+            "error": float(error),
+            "error_kind": "half-width of the miss probability over itself",
+        }
+        for method, evaluations, error in rare.history
+        if np.isfinite(error)
+    ]

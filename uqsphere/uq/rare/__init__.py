@@ -1,0 +1,5 @@
+"""Small probabilities: failure where a function of independent standard normal variables is negative.
+
+`auto.find_probability` is the door: it starts with the design points, goes on with subset simulation, and
+answers with importance sampling that the others certify.
+"""

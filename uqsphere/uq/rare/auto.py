@@ -1,0 +1,251 @@
+"""One probability for a rare event: cheap first, certified by a second method, one interval that covers.
+
+Design points, a look at the wide surroundings and subset simulation tell where the failure domain lies; a mixture
+fitted to what they found is improved by cross-entropy; importance sampling from it gives the answer.  Subset
+simulation, which shares nothing with the weights, certifies it: where the two disagree the interval holds both, and
+that is said.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.families import Array
+from uqsphere.uq.rare.adapt import Pool, adapt, collect, pooled_weights, uncovered, worth_of
+from uqsphere.uq.rare.form import FormAnswer, find_design_points
+from uqsphere.uq.rare.importance import (
+    ImportanceAnswer,
+    around_design_points,
+    defended,
+    importance_sampling,
+    wide_mixture,
+)
+from uqsphere.uq.rare.mixture import Mixture, fit_mixture, joined
+from uqsphere.uq.rare.modes import count_modes
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction
+from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
+from uqsphere.uq.sampling import random_generator
+
+__all__ = ["RareAnswer", "find_probability"]
+
+#: dimensions up to which the wide surroundings can be looked at
+MOST_WIDE = 12
+#: points of a chain that are worth one, in few and in many dimensions
+_CHAIN = (4.0, 10.0)
+#: shape of the weights' tail, and share of one point, above which the weights are not trusted
+WORST_SHAPE, HEAVIEST = 0.7, 0.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RareAnswer:
+    """The probability of failure and what stands behind it.
+
+    `modes` counts separate parts of the failure domain that carry at least a hundredth of it; `agreed` tells
+    whether the two methods do; `checks` says what was looked at, in sentences.  `history` holds (method,
+    evaluations so far, half-width over value).  `flipped`: the complement is the rarer event and was sampled.
+    """
+
+    estimate: Estimate
+    modes: int
+    agreed: bool
+    design: FormAnswer
+    subset: SubsetAnswer
+    importance: ImportanceAnswer | None
+    checks: tuple[str, ...]
+    history: tuple[tuple[str, int, float], ...]
+    evaluations: int
+    flipped: bool = False
+
+
+@dataclass(kw_only=True)
+class _Course:
+    """What is gathered on the way."""
+
+    checks: list[str] = field(default_factory=list)
+    history: list[tuple[str, int, float]] = field(default_factory=list)
+
+    def note(self, method: str, evaluations: int, estimate: Estimate) -> None:
+        if estimate.value and math.isfinite(estimate.half_width):
+            self.history.append((method, evaluations, estimate.half_width / estimate.value))
+
+
+def find_probability(limit: LimitFunction, *, seed: int, accuracy: float = 0.015, budget: int = 30_000) -> RareAnswer:
+    """Probability of failure with a half-width of at most `accuracy` of itself, or what `budget` evaluations give.
+
+    >>> ring = LimitFunction(function=lambda u: 4.0 - np.abs(u[:, 0]), dimension=2)
+    >>> found = find_probability(ring, seed=1)
+    >>> found.modes, found.agreed, found.estimate.low < 6.334248e-05 < found.estimate.high
+    (2, True, True)
+    """
+    evaluator = Evaluator(limit=limit, budget=budget)
+    course = _Course()
+    pool = Pool()
+    starts = _look_around(evaluator, pool, seed)
+    design = find_design_points(evaluator, seed=seed, starts=starts, most=max(0.06 * budget, 30.0))
+    per_level = int(min(max(budget // 75, 100), 500))
+    subset = subset_simulation(evaluator, seed=seed, per_level=per_level)
+    if subset.levels == 0 and subset.estimate.value is not None and subset.estimate.value > 0.5:
+        return _flipped(limit, seed=seed, accuracy=accuracy, budget=budget, spent=evaluator.count)
+    course.note("subset simulation", evaluator.count, subset.estimate)
+    if design.text:
+        course.checks.append(f"design points: {design.text}")
+    mixture = _first_mixture(evaluator, pool, design, subset, seed)
+    if mixture is None:
+        return RareAnswer(estimate=replace(subset.estimate, evaluations=evaluator.count), modes=0, agreed=False,
+                          design=design, subset=subset, importance=None, checks=tuple(course.checks),
+                          history=tuple(course.history), evaluations=evaluator.count)  # fmt: skip
+    mixture = adapt(evaluator, pool, mixture, seed=seed, per_stage=_stage(evaluator, budget))
+    mixture = _cover(evaluator, pool, mixture, subset, seed, budget)
+    answer = _sample(evaluator, pool, mixture, seed, accuracy)
+    course.note("importance sampling", evaluator.count, answer.estimate)
+    modes = _modes(evaluator, answer, mixture)
+    estimate, agreed = _certify(answer, subset, course.checks)
+    return RareAnswer(estimate=replace(estimate, evaluations=evaluator.count), modes=modes, agreed=agreed,
+                      design=design, subset=subset, importance=answer, checks=tuple(course.checks),
+                      history=tuple(course.history), evaluations=evaluator.count)  # fmt: skip
+
+
+def _look_around(evaluator: Evaluator, pool: Pool, seed: int) -> Array | None:
+    """Points far out in all directions, into the pool; the most probable failures among them as starts."""
+    d = evaluator.dimension
+    count = int(min(1024, evaluator.budget // 20))
+    if d > MOST_WIDE or count < 64:
+        return None
+    values = collect(evaluator, pool, wide_mixture(d), count, seed=seed, task="wide look")
+    points = pool.points[-1]
+    levels = values if not evaluator.limit.integrated else values - 2.0
+    failing = np.flatnonzero(levels < 0.0)
+    chosen: list[int] = []
+    for k in failing[np.argsort((points[failing] ** 2).sum(axis=1), kind="stable")]:
+        if all(float(np.linalg.norm(points[k] - points[j])) > 2.0 for j in chosen):
+            chosen.append(int(k))
+        if len(chosen) == 3:
+            break
+    if not chosen:
+        return None
+    starts = points[chosen]
+    return np.column_stack([starts, np.full(len(starts), -1.0)]) if evaluator.limit.integrated else starts
+
+
+def _stage(evaluator: Evaluator, budget: int) -> int:
+    return int(max(min(2048, evaluator.left / 6), 256))
+
+
+def _first_mixture(
+    evaluator: Evaluator, pool: Pool, design: FormAnswer, subset: SubsetAnswer, seed: int
+) -> Mixture | None:
+    """A mixture of what the three ways to look have found; None where there was no failure at all."""
+    d = evaluator.dimension
+    rng = random_generator(seed=seed, task="first mixture")
+    parts: list[tuple[float, Mixture]] = []
+    if len(subset.failures):
+        inner = subset.failures[:, :d]
+        parts.append((0.6, fit_mixture(inner, np.ones(len(inner)), rng=rng, correlated=_CHAIN[d > 10])))
+    known = [point for point in design.points if point.converged and point.beta > 0.0]
+    if known:
+        parts.append((0.25, around_design_points(known[:6], d)))
+    if pool.points:
+        points, weights = pooled_weights(pool)
+        if worth_of(weights) >= max(8.0, 1.5 * d):
+            parts.append((0.25, fit_mixture(points, weights, rng=rng)))
+    return joined(parts) if parts else None
+
+
+def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAnswer, seed: int, budget: int) -> Mixture:
+    """Subset simulation's failures that the mixture does not reach get components of their own, and a stage."""
+    _, weights = pooled_weights(pool)
+    d = evaluator.dimension
+    inner = subset.failures[:, :d]
+    probability = float(weights.sum()) / max(pool.count, 1)
+    holes = uncovered(defended(mixture), inner, probability) if len(inner) else np.zeros(0)
+    if holes.sum() < max(3.0, (0.005 if d <= 10 else 0.03) * len(inner)):
+        return mixture
+    rng = random_generator(seed=seed, task="cover")
+    lost = inner[holes.astype(bool)]
+    more = fit_mixture(lost, np.ones(len(lost)), rng=rng, most=3, correlated=_CHAIN[d > 10])
+    wider = joined([(0.8, mixture), (0.2, more)])
+    return adapt(evaluator, pool, wider, seed=seed, stages=1, per_stage=_stage(evaluator, budget), task="cover")
+
+
+def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
+    """The answer; where its weights are not to be trusted and budget is left, the mixture is mended once."""
+    # a part is kept for mending, where there is enough
+    most = evaluator.left if evaluator.left < 12_000 else 0.65 * evaluator.left
+    block = 256 if most > 16_000 else 128
+    answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy, most=most, block=block)
+    for turn in range(2):
+        if _trusted(answer) or evaluator.left < 6000:
+            break
+        mended = adapt(evaluator, pool, mixture, seed=seed, stages=2, per_stage=2048, task=f"mend {turn}")
+        again = importance_sampling(
+            evaluator, defended(mended), seed=seed, accuracy=accuracy, most=0.8 * evaluator.left, task=f"mended {turn}"
+        )
+        if _trusted(again) or again.heaviest < answer.heaviest:
+            answer, mixture = again, mended
+    return answer
+
+
+def _trusted(answer: ImportanceAnswer) -> bool:
+    return answer.shape < WORST_SHAPE and answer.heaviest < HEAVIEST and answer.estimate.value is not None
+
+
+def _modes(evaluator: Evaluator, answer: ImportanceAnswer, mixture: Mixture) -> int:
+    if answer.estimate.value is None or evaluator.left < 100:
+        return 0 if answer.estimate.value is None else 1
+    return count_modes(evaluator, answer.points, answer.weights, mixture)
+
+
+def _certify(answer: ImportanceAnswer, subset: SubsetAnswer, checks: list[str]) -> tuple[Estimate, bool]:
+    """The answer if the second method does not contradict it, else one whose interval holds both."""
+    own, other = answer.estimate, subset.estimate
+    if own.value is None or own.low is None or own.high is None:
+        checks.append(f"importance sampling: {own.reason}; subset simulation alone")
+        return other, False
+    if other.value is None or other.low is None or other.high is None:
+        checks.append(f"subset simulation: {other.reason}; importance sampling alone")
+        agreed = other.high is None or own.low <= other.high
+        return own, agreed and _trusted(answer)
+    ratio = own.value / other.value
+    # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
+    slack = 1.5 * math.log(other.high / other.value)
+    agreed = abs(math.log(ratio)) <= slack + math.log(own.high / own.low)
+    if agreed and _trusted(answer):
+        checks.append(f"subset simulation agrees: {other.value:.3g} within a factor {math.exp(slack):.3g}")
+        return own, True
+    if _trusted(answer) and ratio > 1.0:
+        # what is found with trusted weights is there; chains may well have missed it
+        checks.append(
+            f"subset simulation found less, {other.value:.3g}: its chains missed a part of the failure domain"
+        )
+        return own, False
+    if agreed:
+        checks.append(
+            f"the weights of importance sampling are uneven (largest {answer.heaviest:.0%}, tail shape "
+            f"{answer.shape:.2f}): the interval holds that of subset simulation too"
+        )
+    else:
+        checks.append(
+            f"importance sampling ({own.value:.3g}) and subset simulation ({other.value:.3g}) disagree: the interval "
+            "holds both"
+        )
+    low, high = min(own.low, other.low), max(own.high, other.high)
+    return replace(own, low=low, high=high, std_error=0.5 * (high - low) / 1.96,
+                   method=f"{own.method}, widened to hold subset simulation"), agreed  # fmt: skip
+
+
+def _flipped(limit: LimitFunction, *, seed: int, accuracy: float, budget: int, spent: int) -> RareAnswer:
+    """Failure is the rule: the probability of the complement is found, and taken from one."""
+    other = replace(limit, function=lambda points: -limit.function(points))
+    found = find_probability(other, seed=seed, accuracy=accuracy, budget=budget - spent)
+    e = found.estimate
+    if e.value is None or e.low is None or e.high is None:
+        low = None if e.high is None else 1.0 - e.high
+        turned = replace(e, low=low, high=1.0, evaluations=found.evaluations + spent)
+    else:
+        turned = replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low,
+                         evaluations=found.evaluations + spent)  # fmt: skip
+    return replace(found, estimate=turned, evaluations=found.evaluations + spent, flipped=True)

@@ -1,0 +1,272 @@
+"""Importance sampling from a mixture, with randomised Sobol' points and an interval from independent replicates.
+
+The density always holds a defensive share: wider copies of its components, and Gaussians of rising spread about
+the origin that reach every direction, so that a part of the failure domain nobody aimed at shows as a point of great
+weight rather than not at all.  The tail of the weights is checked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uqsphere.uq.estimates import Estimate, absent, student
+from uqsphere.uq.families import Array
+from uqsphere.uq.rare.form import DesignPoint
+from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, factor_of, joined, log_density, widened
+from uqsphere.uq.rare.problem import Evaluator, Spent, log_normal_density
+from uqsphere.uq.rare.radial import Radial, widened_radial
+
+__all__ = ["ImportanceAnswer", "around_design_points", "defended", "importance_sampling", "tail_shape", "wide_mixture"]
+
+#: independent randomisations that an interval rests on
+REPLICATES = 16
+#: least standard error on a hard limit, over that of independent points
+HARD = 0.8
+#: dimensions up to which a wider copy of a Gaussian still meets the original
+FEW = 10
+METHOD = "importance sampling"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImportanceAnswer:
+    """An estimate with what it rests on.
+
+    `points` (n, d), `weights` (n,): mass of failure over the sampling density, whose mean is the probability.
+    `heaviest`: share of the largest weight; `shape`: of the weights' tail (above 0.7 the interval is not to
+    be trusted); `worth`: of the sample, as a number of points drawn from the failure domain itself.
+    """
+
+    estimate: Estimate
+    points: Array
+    weights: Array
+    heaviest: float
+    shape: float
+    worth: float
+
+
+def wide_mixture(dimension: int, reach: float = 6.0, rungs: int = 6) -> Mixture:
+    """Gaussians about the origin whose points lie up to `reach` beyond where standard normal points lie."""
+    typical = math.sqrt(dimension)
+    scales = (typical + np.linspace(0.0, reach, rungs)) / typical
+    parts = tuple(Component(mean=np.zeros(dimension), factor=float(s) * np.eye(dimension)) for s in scales)
+    return Mixture(shares=np.full(rungs, 1.0 / rungs), components=parts)
+
+
+def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixture:
+    """A Gaussian just beyond every design point, narrow along its direction, weighted by first-order probability.
+
+    Where a variable is integrated the design points have one more coordinate than `dimension`; it is dropped.
+    """
+    from scipy.special import log_ndtr
+
+    components = []
+    for point in points:
+        beta = max(abs(point.beta), 0.5)
+        size = point.point.size
+        squeeze = 1.0 - 1.0 / (1.0 + beta**2)
+        covariance = np.eye(size) - squeeze * np.outer(point.direction, point.direction)
+        centre = point.point + point.direction / beta
+        components.append(Component(mean=centre[:dimension], factor=factor_of(covariance[:dimension, :dimension])))
+    scores = np.array([float(log_ndtr(-point.beta)) for point in points])
+    shares = np.exp(scores - scores.max()) + 0.05
+    return Mixture(shares=shares / shares.sum(), components=tuple(components))
+
+
+def defended(mixture: Mixture, *, wide: float = 0.04, wider: float = 0.12) -> Mixture:
+    """The mixture with its defensive shares: `wider` copies of the components and the `wide` ladder."""
+    d = mixture.dimension
+    copies = widened(mixture, 1.6) if d <= FEW else _rounded(mixture)
+    return joined([(1.0 - wide - wider, mixture), (wider, copies), (wide, wide_mixture(d))])
+
+
+def _rounded(mixture: Mixture) -> Mixture:
+    """Copies for many dimensions: as standard normal points scatter, but for the direction from the origin.
+
+    There a wider copy would lie in another shell, while what a fit takes for a narrow direction may be noise.
+    """
+    copies: list[Component | Radial] = []
+    for component in mixture.components:
+        if isinstance(component, Radial):
+            copies.append(widened_radial(component, 1.2))
+            continue
+        d = component.mean.size
+        direction = component.mean / max(float(np.linalg.norm(component.mean)), 1e-12)
+        along = min(1.3 * float(((component.factor.T @ direction) ** 2).sum()), 1.0)
+        whole = float((component.factor**2).sum())
+        across = max((whole - along) / (d - 1), 0.1)
+        covariance = across * np.eye(d) + (along - across) * np.outer(direction, direction)
+        copies.append(Component(mean=component.mean, factor=factor_of(covariance)))
+    return Mixture(shares=mixture.shares, components=tuple(copies))
+
+
+def tail_shape(weights: Array) -> float:
+    """Shape of a generalised Pareto law for the largest weights; inf for fewer than 20 that are not zero.
+
+    Zhang and Stephens (2009, doi 10.1198/tech.2009.08017), with the number of largest weights and the use of
+    Vehtari et al. (2024, Pareto smoothed importance sampling): above 0.7 the variance is beyond estimating.
+    """
+    positive = np.sort(weights[weights > 0.0])
+    if positive.size < 20:
+        return math.inf
+    number = int(min(0.2 * positive.size, 3.0 * math.sqrt(positive.size)))
+    number = max(number, 5)
+    excess = positive[-number:] - positive[-number - 1]
+    if float(excess[-1]) <= 0.0:
+        return -math.inf
+    n, most = excess.size, 30 + int(math.sqrt(excess.size))
+    grid = 1.0 - np.sqrt(most / (np.arange(1, most + 1) - 0.5))
+    quarter = max(float(excess[int(n / 4 + 0.5) - 1]), 1e-300)
+    theta = grid / (3.0 * quarter) + 1.0 / float(excess[-1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        k = np.mean(np.log1p(-theta[:, None] * excess), axis=1)
+        length = n * (np.log(-theta / k) - k - 1.0)
+    length = np.where(np.isfinite(length), length, -np.inf)
+    weight = np.exp(length - length.max())
+    chosen = float((weight * theta).sum() / weight.sum())
+    shape = float(np.mean(np.log1p(-chosen * excess)))
+    return float((n * shape + 5.0) / (n + 10.0))
+
+
+@dataclass(kw_only=True)
+class _Drawn:
+    """Weights (R, n) of all replicates so far, and their points."""
+
+    weights: Array
+    lost: Array
+    points: Array
+
+
+def importance_sampling(
+    evaluator: Evaluator,
+    mixture: Mixture,
+    *,
+    seed: int,
+    accuracy: float = 0.02,
+    block: int = 256,
+    most: float = math.inf,
+    task: str = "importance",
+    stop: Callable[[Array], bool] | None = None,
+) -> ImportanceAnswer:
+    """Probability of failure, doubled in size until the half-width over the value is at most `accuracy`.
+
+    Parameters
+    ----------
+    mixture : Mixture
+        The sampling density in the limit function's own variables (without an integrated one).
+    block : int
+        Points of each of the 16 replicates at first.
+    most : float
+        Evaluations that may be spent, beside the evaluator's own budget.
+    stop : callable(weights), optional
+        Told the weights (R, n) after every stage; True ends the sampling early.
+
+    >>> from uqsphere.uq.rare.form import find_design_points
+    >>> from uqsphere.uq.rare.problem import LimitFunction
+    >>> plane = Evaluator(limit=LimitFunction(function=lambda u: 5.0 - u[:, 0], dimension=3))
+    >>> start = around_design_points(find_design_points(plane, seed=1).points, 3)
+    >>> found = importance_sampling(plane, defended(start), seed=1).estimate
+    >>> found.low < 2.8665157e-07 < found.high
+    True
+    """
+    begun = evaluator.count
+    block = max(block, 2 * len(mixture.components))
+    counts = allocate(mixture.shares, block)
+    # what is drawn is weighted by the shares that are drawn
+    drawn_mixture = Mixture(shares=np.array(counts) / block, components=mixture.components)
+    table: _Drawn | None = None
+    blocks, goal = 0, 1
+    while True:
+        stage = []
+        try:
+            while blocks < goal:
+                left = min(evaluator.left, most - (evaluator.count - begun))
+                if left < REPLICATES * block:
+                    raise Spent
+                stage.append(_one_block(evaluator, drawn_mixture, counts, seed, task, blocks))
+                blocks += 1
+        except Spent:
+            goal = 0
+        for fresh in stage:
+            table = fresh if table is None else _Drawn(
+                weights=np.concatenate([table.weights, fresh.weights], axis=1),
+                lost=np.concatenate([table.lost, fresh.lost], axis=1),
+                points=np.concatenate([table.points, fresh.points], axis=1),
+            )  # fmt: skip
+        if table is None:
+            return _nothing(evaluator, evaluator.count - begun)
+        estimate = _estimate(table, evaluator.count - begun, evaluator.limit.integrated)
+        if goal == 0 or (estimate.value and estimate.half_width <= accuracy * estimate.value):
+            break
+        if stop is not None and stop(table.weights):
+            break
+        goal = 2 * blocks if blocks < 4 else blocks + max(1, blocks // 2)
+    return _summary(table, estimate)
+
+
+def _nothing(evaluator: Evaluator, evaluations: int) -> ImportanceAnswer:
+    return ImportanceAnswer(
+        estimate=absent("the budget does not suffice for importance sampling", METHOD, evaluations),
+        points=np.empty((0, evaluator.dimension)), weights=np.empty(0), heaviest=1.0, shape=math.inf, worth=0.0,
+    )  # fmt: skip
+
+
+def _one_block(
+    evaluator: Evaluator, mixture: Mixture, counts: Sequence[int], seed: int, task: str, block: int
+) -> _Drawn:
+    """The next points of every replicate: their weights (R, n)."""
+    points = np.concatenate(
+        [draw_mixture(mixture, counts, seed=seed, task=task, replicate=r, block=block) for r in range(REPLICATES)]
+    )
+    weights, lost = weigh(evaluator, mixture, points)
+    shape = (REPLICATES, -1)
+    return _Drawn(
+        weights=weights.reshape(shape), lost=lost.reshape(shape), points=points.reshape(*shape, points.shape[1])
+    )
+
+
+def weigh(evaluator: Evaluator, mixture: Mixture, points: Array) -> tuple[Array, Array]:
+    """Weights of points drawn from a mixture, and the weights that failed evaluations would have as failures."""
+    mass = evaluator.mass(evaluator.values(points))
+    ratio = np.exp(log_normal_density(points) - log_density(mixture, points))
+    lost = np.isnan(mass)
+    return np.where(lost, 0.0, mass) * ratio, np.where(lost, ratio, 0.0)
+
+
+def _estimate(table: _Drawn, evaluations: int, smooth: bool) -> Estimate:
+    """Mean of the weights with Student's interval over the replicates, in logarithms; failed rows widen it.
+
+    Sobol' points gain little on a hard limit; stopping when the replicates happen to agree would make the interval
+    too short, so that independent points' standard error, a little reduced, is the least there.
+    """
+    rows = table.weights.mean(axis=1)
+    value = float(rows.mean())
+    method = f"{METHOD}, mixture with randomised Sobol' points"
+    if not value > 0.0:
+        return absent("no failure among the points", method, evaluations)
+    plain = float(np.std(table.weights)) / math.sqrt(table.weights.size)
+    error = max(float(np.std(rows, ddof=1)) / math.sqrt(rows.size), (0.0 if smooth else HARD) * plain, 1e-12 * value)
+    factor = math.exp(min(student(rows.size) * error / value, 300.0))
+    high = value * factor
+    lost = float(table.lost.mean())
+    if lost > 0.0:
+        high += lost * (1.0 + student(rows.size) / math.sqrt(rows.size))
+        method += ", interval widened for failed rows"
+    return Estimate(value=value, low=value / factor, high=min(max(high, value), 1.0), std_error=error,
+                    method=method, evaluations=evaluations)  # fmt: skip
+
+
+def _summary(table: _Drawn, estimate: Estimate) -> ImportanceAnswer:
+    weights = table.weights.reshape(-1)
+    total = float(weights.sum())
+    return ImportanceAnswer(
+        estimate=estimate,
+        points=table.points.reshape(weights.size, -1),
+        weights=weights,
+        heaviest=float(weights.max()) / total if total > 0.0 else 1.0,
+        shape=tail_shape(weights),
+        worth=total**2 / float((weights**2).sum()) if total > 0.0 else 0.0,
+    )

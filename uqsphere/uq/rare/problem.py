@@ -1,0 +1,122 @@
+"""The rare-event problem: a limit function of independent standard normal variables, whose evaluations are counted.
+
+The failure domain is g(u) < 0.  Where the strength's own score is integrated exactly, failure has the probability
+Phi(-g(u)) given u instead; with one more standard normal variable z that is the domain g(u) + z < 0 of the augmented
+space v = (u, z), in which every method works that needs a hard limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uqsphere.uq.families import Array
+
+__all__ = ["Evaluator", "FailedEvaluation", "LimitFunction", "Spent", "log_normal_density"]
+
+_HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+
+
+class FailedEvaluation(ValueError):
+    """The limit function gave no number, and the policy refuses that."""
+
+
+class Spent(Exception):
+    """The next evaluations would pass the budget."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitFunction:
+    """A limit function of `dimension` independent standard normal variables.
+
+    `function` maps rows (n, dimension) to values (n,), failure where negative.  `integrated`: given u, failure
+    has the probability Phi(-g(u)).  `on_failure`: a value nan raises ("refuse") or is carried to the bounds of
+    the answer ("bound"): once as failure, once as none.
+    """
+
+    function: Callable[[Array], Array]
+    dimension: int
+    integrated: bool = False
+    on_failure: str = "refuse"
+
+    def __post_init__(self) -> None:
+        if self.dimension < 1:
+            raise ValueError(f"a limit function needs at least one variable, found {self.dimension}")
+        if self.on_failure not in ("refuse", "bound"):
+            raise ValueError(f"on_failure must be refuse or bound here, found {self.on_failure!r}")
+
+
+@dataclass(kw_only=True)
+class Evaluator:
+    """Evaluates a limit function and counts; `budget` is the most evaluations that may be spent."""
+
+    limit: LimitFunction
+    budget: float = math.inf
+    count: int = field(default=0, init=False)
+    failed: int = field(default=0, init=False)
+
+    @property
+    def dimension(self) -> int:
+        """Variables of the limit function itself."""
+        return self.limit.dimension
+
+    @property
+    def size(self) -> int:
+        """Variables of the space in which the limit is hard: one more where one is integrated."""
+        return self.limit.dimension + int(self.limit.integrated)
+
+    @property
+    def left(self) -> float:
+        """Evaluations that may still be spent."""
+        return self.budget - self.count
+
+    def values(self, points: Array) -> Array:
+        """g at points (n, dimension), counted; nan stays where the policy is "bound".
+
+        Raises
+        ------
+        Spent
+            Before anything is evaluated, where the budget does not suffice.
+        FailedEvaluation
+            Where a value is nan and the policy is "refuse".
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != self.dimension:
+            raise ValueError(f"points must be (n, {self.dimension}), found shape {points.shape}")
+        if not len(points):
+            return np.empty(0)
+        if self.count + len(points) > self.budget:
+            raise Spent
+        found = np.asarray(self.limit.function(points), dtype=np.float64)
+        self.count += len(points)
+        if found.shape != (len(points),):
+            raise ValueError(f"the limit function must return shape ({len(points)},), found {found.shape}")
+        lost = int(np.isnan(found).sum())
+        if lost:
+            self.failed += lost
+            if self.limit.on_failure == "refuse":
+                raise FailedEvaluation(f"the limit function is nan at {lost} of {len(points)} points")
+        return found
+
+    def hard(self, points: Array) -> Array:
+        """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends there."""
+        d = self.dimension
+        found = self.values(points[:, :d])
+        found = np.where(np.isnan(found), np.inf, found)
+        return found + points[:, d] if self.limit.integrated else found
+
+    def mass(self, values: Array) -> Array:
+        """Probability of failure given values of g: 0 or 1, or Phi(-g); nan stays nan."""
+        if self.limit.integrated:
+            from scipy.special import ndtr
+
+            return np.asarray(ndtr(-values))
+        return np.where(np.isnan(values), np.nan, (values < 0.0).astype(float))
+
+
+def log_normal_density(points: Array) -> Array:
+    """Logarithm of the standard normal density at points (n, d)."""
+    return np.asarray(-0.5 * (points**2).sum(axis=1) - points.shape[1] * _HALF_LOG_TWO_PI)
