@@ -235,3 +235,16 @@ def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp
     assert "another than the Gaussian copula" in limit["ignorance"]["reason"]
     tests = {row["input"]: row["observations"] for row in limit["measure_first"]["rows"]}
     assert tests == {"a": None, "b": None, "c": None, "limits.high.strength": 12}
+
+
+def test_the_report_shows_the_design_point(tmp_path: Path) -> None:
+    """Of a linear box the nearest point is known: y = a + 2 b against a normal strength."""
+    path = tmp_path / "box.toml"
+    path.write_text(BOX, encoding="utf-8")
+    done = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r", model=lambda x: {"y": x["a"] + 2.0 * x["b"]})
+    limit = done.results["limits"]["high"]
+    assert limit["design_point"]["b"] == pytest.approx(2.0 * limit["design_point"]["a"], rel=1e-2)
+    assert limit["governing_inputs"]["b"] == pytest.approx(4.0 * limit["governing_inputs"]["a"], rel=1e-2)
+    page = build_report(tmp_path / "r").read_text(encoding="utf-8")
+    assert "The likeliest way to miss the aim" in page
+    assert "importance factor" in page

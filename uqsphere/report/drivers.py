@@ -19,6 +19,8 @@ from uqsphere.report.wording import (
 )
 
 __all__ = [
+    "design_finding",
+    "design_table",
     "distances_table",
     "failure_finding",
     "failure_table",
@@ -191,3 +193,42 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     if not rows or entry is None:
         return ""
     return f"First to measure: {input_name(rows[0]['input'])}. {entry['method']}"
+
+
+def design_table(contents: Contents, name: str) -> Table | None:
+    """The design point of a limit: the likeliest values at which its aim is missed; None where there is none."""
+    limit = contents.results["limits"][name]
+    point = limit.get("design_point")
+    if not point:
+        return None
+    shares = limit.get("governing_inputs") or {}
+    rows = []
+    for key in sorted(point, key=lambda k: -float(shares.get(k, 0.0))):
+        share = number_text(f"{100.0 * float(shares[key]):.2g}") + " %" if key in shares else ABSENT
+        mean = contents.results["inputs"].get(key, {}).get("mean")
+        subject = contents.subject(key)
+        usual = ABSENT if mean is None else value_text(mean, subject, 5)
+        rows.append((input_name(key), value_text(point[key], subject, 5), usual, share))
+    return Table(
+        caption=f"Design point of {limit_name(name)}",
+        header=("input", "value there", "mean", "importance factor"),
+        rows=tuple(rows),
+    )
+
+
+def design_finding(contents: Contents, name: str) -> str:
+    """What the search for the design point found, in sentences."""
+    limit = contents.results["limits"][name]
+    reason = limit.get("design_point_reason")
+    if not limit.get("design_point"):
+        return f"No design point: {reason}." if reason else ""
+    text = "Of all combinations of inputs that miss the aim this is the likeliest; factors are its squared direction "
+    text += "cosines in standard normal space."
+    if limit.get("design_points", 1) > 1:
+        text += f" {limit['design_points']} such points were found, of which this is the nearest."
+    if limit.get("modes"):
+        regions = "region" if limit["modes"] == 1 else "regions"
+        text += f" Failures were seen in {limit['modes']} separate {regions}."
+    for check in limit.get("checks", ()):
+        text += f" {str(check)[:1].upper()}{str(check)[1:]}."
+    return text

@@ -183,6 +183,11 @@ def _margins(contents: Contents) -> list[Block]:
             table=sections.limits_table(contents),
         )
     ]
+    for name in limits:
+        table = drivers.design_table(contents, name)
+        if table is not None:
+            heading = f"The likeliest way to miss the aim of {limit_name(name)}"
+            blocks.append(Block(heading=heading, finding=drivers.design_finding(contents, name), table=table))
     for name in contents.results["margins"]:
         blocks.append(
             Block(
