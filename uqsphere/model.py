@@ -113,7 +113,7 @@ def solve_scene(
     from uqsphere.mechanics import closed_form, dynamics
 
     if closed_form.closed_form_applies(scene, fidelity):
-        return closed_form.solve_closed(scene, fidelity)
+        return closed_form.solve_closed(scene, fidelity, quantities)
     return dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import contact
+from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.doubts import doubtful, jumping, other_ends, other_times
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
@@ -403,6 +403,7 @@ def to_si(
             "edge_tension": contact.edge_tension(pressure, scene.columns["sphere.nu"]),
             "centre_tension": contact.centre_tension(force, scene.columns["sphere.radius"], scene.columns["sphere.nu"]),
         }
+        values |= criteria.field_quantities({**scene.columns, **values}, quantities)
         if quantities is not None:
             values = {name: value for name, value in values.items() if name in quantities}
         finite = np.logical_and.reduce([np.isfinite(value) for value in (x_max, *values.values())])

@@ -18,8 +18,6 @@ __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares
 
 METHODS: Final = ("qmc", "pce", "sobol")
 LATER_METHODS: Final = ("form", "sorm", "importance", "subset", "monte_carlo", "active")
-#: quantities of the theory that this version does not answer
-LATER_QUANTITIES: Final = ("core_tension",)
 MOST_LIMITS: Final = 50
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
@@ -148,9 +146,7 @@ def _known_quantity(name: str, place: Place, outputs: Sequence[str] | None, find
     known = list(OUTPUTS) if outputs is None else list(outputs)
     if name in known:
         return True
-    if outputs is None and name in LATER_QUANTITIES:
-        findings.add(place, f"{shown(name)} is not in this version; known quantities: {one_of(known)}")
-    elif known:
+    if known:
         findings.add(place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}")
     return False
 
