@@ -79,10 +79,7 @@ def test_strains_belong_to_displacements(load: Load, place: tuple[float, float])
     shear = 2.0 * (1.0 + nu) * s.shear
     first = cot * (around @ by_t.T) - cot**2 * (across - around) + by_r @ (r * around) - along - shear * cot
     second = (
-        r * (by_r @ (by_r @ (r * across)))
-        + along @ by_t.T @ by_t.T
-        - r * (by_r @ along)
-        - by_r @ (r * shear) @ by_t.T
+        r * (by_r @ (by_r @ (r * across))) + along @ by_t.T @ by_t.T - r * (by_r @ along) - by_r @ (r * shear) @ by_t.T
     )
     assert np.abs(first).max() < 1e-9
     assert np.abs(second).max() < 2e-7
@@ -124,10 +121,10 @@ def test_the_surface_is_the_end_of_the_inside() -> None:
 
 def test_terms_left_out_are_bounded() -> None:
     point = (np.array([0.9, 0.97]), np.array([0.05, 0.3]))
-    exact, rough = (
-        series_stress(*point, Load.balanced(0.1), 0.25, tolerance=tolerance) for tolerance in (1e-15, 1e-5)
+    exact, rough = (series_stress(*point, Load.balanced(0.1), 0.25, tolerance=tolerance) for tolerance in (1e-15, 1e-5))
+    error = np.max(
+        [np.abs(getattr(exact, k) - getattr(rough, k)) for k in ("radial", "polar", "azimuthal", "shear")], 0
     )
-    error = np.max([np.abs(getattr(exact, k) - getattr(rough, k)) for k in ("radial", "polar", "azimuthal", "shear")], 0)
     assert np.all(error <= rough.truncation)
     assert 0.0 < rough.truncation.max() < 1e-2
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from uqsphere.console import Progress, plain, table
 from uqsphere.errors import AccessError, FolderError, UsageError
-from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_value, lookup, parse_value
+from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of
 
@@ -289,6 +289,25 @@ def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     )
 
 
+def _criteria() -> tuple[list[dict[str, Any]], str]:
+    from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+
+    content, blocks = [], []
+    for name, entry in CRITERIA.items():
+        unit = next(iter(UNITS[entry.dimension]))
+        keys = {key: PARAMETERS[key].meaning for key in (*entry.parameters, *entry.optional)}
+        content.append({"name": name, "quantity": entry.quantity, "unit": unit, "meaning": entry.meaning,
+                        "formula": entry.formula, "strength": entry.strength, "range": entry.range_text,
+                        "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
+        lines = [("demand", entry.formula), ("against", entry.strength), ("range", entry.range_text),
+                 ("source", entry.source), ("quantity", entry.quantity or ""),
+                 ("takes", "; ".join(f"{key}{'' if key in entry.parameters else ' (optional)'}: {text}"
+                                     for key, text in keys.items()))]  # fmt: skip
+        told = "\n".join(f"    {what:8}  {text}" for what, text in lines if text)
+        blocks.append(f"{name} [{unit}]: {entry.meaning}\n{told}")
+    return content, "\n\n".join(blocks)
+
+
 def command_list(chosen: argparse.Namespace) -> int:
     """What there is to choose from."""
     if chosen.what == "materials":
@@ -298,7 +317,7 @@ def command_list(chosen: argparse.Namespace) -> int:
     elif chosen.what == "quantities":
         content, text = _quantity_rows(list(OUTPUTS))
     else:
-        content, text = _quantity_rows(["p_max", "edge_tension", "centre_tension", "specific_energy"])
+        content, text = _criteria()
     if chosen.json:
         _document(content)
     else:

@@ -217,9 +217,7 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     return fidelity == "massless" and scene.infinite and scene.shape in ("rectangular", "step")
 
 
-def solve_closed(
-    scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None
-) -> Answers:
+def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:
     """Quantities of interest of n scenes in closed form, with the same names as `dynamics.solve`.
 
     Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest

@@ -85,6 +85,8 @@ class Criterion:
         Of demand and strength, a key of `uqsphere.quantities.UNITS`.
     strength : str
         What the demand is held against.
+    quantity : str or None
+        The quantity of interest that is this demand with no parameter given; None if there is none.
     needs : tuple of str
         Columns, by the names of the nomenclature.
     parameters, optional : tuple of str
@@ -104,6 +106,7 @@ class Criterion:
     strength: str
     needs: tuple[str, ...]
     formula_of: Callable[[Columns, Parameters], Array]
+    quantity: str | None = None
     parameters: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -162,7 +165,7 @@ def in_range(
 
 
 def _ratio(columns: Columns) -> Array:
-    return np.asarray(columns["a_max"]) / np.asarray(columns["sphere.radius"])
+    return np.asarray(columns["a_max"] / np.asarray(columns["sphere.radius"], dtype=float))
 
 
 def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
@@ -193,8 +196,8 @@ def strain_rate(columns: Columns) -> Array:
 def dynamic_increase(rate: Any, rate_0: Any) -> Array:
     """Strength at a strain rate over the quasi-static one: 1 + (rate/rate_0)^(2/3).
 
-    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509; rate_0 of 150 to 300 1/s in compression for
-    four rocks: Rae and others 2021.
+    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150 to 300 1/s in
+    compression for four rocks: Rae and others (2021).
 
     >>> float(dynamic_increase(0.0, 200.0)), float(dynamic_increase(200.0, 200.0))
     (1.0, 2.0)
@@ -216,7 +219,7 @@ def ring_crack_toughness(force: Any, radius: Any, E: Any) -> Array:
 
     Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the side of the demand.
     """
-    return np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius)))
+    return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
 
 
 def ring_crack_force(toughness: Any, radius: Any, E: Any) -> Array:
@@ -288,7 +291,7 @@ def _energy(columns: Columns, parameters: Parameters) -> Array:
 
 
 _FIELD: Final = ("p_max", "a_max", "sphere.radius", "sphere.nu")
-_SERIES: Final = "Legendre series of the sphere under Hertz pressure on two caps, theory section 7"
+_SERIES: Final = "Legendre series of the sphere under Hertz pressure on two caps, theory section 6"
 _TABLE: Final = MappingProxyType({"a/r": tables.CONTACT_RATIO, "sphere.nu": tables.POISSON})
 _TABLE_TEXT: Final = "0.005 <= a/r <= 0.3, 0 <= nu <= 0.5, equal forces"
 _WEIBULL_TABLE: Final = MappingProxyType(
@@ -302,13 +305,15 @@ CRITERIA: Final[dict[str, Criterion]] = {
     entry.name: entry
     for entry in (
         Criterion(
-            name="contact_pressure", meaning="largest contact pressure", formula="p_max", dimension="pressure",
+            name="contact_pressure", quantity="p_max",
+            meaning="largest contact pressure", formula="p_max", dimension="pressure",
             strength="contact strength, near 0.5 to 1 times the hardness (not the uniaxial strength)",
             source="Johnson, Contact Mechanics, 1985, section 6.2", range_text="a/r <= 0.3",
-            needs=("p_max", "a_max", "sphere.radius"), ranges={"a/r": (0.0, 0.3)}, 
+            needs=("p_max", "a_max", "sphere.radius"), ranges={"a/r": (0.0, 0.3)},
             formula_of=lambda columns, parameters: np.asarray(columns["p_max"], dtype=float)),
         Criterion(
-            name="edge_tension", meaning="radial tension at the rim of the contact",
+            name="edge_tension", quantity="edge_tension",
+            meaning="radial tension at the rim of the contact",
             formula="(1 - 2 nu)/3 p_max", dimension="pressure", strength="tensile strength of the surface",
             source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
             range_text="a/r <= 0.05; far too severe where the stress is steep (see ring_crack)",
@@ -316,7 +321,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=lambda columns, parameters: np.asarray(
                 contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"])))),
         Criterion(
-            name="ring_crack", meaning="ring crack that grows into a cone, by fracture mechanics",
+            name="ring_crack", quantity="ring_crack_toughness",
+            meaning="ring crack that grows into a cone, by fracture mechanics",
             formula="sqrt(P_max E/(8600 r))", dimension="toughness", strength="fracture toughness K_Ic",
             source="Lawn, J. Am. Ceram. Soc. 81 (1998) 1977, from memory; Auerbach's law",
             range_text="a/r <= 0.2; surface flaws of about 0.01 to 0.1 a",
@@ -324,11 +330,13 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=lambda columns, parameters: ring_crack_toughness(
                 columns["P_max"], columns["sphere.radius"], columns["sphere.E"])),
         Criterion(
-            name="core_tension", meaning="largest hoop tension on the axis",
+            name="core_tension", quantity="core_tension",
+            meaning="largest hoop tension on the axis",
             formula="p_max f(a/r, nu)", dimension="pressure", strength="tensile strength", source=_SERIES,
             range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_core),
         Criterion(
-            name="centre_tension", meaning="tension at the centre, point loads",
+            name="centre_tension", quantity="centre_tension",
+            meaning="tension at the centre, point loads",
             formula="21 P_max/(pi (7 + 5 nu) D²)", dimension="pressure", strength="tensile strength",
             source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2", needs=("P_max", *_FIELD),
             optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
@@ -336,11 +344,13 @@ CRITERIA: Final[dict[str, Criterion]] = {
                 np.asarray(columns["P_max"]), np.asarray(columns["sphere.radius"]),
                 np.asarray(columns["sphere.nu"])))),
         Criterion(
-            name="equatorial_tension", meaning="hoop tension on the surface at the equator",
+            name="equatorial_tension", quantity="equatorial_tension",
+            meaning="hoop tension on the surface at the equator",
             formula="p_max (a/r)² f(a/r, nu)", dimension="pressure", strength="tensile strength of the surface",
             source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_equator),
         Criterion(
-            name="hiramatsu_oka", meaning="tensile stress as used in practice for lumps of rock",
+            name="hiramatsu_oka", quantity="hiramatsu_oka_tension",
+            meaning="tensile stress as used in practice for lumps of rock",
             formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
             source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
             needs=("P_max", "a_max", "sphere.radius"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
@@ -367,23 +377,24 @@ CRITERIA: Final[dict[str, Criterion]] = {
             range_text="a/r <= 0.05, m > 1", needs=_FIELD, parameters=("modulus", "reference_area"),
             ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)}, formula_of=_weakest_rim),
         Criterion(
-            name="specific_energy", meaning="energy stored in both contacts per mass",
+            name="specific_energy", quantity="specific_energy",
+            meaning="energy stored in both contacts per mass",
             formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
             strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
             source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory", range_text="a/r <= 0.3",
             needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
         Criterion(
-            name="subsurface_shear", meaning="largest shear stress on the axis",
+            name="subsurface_shear", quantity="subsurface_shear",
+            meaning="largest shear stress on the axis",
             formula="p_max f(a/r, nu)", dimension="pressure", strength="shear strength (yield, crushing below contact)",
             source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, ranges=_TABLE, formula_of=_tabulated("shear")),
     )
 }  # fmt: skip
 
-#: quantities of interest that are the demand of a criterion without parameters, and that criterion
+#: quantities of interest that only a criterion answers, and that criterion
 QUANTITIES: Final[dict[str, str]] = {
-    "core_tension": "core_tension",
-    "equatorial_tension": "equatorial_tension",
-    "hiramatsu_oka_tension": "hiramatsu_oka",
-    "subsurface_shear": "subsurface_shear",
-    "ring_crack_toughness": "ring_crack",
-}
+    entry.quantity: name
+    for name, entry in CRITERIA.items()
+    if entry.quantity in ("core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear",
+                          "ring_crack_toughness")
+}  # fmt: skip

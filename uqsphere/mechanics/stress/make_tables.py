@@ -19,8 +19,8 @@ __all__ = ["SHAPES", "exact", "make", "pack"]
 
 #: number of polynomials in a/r, nu and m, and what one unit of the written whole numbers is worth
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
-    "core": (28, 52), "core_depth": (28, 52), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
-    "volume": (34, 18, 28), "surface": (34, 18, 28),
+    "core": (28, 64), "core_depth": (28, 64), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
+    "volume": (36, 20, 32), "surface": (36, 20, 32),
 }  # fmt: skip
 _UNITS: Final = {2: 1e-10, 3: 1e-8}
 
@@ -50,7 +50,7 @@ def _three_way() -> dict[str, Array]:
     ratios, poisson, moduli = chebyshev_nodes(shape)
     values = {name: np.empty(shape) for name in ("volume", "surface")}
     for i, ratio in enumerate(ratios):
-        field = hoop_field(float(ratio), nodes=16, growth=1.45)
+        field = hoop_field(float(ratio), nodes=18, growth=1.45)
         for j, nu in enumerate(poisson):
             values["volume"][i, j] = volume_integrals(field, float(nu), moduli)
             values["surface"][i, j] = surface_integrals(field, float(nu), moduli)

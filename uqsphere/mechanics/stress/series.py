@@ -7,10 +7,9 @@ two constants,
 
     A_n = p_n / {2 [n² + n + 1 + nu (2n + 1)]},    B_n = -A_n (n² + 2n - 1 + 2 nu)/(n - 1),
 
-theory section 7b (after Lurie, Theory of Elasticity, 2005, section 5.1; the components were checked against
-equilibrium, compatibility and the load by tests/test_sphere_stress.py).  Degree 0 is a uniform pressure.  Degree 1, which
-there is under unequal forces, is the pressure of an accelerated body, -p_1 r cos t in all three directions:
-its divergence is the body force, mass times acceleration.
+theory section 6; tests/test_sphere_stress.py checks the components against equilibrium, compatibility and the load.
+Degree 0 is a uniform pressure.  Degree 1, which there is under unequal forces, is the pressure of an accelerated body,
+-p_1 r cos t in all three directions: its divergence is the body force, mass times acceleration.
 """
 
 from __future__ import annotations

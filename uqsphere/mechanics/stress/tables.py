@@ -56,7 +56,7 @@ NAMES: Final[dict[str, str]] = {
     "surface": "I_S^(1/m), hoop tension over p_0",
 }
 #: rows evaluated at a time, so that the polynomials stay in the cache
-_CHUNK: Final = 8192
+_CHUNK: Final = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,26 +68,42 @@ class Table:
 
     def __call__(self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None) -> Array:
         """The ratio of n rows, (n,) or of the shape the arguments broadcast to; `modulus` for three-way tables."""
-        given = [contact_ratio, nu] if modulus is None else [contact_ratio, nu, modulus]
-        parts = np.broadcast_arrays(*[np.asarray(part, dtype=float) for part in given])
-        flat = [part.ravel() for part in parts]
-        c = self.coefficients
-        bounds = POISSON if c.ndim == 2 else POISSON_WEIBULL
-        if modulus is not None and np.ndim(modulus) == 0:
+        if modulus is None:
+            return _two_way([self.coefficients], contact_ratio, nu, POISSON)[0]
+        if np.ndim(modulus) == 0:
             # one modulus for all rows: three-way becomes two-way
-            c = c @ _polynomials(_unit_modulus(np.asarray([float(modulus)])), c.shape[2])[0]  # type: ignore[arg-type]
-        out = np.empty(flat[0].shape)
+            weights = _polynomials(_unit_modulus(np.array([modulus], dtype=float)), self.coefficients.shape[2])[0]
+            return _two_way([self.coefficients @ weights], contact_ratio, nu, POISSON_WEIBULL)[0]
+        return self._three_way(contact_ratio, nu, modulus)
+
+    def _three_way(self, contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike) -> Array:
+        parts = np.broadcast_arrays(*[np.asarray(part, dtype=float) for part in (contact_ratio, nu, modulus)])
+        a, v, m = (part.ravel() for part in parts)
+        c, out = self.coefficients, np.empty(parts[0].size)
         for start in range(0, len(out), _CHUNK):
             piece = slice(start, start + _CHUNK)
-            first = _polynomials(_unit_ratio(flat[0][piece]), c.shape[0])
-            second = _polynomials(_unit(flat[1][piece], *bounds), c.shape[1])
-            if c.ndim == 2:
-                out[piece] = np.einsum("nj,nj->n", first @ c, second)
-            else:
-                third = _polynomials(_unit_modulus(flat[2][piece]), c.shape[2])
-                inner = (first @ c.reshape(c.shape[0], -1)).reshape(len(first), *c.shape[1:])
-                out[piece] = np.einsum("njk,nj,nk->n", inner, second, third)
+            first = _polynomials(_unit_ratio(a[piece]), c.shape[0])
+            second = _polynomials(_unit(v[piece], *POISSON_WEIBULL), c.shape[1])
+            third = _polynomials(_unit_modulus(m[piece]), c.shape[2])
+            inner = (first @ c.reshape(c.shape[0], -1)).reshape(len(first), *c.shape[1:])
+            out[piece] = np.einsum("nj,nj->n", np.einsum("njk,nk->nj", inner, third), second)
         return np.asarray(np.exp(out).reshape(parts[0].shape))
+
+
+def _two_way(
+    matrices: list[Array], contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, bounds: tuple[float, float]
+) -> list[Array]:
+    """exp of the sums of several matrices of one shape at the same rows."""
+    parts = np.broadcast_arrays(np.asarray(contact_ratio, dtype=float), np.asarray(nu, dtype=float))
+    a, v = (part.ravel() for part in parts)
+    out = [np.empty(len(a)) for _ in matrices]
+    for start in range(0, len(a), _CHUNK):
+        piece = slice(start, start + _CHUNK)
+        first = _polynomials(_unit_ratio(a[piece]), matrices[0].shape[0])
+        second = _polynomials(_unit(v[piece], *bounds), matrices[0].shape[1])
+        for matrix, column in zip(matrices, out, strict=True):
+            column[piece] = np.einsum("nj,nj->n", first @ matrix, second)
+    return [np.exp(column).reshape(parts[0].shape) for column in out]
 
 
 def _unit(value: Array, low: float, high: float) -> Array:
@@ -172,8 +188,9 @@ def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, 
     """
     a, v = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(contact_ratio, nu))
     inside = np.clip(a, *CONTACT_RATIO)
-    square = 1.0 - inside * ratio("core_depth", a, v)
-    tension = np.where(square > 0.0, ratio("core", a, v), centre_ratio(inside, np.clip(v, *POISSON)))
+    value, depth = _two_way([load_table(name).coefficients for name in ("core", "core_depth")], a, v, POISSON)
+    square = 1.0 - inside * depth
+    tension = np.where(square > 0.0, value, centre_ratio(inside, np.clip(v, *POISSON)))
     return tension, 1.0 - np.sqrt(np.maximum(square, 0.0))
 
 

@@ -5,8 +5,8 @@ two faces.  The integral therefore takes the hoop tension,
 
     I_V = ∫ max(sigma_phi/p_0, 0)^m dV / V,      I_S = ∫ max(sigma_phi/p_0, 0)^m dS / S,
 
-so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of it (theory section 7b
-leaves it out likewise); it has a criterion of its own.  Balanced faces; V and S those of the whole sphere.
+so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of it (theory section
+6); it has a criterion of its own.  Equal forces; V and S are those of the whole sphere.
 """
 
 from __future__ import annotations
@@ -36,6 +36,16 @@ def _graded(first: float, last: float, growth: float) -> Array:
     return np.concatenate([[0.0], np.geomspace(first, last, count)])
 
 
+def _refined(edges: Array, nodes: int) -> tuple[Array, Array]:
+    """Matrix (finer, nodes) of the polynomial through Gauss points at finer points; sin(t) dt there."""
+    coarse, _ = np.polynomial.legendre.leggauss(nodes)
+    fine, weight = _gauss(np.linspace(-1.0, 1.0, 13), nodes)
+    vander = np.polynomial.legendre.legvander
+    matrix = vander(fine, nodes - 1) @ np.linalg.inv(vander(coarse, nodes - 1))
+    half = 0.5 * np.diff(edges)[:, None]
+    return matrix, half * weight * np.sin(edges[:-1, None] + half * (fine + 1.0))
+
+
 class HoopField:
     """Where and with which weights sigma_phi is integrated for one a/r; the Poisson ratio is left open.
 
@@ -50,7 +60,9 @@ class HoopField:
         self.radius, self.angle = 1.0 - depth, angle
         #: share of the sphere's volume at each point, (radii, angles)
         self.weight = 3.0 * (depth_weight * self.radius**2)[:, None] * (angle_weight * np.sin(angle))
-        self.surface_weight = angle_weight * np.sin(angle)
+        self.nodes = nodes
+        #: from the Gauss points of a panel to finer ones, and the share of the surface at those, (panels, finer)
+        self.finer, self.surface_weight = _refined(_graded(0.5 * a, 0.5 * math.pi, growth), nodes)
         self._caps = Load.balanced(a)
         p = load_coefficients(self._caps, terms)
         self._mean, self._degree = float(p[0]), np.arange(2, terms + 1, 2, dtype=float)
@@ -108,7 +120,9 @@ def volume_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Arra
 
 def surface_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
     """I_S^(1/m) of every modulus; (k,)."""
-    return _equivalent(field.surface_hoop(nu), field.surface_weight, moduli)
+    # where the tension begins the integrand bends: the polynomial through each panel is summed on finer panels
+    hoop = field.surface_hoop(nu).reshape(-1, field.nodes) @ field.finer.T
+    return _equivalent(hoop, field.surface_weight, moduli)
 
 
 def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
