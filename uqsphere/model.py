@@ -103,6 +103,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         rigid_contact=bool(study.options["bars.rigid_contact"]),
         first_loading_only=study.model.first_loading_only,
         horizon=study.model.horizon,
+        demands=study.demands,
     )
 
 

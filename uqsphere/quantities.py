@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 __all__ = [
+    "DEMANDS",
     "INPUTS",
     "OUTPUTS",
     "UNITS",
@@ -186,9 +187,33 @@ OUTPUTS: Final[dict[str, Quantity]] = _table(
 )  # fmt: skip
 
 
+#: Demands of criteria with parameters, by the criterion; a study adds the limit's name, ``weakest_link_volume.NAME``.
+DEMANDS: Final[dict[str, Quantity]] = _table(
+    Quantity(name="weakest_link_volume", symbol="sigma_V", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere"),
+    Quantity(name="weakest_link_surface", symbol="sigma_S", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference area that is as dangerous as that in the sphere's surface"),
+    Quantity(name="weakest_link_rim", symbol="sigma_rim", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference area that is as dangerous as that around the contacts"),
+    Quantity(name="core_tension", symbol="sigma_core", dimension="pressure", display="MPa",
+             meaning="largest hoop tension on the axis over the increase of strength by its rate"),
+    Quantity(name="centre_tension", symbol="sigma_c", dimension="pressure", display="MPa",
+             meaning="tension at the centre over the increase of strength by its rate"),
+    Quantity(name="equatorial_tension", symbol="sigma_eq", dimension="pressure", display="MPa",
+             meaning="hoop tension at the equator over the increase of strength by its rate"),
+    Quantity(name="hiramatsu_oka", symbol="sigma_HO", dimension="pressure", display="MPa",
+             meaning="0.9 P/D² over the increase of strength by its rate"),
+    Quantity(name="specific_energy", symbol="E'", dimension="specific_energy", display="J/kg",
+             meaning="specific energy, stretched so that a bounded fracture energy becomes lognormal"),
+)  # fmt: skip
+
+
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
     found = INPUTS.get(name) or OUTPUTS.get(name)
+    if found is None and (base := name.partition(".")[0]) in DEMANDS:
+        # the demand of a criterion goes by the names of criterion and limit
+        return replace(DEMANDS[base], name=name)
     return found or Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 

@@ -23,6 +23,8 @@ from uqsphere.mechanics.stress import tables
 Array = npt.NDArray[np.float64]
 Columns = Mapping[str, Any]
 Parameters = Mapping[str, float]
+#: further quantities: name -> criterion and its parameters
+Demands = Mapping[str, tuple[str, Parameters]]
 
 __all__ = [
     "CRITERIA",
@@ -30,6 +32,7 @@ __all__ = [
     "QUANTITIES",
     "Criterion",
     "Parameter",
+    "columns_behind",
     "demand",
     "dynamic_increase",
     "equivalent_tension",
@@ -143,10 +146,23 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
     return found
 
 
-def field_quantities(columns: Columns, names: Collection[str] | None) -> dict[str, Array]:
-    """Those of the `QUANTITIES` that are named, or all, from p_max, P_max, a_max and the sphere's numbers; (n,)."""
-    asked = [name for name in QUANTITIES if names is None or name in names]
-    return {name: demand(CRITERIA[QUANTITIES[name]], columns) for name in asked}
+def field_quantities(columns: Columns, names: Collection[str] | None, demands: Demands) -> dict[str, Array]:
+    """Those of the `QUANTITIES` and of further demands that are named, or all; (n,) each."""
+    every: dict[str, tuple[str, Parameters]] = {name: (key, {}) for name, key in QUANTITIES.items()}
+    return {
+        name: demand(CRITERIA[key], columns, parameters)
+        for name, (key, parameters) in (every | dict(demands)).items()
+        if names is None or name in names
+    }
+
+
+def columns_behind(demands: Demands, names: Collection[str]) -> set[str]:
+    """Columns that the named ones of further demands are made from."""
+    found: set[str] = set()
+    for name, (key, parameters) in demands.items():
+        if name in names:
+            found |= {*CRITERIA[key].needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ())}
+    return found
 
 
 def in_range(

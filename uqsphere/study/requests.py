@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.quantities import OUTPUTS, Quantity, lookup
+from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, with_modulus_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
 from uqsphere.study.numbers import Reading, read_fixed, read_number
@@ -33,6 +34,7 @@ class LimitReading:
     strength: Reading | None
     model_factor: Reading | None
     table: LimitTable
+    criterion: CriterionReading | None = None
 
     @property
     def parts(self) -> dict[str, Reading | None]:
@@ -46,8 +48,11 @@ class LimitReading:
         """The noun, if every part is there."""
         if self.quantity is None or self.strength is None or self.model_factor is None:
             return None
+        found = self.criterion
         return Limit(
             name=self.name,
+            criterion=None if found is None else found.criterion,
+            parameters={} if found is None else found.parameters,
             quantity=self.quantity,
             strength=self.strength.value,
             aim=self.table.aim,
@@ -90,7 +95,12 @@ def read_limits(
         if not valid_name(name):
             findings.add(place, _NAME_RULE)
             continue
-        quantity = _limit_quantity(table, place, outputs, findings)
+        criterion = None
+        if table.criterion is None:
+            quantity = _limit_quantity(table, place, outputs, findings)
+        else:
+            criterion = read_criterion(table, name, outputs is not None, findings)
+            quantity = None if criterion is None else criterion.quantity
         strength = model_factor = None
         if table.strength is None:
             if findings.clean((*place, "strength")):
@@ -103,6 +113,9 @@ def read_limits(
         else:
             # Without its quantity the strength has no unit to be read in: neither right nor wrong.
             findings.spoiled.add((*place, "strength"))
+        if criterion is not None:
+            criterion = with_modulus_of(strength, criterion, name, findings)
+            quantity = None if criterion is None else quantity
         if table.model_factor is not None:
             model_factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder)
         elif findings.clean((*place, "model_factor")):
@@ -110,7 +123,14 @@ def read_limits(
         if table.target is not None and not 0.0 < table.target < 1.0:
             findings.add((*place, "target"), f"found {table.target!r}, a probability between 0 and 1 is due")
         found.append(
-            LimitReading(name=name, quantity=quantity, strength=strength, model_factor=model_factor, table=table)
+            LimitReading(
+                name=name,
+                quantity=quantity,
+                strength=strength,
+                model_factor=model_factor,
+                table=table,
+                criterion=criterion,
+            )
         )
     return found
 
@@ -135,6 +155,9 @@ def _strength_of(quantity: str) -> Quantity:
 
 
 def _limit_quantity(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> str | None:
+    for key in KEYS:
+        if getattr(table, key) is not None:
+            findings.add((*place, key), f"{key} belongs to a criterion: add criterion = … (uqsphere list criteria)")
     if table.quantity is None:
         if findings.clean((*place, "quantity")):
             findings.add((*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"')
