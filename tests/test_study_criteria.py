@@ -64,7 +64,7 @@ def test_a_strength_that_is_no_weibull_law_is_worth_a_word(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
-        ('criterion = "weakest_link"\n' + WEIBULL, "unknown criterion 'weakest_link'"),
+        ('criterion = "weakest_link"\n' + WEIBULL, 'unknown criterion "weakest_link"'),
         ('criterion = "core_tension"\nquantity = "p_max"\n' + WEIBULL, "leave one of them out"),
         ('criterion = "weakest_link_volume"\n' + WEIBULL, "reference_volume is missing"),
         (VOLUME + 'strength = "40 MPa"\n', "modulus is missing"),

@@ -31,7 +31,8 @@ _FLAG: Final[Node] = {"type": "boolean"}
 
 def build_schema() -> Node:
     """Schema of both forms of a study, JSON-ready (draft 2020-12)."""
-    dimensions = {entry.dimension for entry in (*INPUTS.values(), *OUTPUTS.values(), *PARAMETERS.values())} | {"time"}
+    dimensions = {quantity.dimension for quantity in (*INPUTS.values(), *OUTPUTS.values())} | {"time"}
+    dimensions |= {part.dimension for part in PARAMETERS.values()}
     properties = {
         "title": _text("what the study is about"),
         "seed": {"type": "integer", "minimum": 0, "description": "seed of every random number of the run"},
