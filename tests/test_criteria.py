@@ -230,9 +230,11 @@ def test_the_model_answers_them_for_every_fidelity() -> None:
 def test_list_criteria(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "criteria", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert [entry["name"] for entry in content] == list(CRITERIA)
+    assert [entry["criterion"] for entry in content] == list(CRITERIA)
     assert content[0]["unit"] == "Pa"
     assert main(["list", "criteria"]) == 0
     text = capsys.readouterr().out
-    assert all(f"{name} [" in text for name in CRITERIA)
-    assert "modulus: Weibull modulus m" in text
+    for (name, entry), line in zip(CRITERIA.items(), text.splitlines()[1:], strict=True):
+        assert line.startswith(name)
+        assert all(words in line for words in (entry.formula, entry.range_text, entry.source))
+    assert content[7]["parameters"]["modulus"] == "Weibull modulus m"

@@ -292,20 +292,17 @@ def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
 def _criteria() -> tuple[list[dict[str, Any]], str]:
     from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 
-    content, blocks = [], []
+    content: list[dict[str, Any]] = []
+    rows = []
     for name, entry in CRITERIA.items():
         unit = next(iter(UNITS[entry.dimension]))
         keys = {key: PARAMETERS[key].meaning for key in (*entry.parameters, *entry.optional)}
-        content.append({"name": name, "quantity": entry.quantity, "unit": unit, "meaning": entry.meaning,
+        content.append({"criterion": name, "quantity": entry.quantity, "unit": unit, "meaning": entry.meaning,
                         "formula": entry.formula, "strength": entry.strength, "range": entry.range_text,
                         "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
-        lines = [("demand", entry.formula), ("against", entry.strength), ("range", entry.range_text),
-                 ("source", entry.source), ("quantity", entry.quantity or ""),
-                 ("takes", "; ".join(f"{key}{'' if key in entry.parameters else ' (optional)'}: {text}"
-                                     for key, text in keys.items()))]  # fmt: skip
-        told = "\n".join(f"    {what:8}  {text}" for what, text in lines if text)
-        blocks.append(f"{name} [{unit}]: {entry.meaning}\n{told}")
-    return content, "\n\n".join(blocks)
+        takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
+        rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows)
 
 
 def command_list(chosen: argparse.Namespace) -> int:

@@ -397,7 +397,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="energy stored in both contacts per mass",
             formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
             strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
-            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory", range_text="a/r <= 0.3",
+            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory", range_text="that of the contact",
             needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
         Criterion(
             name="subsurface_shear", quantity="subsurface_shear",

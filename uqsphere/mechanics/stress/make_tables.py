@@ -20,9 +20,9 @@ __all__ = ["SHAPES", "exact", "make", "pack"]
 #: number of polynomials in a/r, nu and m, and what one unit of the written whole numbers is worth
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "core": (28, 64), "core_depth": (28, 64), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
-    "volume": (36, 20, 32), "surface": (36, 20, 32),
+    "volume": (38, 20, 34), "surface": (38, 20, 34),
 }  # fmt: skip
-_UNITS: Final = {2: 1e-10, 3: 1e-8}
+_UNITS: Final = {2: 1e-10, 3: 2e-9}
 
 
 def exact(name: str, contact_ratio: float, nu: float, load: Array | None = None) -> float:
