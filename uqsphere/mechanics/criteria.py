@@ -389,7 +389,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             name="weakest_link_rim", meaning="flaws in the surface around both contacts opened by the radial tension",
             formula="(1 - 2 nu)/3 p_max [2 pi a²/((m - 1) S_0)]^(1/m)", dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
-            source="Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, in form; half space",
+            source="Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; half space",
             range_text="a/r <= 0.05, m > 1", needs=_FIELD, parameters=("modulus", "reference_area"),
             ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)}, formula_of=_weakest_rim),
         Criterion(
@@ -397,7 +397,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             meaning="energy stored in both contacts per mass",
             formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
             strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
-            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory", range_text="that of the contact",
+            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
+            range_text="that of the contact",
             needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
         Criterion(
             name="subsurface_shear", quantity="subsurface_shear",
