@@ -190,7 +190,6 @@ CASES = [
     one("a step without end", SHAPE, 'shape = "step"', "longer than any round trip", count=2),
     # limits
     one("an unknown quantity", 'quantity = "p_max"', 'quantity = "pmax"', "did you mean 'p_max'?"),
-    one("core tension", 'quantity = "p_max"', 'quantity = "core_tension"', "not in this version"),
     one("a strength in newton", STRENGTH, 'strength = "4 kN"', "unknown unit 'kN' for a pressure"),
     one("no strength", STRENGTH, "", "strength is missing", at="[limits.crushing]"),
     one("a target of one", "target = 0.01", "target = 1.0", "between 0 and 1"),

@@ -160,8 +160,8 @@ def test_a_row_in_which_the_cheap_model_fails_goes_to_full(
     believing = replace(found.fallback, bounds=(np.inf, np.inf))
     original = closed_form.solve_closed
 
-    def failing(scene: Scene, fidelity: str = "massless") -> dynamics.Answers:
-        answers = original(scene, fidelity)
+    def failing(scene: Scene, *arguments: Any) -> dynamics.Answers:
+        answers = original(scene, *arguments)
         status = answers.status.copy()
         status[::3] = 3
         return replace(answers, status=status)

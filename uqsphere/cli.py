@@ -76,7 +76,7 @@ def build_parser() -> argparse.ArgumentParser:
     again.add_argument("--resume", action="store_true", help="go on with what is stored (the default)")
     again.add_argument("--fresh", action="store_true", help="drop what is stored and begin again")
     run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; THIS RUNS THE FILE")
-    history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv, history.svg and xt.svg here")
+    history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv and the figures here")
 
     report = command("report", "build the report again from what is stored")
     show = command("show", "the answers of a run as a table")

@@ -11,7 +11,7 @@ from typing import Any
 
 from uqsphere.console import Progress, plain, table
 from uqsphere.errors import AccessError, FolderError, UsageError
-from uqsphere.quantities import INPUTS, OUTPUTS, UnitError, format_value, lookup, parse_value
+from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of
 
@@ -289,6 +289,22 @@ def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     )
 
 
+def _criteria() -> tuple[list[dict[str, Any]], str]:
+    from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+
+    content: list[dict[str, Any]] = []
+    rows = []
+    for name, entry in CRITERIA.items():
+        unit = next(iter(UNITS[entry.dimension]))
+        keys = {key: PARAMETERS[key].meaning for key in (*entry.parameters, *entry.optional)}
+        content.append({"criterion": name, "quantity": entry.quantity, "unit": unit, "meaning": entry.meaning,
+                        "formula": entry.formula, "strength": entry.strength, "range": entry.range_text,
+                        "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
+        takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
+        rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows)
+
+
 def command_list(chosen: argparse.Namespace) -> int:
     """What there is to choose from."""
     if chosen.what == "materials":
@@ -298,7 +314,7 @@ def command_list(chosen: argparse.Namespace) -> int:
     elif chosen.what == "quantities":
         content, text = _quantity_rows(list(OUTPUTS))
     else:
-        content, text = _quantity_rows(["p_max", "edge_tension", "centre_tension", "specific_energy"])
+        content, text = _criteria()
     if chosen.json:
         _document(content)
     else:

@@ -103,6 +103,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         rigid_contact=bool(study.options["bars.rigid_contact"]),
         first_loading_only=study.model.first_loading_only,
         horizon=study.model.horizon,
+        demands=study.demands,
     )
 
 
@@ -113,7 +114,7 @@ def solve_scene(
     from uqsphere.mechanics import closed_form, dynamics
 
     if closed_form.closed_form_applies(scene, fidelity):
-        return closed_form.solve_closed(scene, fidelity)
+        return closed_form.solve_closed(scene, fidelity, quantities)
     return dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
 

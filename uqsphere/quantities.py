@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 __all__ = [
+    "DEMANDS",
     "INPUTS",
     "OUTPUTS",
     "UNITS",
@@ -41,6 +42,10 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "energy": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6, "kJ": 1e3},
     "specific_energy": {"J/kg": 1.0, "mJ/kg": 1e-3, "kJ/kg": 1e3, "kWh/t": 3600.0},
     "loading_rate": {"N/s": 1.0, "kN/s": 1e3, "MN/s": 1e6, "GN/s": 1e9, "kN/ms": 1e6, "N/us": 1e6},
+    "toughness": {"Pa.sqrt(m)": 1.0, "kPa.sqrt(m)": 1e3, "MPa.sqrt(m)": 1e6, "MPa·√m": 1e6},
+    "volume": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
+    "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
+    "strain_rate": {"1/s": 1.0},
     "number": {"": 1.0},
 }
 
@@ -169,12 +174,46 @@ OUTPUTS: Final[dict[str, Quantity]] = _table(
              meaning="largest radial tension at the rim of the contact"),
     Quantity(name="centre_tension", symbol="sigma_c", dimension="pressure", display="MPa",
              meaning="tension at the centre of the sphere at the largest force"),
+    Quantity(name="core_tension", symbol="sigma_core", dimension="pressure", display="MPa",
+             meaning="largest hoop tension on the axis inside the sphere"),
+    Quantity(name="equatorial_tension", symbol="sigma_eq", dimension="pressure", display="MPa",
+             meaning="hoop tension on the sphere's surface half-way between the contacts"),
+    Quantity(name="hiramatsu_oka_tension", symbol="sigma_HO", dimension="pressure", display="MPa",
+             meaning="tensile stress 0.9 P/D² that lumps of rock are credited with in practice"),
+    Quantity(name="subsurface_shear", symbol="tau_max", dimension="pressure", display="MPa",
+             meaning="largest shear stress on the axis, below the contact"),
+    Quantity(name="ring_crack_toughness", symbol="K_ring", dimension="toughness", display="MPa.sqrt(m)",
+             meaning="fracture toughness at which a ring crack just grows into a cone"),
+)  # fmt: skip
+
+
+#: Demands of criteria with parameters, by the criterion; a study adds the limit's name, ``weakest_link_volume.NAME``.
+DEMANDS: Final[dict[str, Quantity]] = _table(
+    Quantity(name="weakest_link_volume", symbol="sigma_V", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere"),
+    Quantity(name="weakest_link_surface", symbol="sigma_S", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference area that is as dangerous as that in the sphere's surface"),
+    Quantity(name="weakest_link_rim", symbol="sigma_rim", dimension="pressure", display="MPa",
+             meaning="uniform tension in the reference area that is as dangerous as that around the contacts"),
+    Quantity(name="core_tension", symbol="sigma_core", dimension="pressure", display="MPa",
+             meaning="largest hoop tension on the axis over the increase of strength by its rate"),
+    Quantity(name="centre_tension", symbol="sigma_c", dimension="pressure", display="MPa",
+             meaning="tension at the centre over the increase of strength by its rate"),
+    Quantity(name="equatorial_tension", symbol="sigma_eq", dimension="pressure", display="MPa",
+             meaning="hoop tension at the equator over the increase of strength by its rate"),
+    Quantity(name="hiramatsu_oka", symbol="sigma_HO", dimension="pressure", display="MPa",
+             meaning="0.9 P/D² over the increase of strength by its rate"),
+    Quantity(name="specific_energy", symbol="E'", dimension="specific_energy", display="J/kg",
+             meaning="specific energy, stretched so that a bounded fracture energy becomes lognormal"),
 )  # fmt: skip
 
 
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
     found = INPUTS.get(name) or OUTPUTS.get(name)
+    if found is None and (base := name.partition(".")[0]) in DEMANDS:
+        # the demand of a criterion goes by the names of criterion and limit
+        return replace(DEMANDS[base], name=name)
     return found or Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 

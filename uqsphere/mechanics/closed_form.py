@@ -7,6 +7,7 @@ All functions are elementwise in the scaled variables of theory (8): approach x 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from functools import lru_cache
 from typing import Any, Final
 
@@ -216,12 +217,13 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
     return fidelity == "massless" and scene.infinite and scene.shape in ("rectangular", "step")
 
 
-def solve_closed(scene: Scene, fidelity: str = "massless") -> Answers:
+def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:
     """Quantities of interest of n scenes in closed form, with the same names as `dynamics.solve`.
 
     Both forces are equal and rise until the pulse ends, theory (11), then die out, theory (12): the largest
     force is that at the end of the pulse or of the record.  Contact is never lost, so that contact_time is
     always censored at the end of the record: the horizon, or where the force is down to 1 % of the largest.
+    Only the named `quantities`, or all, are answered.
 
     Raises
     ------
@@ -240,7 +242,7 @@ def solve_closed(scene: Scene, fidelity: str = "massless") -> Answers:
         theta = np.where(good, scales.pulse_number, 1.0)
         horizon = np.where(good, scene.record_end / scales.time, 1.0)
     scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
-    return to_si(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), linear=False)
+    return to_si(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), linear=False, quantities=quantities)
 
 
 def largest_approach(theta: Any) -> Array:

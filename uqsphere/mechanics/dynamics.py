@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import contact
+from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.doubts import CLOSEST, doubtful, jumping, other_ends, other_times, unsettled
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
@@ -355,9 +355,10 @@ def solve(
         With NaN and a status for rows outside the domain; never a number that was not computed.
     """
     _check_request(fidelity, tolerance)
-    if quantities is not None and (unknown := set(quantities) - set(OUTPUTS)):
+    if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
-    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+    followed = None if quantities is None else {*quantities, *criteria.columns_behind(scene.demands, quantities)}
+    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
     linear = fidelity == "linear"
     solved = to_si(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
     if not (found.status == UNDECIDED).any():
@@ -410,6 +411,7 @@ def to_si(
             "edge_tension": contact.edge_tension(pressure, scene.columns["sphere.nu"]),
             "centre_tension": contact.centre_tension(force, scene.columns["sphere.radius"], scene.columns["sphere.nu"]),
         }
+        values |= criteria.field_quantities({**scene.columns, **values}, quantities, scene.demands)
         if quantities is not None:
             values = {name: value for name, value in values.items() if name in quantities}
         finite = np.logical_and.reduce([np.isfinite(value) for value in (x_max, *values.values())])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
@@ -94,6 +94,8 @@ class Scene:
         End the record when the first reflected wave returns.
     horizon : float or None
         End of the record [s]; None: the rule of docs/theory.md.
+    demands : mapping of str to (str, mapping)
+        Further quantities: name -> criterion of `uqsphere.mechanics.criteria` and its parameters.
 
     Raises
     ------
@@ -107,6 +109,7 @@ class Scene:
     rigid_contact: bool = False
     first_loading_only: bool = False
     horizon: float | None = None
+    demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.mechanics.stress.tables import outside
 from uqsphere.model import scene_of
+from uqsphere.report.stress_figure import stress_figure
 from uqsphere.report.timelines import history_figure, xt_figure
 from uqsphere.runner.tables import csv_text
 from uqsphere.store import write_atomically
@@ -36,14 +38,22 @@ _COLUMNS = {
 
 
 def write_history(found: History, study: Study, folder: Path) -> list[Path]:
-    """history.csv, history.svg and xt.svg in `folder`; the paths written."""
+    """history.csv, history.svg, xt.svg and, within the range of its tables, stress.svg in `folder`; the paths."""
+    scene = scene_of(study, {}, 1)
     columns = [getattr(found, field) for field in _COLUMNS.values()]
     rows = np.stack(columns, axis=1).tolist()
     contents = {
         "history.csv": csv_text(list(_COLUMNS), rows),
         "history.svg": history_figure(found),
-        "xt.svg": xt_figure(scene_of(study, {}, 1), found),
+        "xt.svg": xt_figure(scene, found),
     }
+    pressure = float(max(found.pressure_a.max(), found.pressure_b.max()))
+    radius, nu = (float(scene.columns[name][0]) for name in ("sphere.radius", "sphere.nu"))
+    # Hertz: p_0 = (2/pi) E* a/r_eff, theory (15)
+    scales = scene.scales
+    ratio = pressure * 0.5 * np.pi * float(scales.effective_radius[0] / scales.modulus[0]) / radius
+    if not outside(ratio, nu):
+        contents["stress.svg"] = stress_figure(ratio, nu, pressure)
     for name, text in contents.items():
         write_atomically(folder / name, text)
     return [folder / name for name in contents]

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, get_args
 
 from uqsphere.materials import material_names
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.quantities import INPUTS, OUTPUTS, Quantity, units_of
 from uqsphere.study.nouns import Accuracy, Budget
 from uqsphere.study.numbers import BAR_ENDS
@@ -32,6 +33,7 @@ _FLAG: Final[Node] = {"type": "boolean"}
 def build_schema() -> Node:
     """Schema of both forms of a study, JSON-ready (draft 2020-12)."""
     dimensions = {quantity.dimension for quantity in (*INPUTS.values(), *OUTPUTS.values())} | {"time"}
+    dimensions |= {part.dimension for part in PARAMETERS.values()}
     properties = {
         "title": _text("what the study is about"),
         "seed": {"type": "integer", "minimum": 0, "description": "seed of every random number of the run"},
@@ -173,16 +175,22 @@ def _limit() -> Node:
     known = ", ".join(OUTPUTS)
     strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
     strength = {"anyOf": [choice for name in strengths for choice in _number_or_law(name)["anyOf"]]}
-    return _table(
+    criterion = {
+        name: {"$ref": f"#/$defs/{part.dimension}", "description": part.meaning} for name, part in PARAMETERS.items()
+    }
+    node = _table(
         {
+            "criterion": _words(CRITERIA, "in place of quantity: how the sphere breaks"),
+            **criterion,
             "quantity": _text(f"what must stay below, or exceed, the strength: {known}, or an output of a black box"),
             "strength": strength | {"description": "the strength, in the unit of the quantity"},
             "aim": _words(get_args(Aim), "survive: stay below the strength; break: exceed it"),
             "model_factor": _number_or_law("number") | {"description": "discrepancy of the model on this quantity"},
             "target": _SHARE | {"description": "largest accepted probability of missing the aim"},
         },
-        ("quantity", "strength"),
+        ("strength",),
     )
+    return node | {"oneOf": _present("quantity", "criterion")}
 
 
 def _dependence() -> Node:

@@ -34,7 +34,10 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """A strength that a quantity is held against; strength in SI, model_factor a plain number."""
+    """A strength that a quantity is held against; strength in SI, model_factor a plain number.
+
+    With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.
+    """
 
     name: str
     quantity: str
@@ -42,6 +45,8 @@ class Limit:
     aim: str = "survive"
     model_factor: Law | float = 1.0
     target: float | None = None
+    criterion: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +187,11 @@ class Study:
         text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @property
+    def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
+        """Quantities that a limit's criterion adds: name -> criterion and its parameters."""
+        return {limit.quantity: (limit.criterion, limit.parameters) for limit in self.limits if limit.criterion}
+
     def laws(self) -> dict[str, Law]:
         """Every random variable and its law: inputs in file order, then strengths and model factors."""
         laws = dict(self.random)
@@ -277,6 +287,7 @@ def _limit_json(limit: Limit) -> dict[str, Any]:
         "aim": limit.aim,
         "model_factor": fixed(limit.model_factor),
         "target": limit.target,
+        **({"criterion": limit.criterion, "parameters": dict(limit.parameters)} if limit.criterion else {}),
     }
 
 

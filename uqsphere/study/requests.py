@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.quantities import OUTPUTS, Quantity, lookup
+from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, with_modulus_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
 from uqsphere.study.numbers import Reading, read_fixed, read_number
@@ -19,8 +20,6 @@ __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares
 
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
 LATER_METHODS: Final = ("sorm", "monte_carlo", "active")
-#: quantities of the theory that this version does not answer
-LATER_QUANTITIES: Final = ("core_tension",)
 MOST_LIMITS: Final = 50
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
@@ -36,6 +35,7 @@ class LimitReading:
     strength: Reading | None
     model_factor: Reading | None
     table: LimitTable
+    criterion: CriterionReading | None = None
 
     @property
     def parts(self) -> dict[str, Reading | None]:
@@ -49,8 +49,11 @@ class LimitReading:
         """The noun, if every part is there."""
         if self.quantity is None or self.strength is None or self.model_factor is None:
             return None
+        found = self.criterion
         return Limit(
             name=self.name,
+            criterion=None if found is None else found.criterion,
+            parameters={} if found is None else found.parameters,
             quantity=self.quantity,
             strength=self.strength.value,
             aim=self.table.aim,
@@ -93,7 +96,12 @@ def read_limits(
         if not valid_name(name):
             findings.add(place, _NAME_RULE)
             continue
-        quantity = _limit_quantity(table, place, outputs, findings)
+        criterion = None
+        if table.criterion is None:
+            quantity = _limit_quantity(table, place, outputs, findings)
+        else:
+            criterion = read_criterion(table, name, outputs is not None, findings)
+            quantity = None if criterion is None else criterion.quantity
         strength = model_factor = None
         if table.strength is None:
             if findings.clean((*place, "strength")):
@@ -106,6 +114,9 @@ def read_limits(
         else:
             # Without its quantity the strength has no unit to be read in: neither right nor wrong.
             findings.spoiled.add((*place, "strength"))
+        if criterion is not None:
+            criterion = with_modulus_of(strength, criterion, name, findings)
+            quantity = None if criterion is None else quantity
         if table.model_factor is not None:
             model_factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder)
         elif findings.clean((*place, "model_factor")):
@@ -113,7 +124,14 @@ def read_limits(
         if table.target is not None and not 0.0 < table.target < 1.0:
             findings.add((*place, "target"), f"found {table.target!r}, a probability between 0 and 1 is due")
         found.append(
-            LimitReading(name=name, quantity=quantity, strength=strength, model_factor=model_factor, table=table)
+            LimitReading(
+                name=name,
+                quantity=quantity,
+                strength=strength,
+                model_factor=model_factor,
+                table=table,
+                criterion=criterion,
+            )
         )
     return found
 
@@ -138,6 +156,9 @@ def _strength_of(quantity: str) -> Quantity:
 
 
 def _limit_quantity(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> str | None:
+    for key in KEYS:
+        if getattr(table, key) is not None:
+            findings.add((*place, key), f"{key} belongs to a criterion: add criterion = … (uqsphere list criteria)")
     if table.quantity is None:
         if findings.clean((*place, "quantity")):
             findings.add((*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"')
@@ -149,9 +170,7 @@ def _known_quantity(name: str, place: Place, outputs: Sequence[str] | None, find
     known = list(OUTPUTS) if outputs is None else list(outputs)
     if name in known:
         return True
-    if outputs is None and name in LATER_QUANTITIES:
-        findings.add(place, f"{shown(name)} is not in this version; known quantities: {one_of(known)}")
-    elif known:
+    if known:
         findings.add(place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}")
     return False
 

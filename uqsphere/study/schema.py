@@ -103,6 +103,12 @@ class ModelTable(Table):
 
 class LimitTable(Table):
     quantity: str | None = None
+    criterion: str | None = None
+    modulus: Any = None
+    reference_volume: Any = None
+    reference_area: Any = None
+    largest_energy: Any = None
+    rate_0: Any = None
     strength: Number = None
     aim: Aim = "survive"
     model_factor: Number = None

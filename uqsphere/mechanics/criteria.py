@@ -1,0 +1,417 @@
+"""Criteria of fracture: what of a loaded sphere is compared with which strength.
+
+Each criterion is one record with one signature: columns of the impact model (SI, one row per sample) and its own
+parameters go in, a column of demand comes out, and the sphere breaks where the demand exceeds the strength.  The
+strength stays outside: it is a number or a law of the study.  `in_range` says row by row where the formula has been
+left; a demand is given there too, for an absent number would pass for a survival.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.stress import tables
+
+Array = npt.NDArray[np.float64]
+Columns = Mapping[str, Any]
+Parameters = Mapping[str, float]
+#: further quantities: name -> criterion and its parameters
+Demands = Mapping[str, tuple[str, Parameters]]
+
+__all__ = [
+    "CRITERIA",
+    "PARAMETERS",
+    "QUANTITIES",
+    "Criterion",
+    "Parameter",
+    "columns_behind",
+    "demand",
+    "dynamic_increase",
+    "equivalent_tension",
+    "field_quantities",
+    "fracture_energy",
+    "hiramatsu_oka_tension",
+    "in_range",
+    "ring_crack_force",
+    "ring_crack_toughness",
+    "size_factor",
+    "truncated_energy",
+]
+
+#: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
+AUERBACH: Final = 8.6e3
+#: an energy above the largest fracture energy breaks every particle; the demand stays a finite number
+_CERTAIN: Final = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A number that belongs to a criterion, with the bounds of its meaning (the bounds themselves excluded)."""
+
+    name: str
+    dimension: str
+    meaning: str
+    lower: float = 0.0
+    upper: float = math.inf
+
+
+#: every parameter of every criterion
+PARAMETERS: Final[dict[str, Parameter]] = {
+    part.name: part
+    for part in (
+        Parameter(name="modulus", dimension="number", lower=1.0, upper=1e3, meaning="Weibull modulus m"),
+        Parameter(name="reference_volume", dimension="volume", meaning="volume the strength is measured on"),
+        Parameter(name="reference_area", dimension="area", meaning="area the strength is measured on"),
+        Parameter(name="largest_energy", dimension="specific_energy", meaning="largest specific fracture energy"),
+        Parameter(name="rate_0", dimension="strain_rate", meaning="strain rate at which the strength is doubled"),
+    )
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Criterion:
+    """One criterion.
+
+    Attributes
+    ----------
+    name, meaning, formula, source, range_text : str
+        `formula` gives the demand; `range_text` says in words what `ranges` says in numbers.
+    dimension : str
+        Of demand and strength, a key of `uqsphere.quantities.UNITS`.
+    strength : str
+        What the demand is held against.
+    quantity : str or None
+        The quantity of interest that is this demand with no parameter given; None if there is none.
+    needs : tuple of str
+        Columns, by the names of the nomenclature.
+    parameters, optional : tuple of str
+        Names in `PARAMETERS` that must be given, and that may be.
+    formula_of : function of (columns, parameters)
+        The demand, (n,), without the effect of rate.
+    ranges : mapping of str to (low, high)
+        Closed ranges of columns, of "a/r", and of parameters.
+    """
+
+    name: str
+    meaning: str
+    formula: str
+    source: str
+    range_text: str
+    dimension: str
+    strength: str
+    needs: tuple[str, ...]
+    formula_of: Callable[[Columns, Parameters], Array]
+    quantity: str | None = None
+    parameters: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def demand(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Array:
+    """The demand of n rows, in SI, to be compared with the criterion's strength.
+
+    With `rate_0` among the parameters the strength grows with the strain rate of each sample; what grows the strength
+    is taken off the demand, which leaves the comparison as it is.
+
+    Raises
+    ------
+    ValueError
+        For a parameter that is missing, not known to the criterion, or outside its bounds.
+
+    >>> rows = {"p_max": np.array([1e9]), "a_max": 1e-3, "sphere.radius": 0.01, "sphere.nu": 0.25}
+    >>> round(float(demand(CRITERIA["core_tension"], rows)[0]) / 1e6, 2)
+    9.86
+    """
+    missing = [name for name in criterion.parameters if name not in parameters]
+    if missing:
+        raise ValueError(f"the criterion {criterion.name} needs {missing[0]}")
+    for name, value in parameters.items():
+        if name not in (*criterion.parameters, *criterion.optional):
+            allowed = ", ".join((*criterion.parameters, *criterion.optional)) or "none"
+            raise ValueError(f"the criterion {criterion.name} has no {name} (its parameters: {allowed})")
+        bounds = PARAMETERS[name]
+        if not bounds.lower < value < bounds.upper:
+            raise ValueError(f"{name} must lie between {bounds.lower:g} and {bounds.upper:g}, found {value!r}")
+    found = np.atleast_1d(np.asarray(criterion.formula_of(columns, parameters), dtype=float))
+    if "rate_0" in parameters:
+        found = found / dynamic_increase(strain_rate(columns), parameters["rate_0"])
+    return found
+
+
+def field_quantities(columns: Columns, names: Collection[str] | None, demands: Demands) -> dict[str, Array]:
+    """Those of the `QUANTITIES` and of further demands that are named, or all; (n,) each."""
+    every: dict[str, tuple[str, Parameters]] = {name: (key, {}) for name, key in QUANTITIES.items()}
+    return {
+        name: demand(CRITERIA[key], columns, parameters)
+        for name, (key, parameters) in (every | dict(demands)).items()
+        if names is None or name in names
+    }
+
+
+def columns_behind(demands: Demands, names: Collection[str]) -> set[str]:
+    """Columns that the named ones of further demands are made from."""
+    found: set[str] = set()
+    for name, (key, parameters) in demands.items():
+        if name in names:
+            found |= {*CRITERIA[key].needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ())}
+    return found
+
+
+def in_range(
+    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+) -> npt.NDArray[np.bool_]:
+    """Which of n rows lie inside the range of the criterion."""
+    inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
+    for name, (low, high) in criterion.ranges.items():
+        if name == "a/r":
+            value: Any = _ratio(columns)
+        else:
+            value = parameters[name] if name in parameters else columns.get(name)
+        if value is not None:
+            inside &= (np.asarray(value) >= low) & (np.asarray(value) <= high)
+    return inside
+
+
+def _ratio(columns: Columns) -> Array:
+    return np.asarray(columns["a_max"] / np.asarray(columns["sphere.radius"], dtype=float))
+
+
+def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
+    def formula(columns: Columns, parameters: Parameters) -> Array:
+        return np.asarray(columns["p_max"]) * tables.ratio(name, _ratio(columns), columns["sphere.nu"])
+
+    return formula
+
+
+def _core(columns: Columns, parameters: Parameters) -> Array:
+    return np.asarray(columns["p_max"]) * tables.core_ratio(_ratio(columns), columns["sphere.nu"])[0]
+
+
+def _equator(columns: Columns, parameters: Parameters) -> Array:
+    ratio = np.square(_ratio(columns))
+    return np.asarray(columns["p_max"]) * ratio * tables.ratio("equator", _ratio(columns), columns["sphere.nu"])
+
+
+def strain_rate(columns: Columns) -> Array:
+    """Mean strain rate of the core while the force rises [1/s]: core_tension/E times loading_rate/P_max.
+
+    The core tension is taken to rise in proportion with the force.
+    """
+    growth = np.asarray(columns["loading_rate"]) / np.asarray(columns["P_max"])
+    return np.asarray(_core(columns, {}) / np.asarray(columns["sphere.E"]) * growth)
+
+
+def dynamic_increase(rate: Any, rate_0: Any) -> Array:
+    """Strength at a strain rate over the quasi-static one: 1 + (rate/rate_0)^(2/3).
+
+    Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150 to 300 1/s in
+    compression for four rocks: Rae and others (2021).
+
+    >>> float(dynamic_increase(0.0, 200.0)), float(dynamic_increase(200.0, 200.0))
+    (1.0, 2.0)
+    """
+    return np.asarray(1.0 + np.cbrt(np.square(np.maximum(rate, 0.0) / np.asarray(rate_0, dtype=float))))
+
+
+def size_factor(size: Any, reference_size: Any, modulus: Any) -> Array:
+    """Strength of a body over that of the reference: (V_0/V)^(1/m), V a volume or an area.
+
+    >>> float(size_factor(8.0, 1.0, 3.0))
+    0.5
+    """
+    return np.asarray((np.asarray(reference_size, dtype=float) / size) ** (1.0 / np.asarray(modulus, dtype=float)))
+
+
+def ring_crack_toughness(force: Any, radius: Any, E: Any) -> Array:
+    """Toughness at which a ring crack just becomes a cone: K = sqrt(P E/(A r)) [Pa sqrt(m)], A = 8600.
+
+    Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the side of the demand.
+    """
+    return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
+
+
+def ring_crack_force(toughness: Any, radius: Any, E: Any) -> Array:
+    """P_C = A K_Ic² r/E [N], A = 8600: the force at which a cone crack forms. The inverse of `ring_crack_toughness`.
+
+    >>> round(float(ring_crack_force(0.7e6, 0.005, 70e9)))
+    301
+    """
+    return np.asarray(AUERBACH * np.square(toughness) * radius / np.asarray(E, dtype=float))
+
+
+def hiramatsu_oka_tension(force: Any, radius: Any) -> Array:
+    """0.9 P/D² [Pa], the tensile strength that irregular lumps are credited with in practice."""
+    return np.asarray(0.9 * np.asarray(force) / np.square(2.0 * np.asarray(radius)))
+
+
+def truncated_energy(energy: Any, largest: Any) -> Array:
+    """E_max E/(E_max - E): what a fracture energy, bounded by E_max, becomes so that its law is lognormal.
+
+    At E_max and above everything breaks; the number returned there, 1e9 E_max, lies beyond any strength.
+
+    >>> truncated_energy([50.0, 200.0], 100.0).tolist()
+    [100.0, 100000000000.0]
+    """
+    e, top = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(energy, largest))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(e < top, np.minimum(top * e / (top - e), _CERTAIN * top), _CERTAIN * top)
+
+
+def fracture_energy(force: Any, beta: Any) -> Array:
+    """E_f = (4/5) P_f^(5/3) beta^(-2/3) [J]: what both contacts hold when the force reaches P_f."""
+    return np.asarray(2.0 * contact.contact_energy(contact.approach_at_force(force, beta), beta))
+
+
+def equivalent_tension(
+    pressure: Any, contact_ratio: Any, nu: Any, modulus: Any, size_ratio: Any, *, over: str = "volume"
+) -> Array:
+    """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio V/V_0 or S/S_0.
+
+    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
+    """
+    field = tables.ratio(over, contact_ratio, nu, modulus)
+    return np.asarray(np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus)))
+
+
+def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
+    def formula(columns: Columns, parameters: Parameters) -> Array:
+        radius = np.asarray(columns["sphere.radius"])
+        if over == "volume":
+            size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
+        else:
+            size = 4.0 * math.pi * radius**2 / parameters["reference_area"]
+        modulus = parameters["modulus"]
+        return equivalent_tension(columns["p_max"], _ratio(columns), columns["sphere.nu"], modulus, size, over=over)
+
+    return formula
+
+
+def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
+    m = parameters["modulus"]
+    area = 2.0 * math.pi * np.square(np.asarray(columns["a_max"])) / (m - 1.0)
+    edge = contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"]))
+    return np.asarray(edge * (area / parameters["reference_area"]) ** (1.0 / m))
+
+
+def _energy(columns: Columns, parameters: Parameters) -> Array:
+    energy = np.asarray(columns["specific_energy"], dtype=float)
+    return truncated_energy(energy, parameters["largest_energy"]) if "largest_energy" in parameters else energy
+
+
+_FIELD: Final = ("p_max", "a_max", "sphere.radius", "sphere.nu")
+_SERIES: Final = "Legendre series of the sphere under Hertz pressure on two caps, theory section 6"
+_TABLE: Final = MappingProxyType({"a/r": tables.CONTACT_RATIO, "sphere.nu": tables.POISSON})
+_TABLE_TEXT: Final = "0.005 <= a/r <= 0.3, 0 <= nu <= 0.5, equal forces"
+_WEIBULL_TABLE: Final = MappingProxyType(
+    {"a/r": tables.CONTACT_RATIO, "sphere.nu": tables.POISSON_WEIBULL, "modulus": tables.MODULUS}
+)
+_WEIBULL_TEXT: Final = "0.005 <= a/r <= 0.3, 0 <= nu <= 0.4, 2 <= m <= 50, equal forces"
+_RATE: Final = ("rate_0",)
+
+#: every criterion by name
+CRITERIA: Final[dict[str, Criterion]] = {
+    entry.name: entry
+    for entry in (
+        Criterion(
+            name="contact_pressure", quantity="p_max",
+            meaning="largest contact pressure", formula="p_max", dimension="pressure",
+            strength="contact strength, near 0.5 to 1 times the hardness (not the uniaxial strength)",
+            source="Johnson, Contact Mechanics, 1985, section 6.2", range_text="a/r <= 0.3",
+            needs=("p_max", "a_max", "sphere.radius"), ranges={"a/r": (0.0, 0.3)},
+            formula_of=lambda columns, parameters: np.asarray(columns["p_max"], dtype=float)),
+        Criterion(
+            name="edge_tension", quantity="edge_tension",
+            meaning="radial tension at the rim of the contact",
+            formula="(1 - 2 nu)/3 p_max", dimension="pressure", strength="tensile strength of the surface",
+            source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
+            range_text="a/r <= 0.05; far too severe where the stress is steep (see ring_crack)",
+            needs=_FIELD, ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)},
+            formula_of=lambda columns, parameters: np.asarray(
+                contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"])))),
+        Criterion(
+            name="ring_crack", quantity="ring_crack_toughness",
+            meaning="ring crack that grows into a cone, by fracture mechanics",
+            formula="sqrt(P_max E/(8600 r))", dimension="toughness", strength="fracture toughness K_Ic",
+            source="Lawn, J. Am. Ceram. Soc. 81 (1998) 1977, from memory; Auerbach's law",
+            range_text="a/r <= 0.2; surface flaws of about 0.01 to 0.1 a",
+            needs=("P_max", "a_max", "sphere.radius", "sphere.E"), ranges={"a/r": (0.0, 0.2)},
+            formula_of=lambda columns, parameters: ring_crack_toughness(
+                columns["P_max"], columns["sphere.radius"], columns["sphere.E"])),
+        Criterion(
+            name="core_tension", quantity="core_tension",
+            meaning="largest hoop tension on the axis",
+            formula="p_max f(a/r, nu)", dimension="pressure", strength="tensile strength", source=_SERIES,
+            range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_core),
+        Criterion(
+            name="centre_tension", quantity="centre_tension",
+            meaning="tension at the centre, point loads",
+            formula="21 P_max/(pi (7 + 5 nu) D²)", dimension="pressure", strength="tensile strength",
+            source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2", needs=("P_max", *_FIELD),
+            optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
+            formula_of=lambda columns, parameters: np.asarray(contact.centre_tension(
+                np.asarray(columns["P_max"]), np.asarray(columns["sphere.radius"]),
+                np.asarray(columns["sphere.nu"])))),
+        Criterion(
+            name="equatorial_tension", quantity="equatorial_tension",
+            meaning="hoop tension on the surface at the equator",
+            formula="p_max (a/r)² f(a/r, nu)", dimension="pressure", strength="tensile strength of the surface",
+            source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_equator),
+        Criterion(
+            name="hiramatsu_oka", quantity="hiramatsu_oka_tension",
+            meaning="tensile stress as used in practice for lumps of rock",
+            formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
+            source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
+            needs=("P_max", "a_max", "sphere.radius"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
+            formula_of=lambda columns, parameters: hiramatsu_oka_tension(columns["P_max"], columns["sphere.radius"])),
+        Criterion(
+            name="weakest_link_volume", meaning="flaws in the volume opened by the hoop tension",
+            formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)", dimension="pressure",
+            strength="Weibull strength of modulus m of the reference volume",
+            source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
+            parameters=("modulus", "reference_volume"), optional=_RATE, ranges=_WEIBULL_TABLE,
+            formula_of=_weakest("volume")),
+        Criterion(
+            name="weakest_link_surface", meaning="flaws in the surface opened by the hoop tension",
+            formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)", dimension="pressure",
+            strength="Weibull strength of modulus m of the reference area",
+            source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
+            parameters=("modulus", "reference_area"), optional=_RATE, ranges=_WEIBULL_TABLE,
+            formula_of=_weakest("surface")),
+        Criterion(
+            name="weakest_link_rim", meaning="flaws in the surface around both contacts opened by the radial tension",
+            formula="(1 - 2 nu)/3 p_max [2 pi a²/((m - 1) S_0)]^(1/m)", dimension="pressure",
+            strength="Weibull strength of modulus m of the reference area",
+            source="Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; half space",
+            range_text="a/r <= 0.05, m > 1", needs=_FIELD, parameters=("modulus", "reference_area"),
+            ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)}, formula_of=_weakest_rim),
+        Criterion(
+            name="specific_energy", quantity="specific_energy",
+            meaning="energy stored in both contacts per mass",
+            formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
+            strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
+            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
+            range_text="that of the contact",
+            needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
+        Criterion(
+            name="subsurface_shear", quantity="subsurface_shear",
+            meaning="largest shear stress on the axis",
+            formula="p_max f(a/r, nu)", dimension="pressure", strength="shear strength (yield, crushing below contact)",
+            source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, ranges=_TABLE, formula_of=_tabulated("shear")),
+    )
+}  # fmt: skip
+
+#: quantities of interest that only a criterion answers, and that criterion
+QUANTITIES: Final[dict[str, str]] = {
+    entry.quantity: name
+    for name, entry in CRITERIA.items()
+    if entry.quantity in ("core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear",
+                          "ring_crack_toughness")
+}  # fmt: skip

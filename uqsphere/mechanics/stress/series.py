@@ -1,0 +1,221 @@
+"""Elastic sphere under Hertz pressure on two polar caps: the Legendre series of the stress, anywhere inside.
+
+Lengths are in units of the sphere's radius, stresses in units of the caps' pressure.  The load on each cap is
+radial, p_0 sqrt(1 - (sin t/a)²), t the angle from the cap's own pole.  Written out in Legendre polynomials,
+-sigma_r = sum p_n P_n(cos t) at r = 1 and no shear there, every degree n >= 2 is a solution of its own with
+two constants,
+
+    A_n = p_n / {2 [n² + n + 1 + nu (2n + 1)]},    B_n = -A_n (n² + 2n - 1 + 2 nu)/(n - 1),
+
+theory section 6; tests/test_sphere_stress.py checks the components against equilibrium, compatibility and the load.
+Degree 0 is a uniform pressure.  Degree 1, which there is under unequal forces, is the pressure of an accelerated body,
+-p_1 r cos t in all three directions: its divergence is the body force, mass times acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+__all__ = ["MOST_TERMS", "Load", "Stress", "load_coefficients", "series_stress", "terms_for"]
+
+#: degrees beyond which a series is not carried; what is left is stated by `Stress.truncation`
+MOST_TERMS = 40_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load:
+    """Hertz pressure on two polar caps.
+
+    contact_ratio : a/r of the cap at t = 0 and of the one at t = pi; pressure : p_0 of each [Pa, or 1].
+    """
+
+    contact_ratio: tuple[float, float]
+    pressure: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if not all(0.0 < ratio < 1.0 for ratio in self.contact_ratio):
+            raise ValueError(f"contact_ratio must lie between 0 and 1, found {self.contact_ratio}")
+        if not all(0.0 <= pressure < math.inf for pressure in self.pressure):
+            raise ValueError(f"pressure must be finite and not negative, found {self.pressure}")
+
+    @classmethod
+    def balanced(cls, contact_ratio: float, pressure: float = 1.0) -> Load:
+        """The same force on both faces."""
+        return cls(contact_ratio=(contact_ratio, contact_ratio), pressure=(pressure, pressure))
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether both caps carry the same, so that the odd degrees vanish."""
+        return self.contact_ratio[0] == self.contact_ratio[1] and self.pressure[0] == self.pressure[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stress:
+    """Stress at points, each field of the shape of the points, in the unit of the load's pressure.
+
+    radial, polar, azimuthal, shear : sigma_r, sigma_theta, sigma_phi, tau_r,theta.
+    truncation : bound of what the terms left out add to any component.
+    """
+
+    radial: Array
+    polar: Array
+    azimuthal: Array
+    shear: Array
+    truncation: Array
+
+    @property
+    def principal(self) -> tuple[Array, Array, Array]:
+        """The two principal stresses of the meridian plane, larger first, and the azimuthal one."""
+        middle = 0.5 * (self.radial + self.polar)
+        half = np.hypot(0.5 * (self.radial - self.polar), self.shear)
+        return middle + half, middle - half, self.azimuthal
+
+    @property
+    def tension(self) -> Array:
+        """The largest principal stress, negative where there is no tension."""
+        return np.maximum(self.principal[0], self.azimuthal)
+
+    @property
+    def largest_shear(self) -> Array:
+        """Half the difference of the largest and the smallest principal stress."""
+        upper, lower, around = self.principal
+        return 0.5 * (np.maximum(upper, around) - np.minimum(lower, around))
+
+
+def load_coefficients(load: Load, terms: int) -> Array:
+    """Legendre coefficients p_n of the pressure -sigma_r on the surface, n = 0 … terms; (terms + 1,)."""
+    n = np.arange(terms + 1)
+    total = np.zeros(terms + 1)
+    if load.is_balanced:
+        total[::2] = 2.0 * load.pressure[0] * _cap_integrals(load.contact_ratio[0], terms)[::2]
+    else:
+        for sign, ratio, pressure in zip((1.0, -1.0), load.contact_ratio, load.pressure, strict=True):
+            total += sign**n * pressure * _cap_integrals(ratio, terms)
+    return 0.5 * (2 * n + 1) * total
+
+
+def _cap_integrals(a: float, terms: int) -> Array:
+    """J_n = ∫ sqrt(1 - (sin t/a)²) P_n dcos t over one cap, n = 0 … terms.
+
+    Up to n about 3/a by Gauss quadrature in psi, sin t = a sin psi, which makes the integrand smooth; beyond by a
+    recurrence, which follows from one integration by parts of (cos² t - c²)^(3/2) P_n, c² = 1 - a²:
+
+        (n+2)(n+4)/(2n+3) J_(n+2) + e_n J_n + (n-1)(n-3)/(2n-1) J_(n-2) = 0.
+
+    It is not used from the start, where its other solutions are larger by 1/a³ and would carry rounding errors up.
+    """
+    found = np.zeros(terms + 1)
+    first = min(terms, 5 + math.ceil(3.0 / a))
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    psi = 0.25 * math.pi * (nodes + 1.0)
+    cosine = np.sqrt(1.0 - (a * np.sin(psi)) ** 2)
+    weights = 0.25 * math.pi * weights * a**2 * np.cos(psi) ** 2 * np.sin(psi) / cosine
+    before, now = np.zeros_like(psi), np.ones_like(psi)
+    for n in range(first + 1):
+        found[n] = float(weights @ now)
+        before, now = now, ((2 * n + 1) * cosine * now - n * before) / (n + 1)
+    values = found.tolist()
+    for n in range(first - 1, terms - 1):
+        up, down = (n + 1) * (n + 2) / (2 * n + 3), n * (n - 1) / (2 * n - 1)
+        even = 2 * n * a * a + a * a - up - down + 3.0 * ((n + 1) / (2 * n + 3) - n / (2 * n - 1))
+        values[n + 2] = -(even * values[n] + (n - 1) * (n - 3) / (2 * n - 1) * values[n - 2]) * (
+            (2 * n + 3) / ((n + 2) * (n + 4))
+        )
+    return np.array(values)
+
+
+def terms_for(radius: float, tolerance: float) -> int:
+    """Degree at which r^n n has fallen below the tolerance, at most `MOST_TERMS`."""
+    if radius >= 1.0:
+        return MOST_TERMS
+    if radius <= 0.0:
+        return 4
+    rate = -math.log(radius)
+    n = 4.0
+    for _ in range(4):
+        n = max(4.0, (math.log(1.0 / tolerance) + math.log(n)) / rate)
+    return min(MOST_TERMS, math.ceil(n) + 2)
+
+
+def series_stress(
+    radius: npt.ArrayLike, angle: npt.ArrayLike, load: Load, nu: float, *, tolerance: float = 1e-12
+) -> Stress:
+    """Stress at points (r, t), summed until what is left is below `tolerance` times the pressure.
+
+    Parameters
+    ----------
+    radius, angle : broadcastable arrays
+        Distance from the centre over the sphere's radius, in [0, 1], and angle from the axis [rad].
+    load : Load
+    nu : Poisson ratio of the sphere, in (-1, 0.5]
+    tolerance : error wanted, over the larger pressure
+
+    Returns
+    -------
+    Stress
+        `truncation` says what was reached: near the surface, where the powers hardly fall, the sum ends at
+        `MOST_TERMS`.  On the surface itself `surface_stress` is the better way.
+
+    Raises
+    ------
+    ValueError
+        For points outside the sphere, or a Poisson ratio without meaning.
+
+    >>> centre = series_stress(0.0, 0.0, Load.balanced(0.01), 0.25)
+    >>> force = 2.0 / 3.0 * math.pi * 0.01**2
+    >>> round(float(centre.polar) / (21.0 * force / (math.pi * 8.25 * 4.0)), 3)
+    1.0
+    """
+    r, t = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(radius, angle))
+    if not -1.0 < nu <= 0.5:
+        raise ValueError(f"nu must lie in (-1, 0.5], found {nu}")
+    if not np.all((r >= 0.0) & (r <= 1.0)):
+        raise ValueError("radius must lie in [0, 1]: the points are in units of the sphere's radius")
+    largest = max(load.pressure) or 1.0
+    terms = terms_for(float(r.max(initial=0.0)), tolerance)
+    p = load_coefficients(load, terms)
+    sums = _sum(r.ravel(), np.cos(t).ravel(), np.sin(t).ravel(), p, nu)
+    left = _left_out(r.ravel(), load, terms, largest)
+    parts = [part.reshape(r.shape) for part in (*sums, left)]
+    return Stress(**{field.name: part for field, part in zip(fields(Stress), parts, strict=True)})
+
+
+def _sum(r: Array, x: Array, sine: Array, p: Array, nu: float) -> list[Array]:
+    """sigma_r, sigma_t, sigma_phi, tau at points (m,) by forward recurrences of P_n and P_n'."""
+    radial, polar, around, shear = -np.full_like(r, p[0]), -np.full_like(r, p[0]), -np.full_like(r, p[0]), 0.0 * r
+    if len(p) > 1 and p[1] != 0.0:
+        for part in (radial, polar, around):
+            part -= p[1] * r * x
+    # P_n, P_(n-1) and the derivatives with respect to x = cos t; power = r^(n-2)
+    before, now, slope_before, slope = np.ones_like(r), x.copy(), np.zeros_like(r), np.ones_like(r)
+    power, square = np.ones_like(r), r * r
+    for n in range(2, len(p)):
+        before, now = now, ((2 * n - 1) * x * now - (n - 1) * before) / n
+        slope_before, slope = slope, slope_before + (2 * n - 1) * before
+        if p[n] != 0.0:
+            a = p[n] / (2.0 * (n * n + n + 1.0 + nu * (2 * n + 1)))
+            b = -a * (n * n + 2 * n - 1 + 2.0 * nu) / (n - 1)
+            # r^n and r^(n-2) with what multiplies them, r^(n-2) in front
+            value, change = power * now, power * slope
+            cross = (a * (n + 5 - 4.0 * nu) * square + b) * (x * change)
+            radial += (a * (n + 1) * (n * n - n - 2 - 2.0 * nu) * square + b * n * (n - 1)) * value
+            polar += -(a * (n * n + 4 * n + 2 + 2.0 * nu) * (n + 1) * square + b * n * n) * value + cross
+            around += (a * (n + 1) * (n - 2 - 2.0 * nu - 4.0 * n * nu) * square + b * n) * value - cross
+            shear -= (a * (n * n + 2 * n - 1 + 2.0 * nu) * square + b * (n - 1)) * (sine * change)
+        power = power * r
+    return [radial, polar, around, shear]
+
+
+def _left_out(r: Array, load: Load, terms: int, largest: float) -> Array:
+    """Bound of the terms beyond `terms`: |p_n| < 2 p_0 min(n a², 1/(n a)), kernels below n (1 - r²) + 3."""
+    ratio = max(load.contact_ratio)
+    size = 2.0 * largest * min(terms * ratio**2, 2.0 / (terms * min(load.contact_ratio)))
+    with np.errstate(divide="ignore", under="ignore"):
+        tail = np.minimum(1.0 / np.maximum(1.0 - r, 1e-300), float(terms))
+        return np.asarray(size * r ** (terms - 1) * (terms * (1.0 - r * r) + 3.0) * tail)
