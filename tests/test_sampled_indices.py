@@ -134,7 +134,7 @@ def expansion(name: str, seed: int, points: int = 256, fits: int = 4):
     found = []
     for k in range(fits):
         u = sobol_points(dimension=model.dimension, count=points, seed=seed, task="fit", replicate=k)
-        found.append(fit_chaos(germ_points(ndtri(u), model.germs), model.function(u), model.germs))
+        found.append(fit_chaos(germ_points(ndtri(u), model.germs), model.function(u), model.germs, plain=True))
     return found
 
 
@@ -174,7 +174,8 @@ def test_intervals_with_a_surrogate_that_is_wrong_still_cover() -> None:
         fits = []
         for fit in expansion("ishigami", seed, fits=1):
             alone = (fit.multi_indices > 0).sum(axis=1) <= 1
-            fits.append(replace(fit, coefficients=fit.coefficients[alone], multi_indices=fit.multi_indices[alone]))
+            piece = replace(fit.pieces[0], coefficients=fit.coefficients[alone], multi_indices=fit.multi_indices[alone])
+            fits.append(replace(fit, pieces=(piece,)))
         _, found = controlled("ishigami", seed, blocks, fits=fits)
         for order in ("first", "total"):
             hits += [e.low <= t <= e.high for e, t in zip(getattr(found, order), getattr(model, order), strict=True)]
@@ -200,11 +201,16 @@ def test_the_mean_of_expansions_is_the_mean_of_their_values() -> None:
 
     each = np.mean([predict(fit, points) for fit in fits], axis=0)
     assert predict(mean_expansion(fits), points) == pytest.approx(each, rel=1e-10)
+    transformed = fit_chaos(points, np.exp(points[:, 1]), MODELS["borehole"].germs)
+    assert not transformed.plain
+    with pytest.raises(ValueError, match="in one piece"):
+        mean_expansion([transformed])
 
 
 def test_a_constant_expansion_is_no_surrogate() -> None:
     fits = expansion("linear", 1, points=32, fits=1)
     from dataclasses import replace
 
-    flat = replace(fits[0], coefficients=fits[0].coefficients[:1], multi_indices=fits[0].multi_indices[:1])
+    piece = replace(fits[0].pieces[0], coefficients=fits[0].coefficients[:1], multi_indices=fits[0].multi_indices[:1])
+    flat = replace(fits[0], pieces=(piece,))
     assert chaos_surrogate(flat, Blocks(inputs_count=5), np.ones((2, 4, 7))) is None

@@ -174,7 +174,7 @@ def surrogate_rows(
                 )  # fmt: skip
                 germs.append(germ_points(np.asarray(ndtri(u)), model.germs))
                 outputs.append(model.function(u))
-            fits = [fit_chaos(germs[k], outputs[k], model.germs) for k in range(FITS)]
+            fits = [fit_chaos(germs[k], outputs[k], model.germs, plain=True) for k in range(FITS)]
             held = [validation_error(fits[k], germs[FITS + k], outputs[FITS + k]) for k in range(FITS)]
             error = float(np.mean(held))
             sampled = _controlled(model, mean_expansion(fits), seed + repetition)

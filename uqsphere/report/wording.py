@@ -152,7 +152,7 @@ def probability_text(estimate: Estimate) -> str:
 def probability_range(low: float, high: float) -> str:
     """Two probabilities between which another lies.
 
-    >>> probability_range(1.5331809e-06, 0.0115)
+    >>> probability_range(1.5331809e-06, 0.0123)
     '1.5 × 10⁻⁶ to 1.2 %'
     """
     return f"{_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))}"

@@ -86,7 +86,12 @@ def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64],
 
 
 def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
-    """The mean of plain expansions in the same germs: their terms together, each with its mean coefficient."""
+    """The mean of plain expansions in the same germs: their terms together, each with its mean coefficient.
+
+    Raises ValueError for an expansion of a transformed output or in two pieces: its indices are not known exactly.
+    """
+    if not all(fit.plain for fit in fits):
+        raise ValueError("a control variate takes expansions of the output itself, in one piece: fit them with plain")
     degrees = np.concatenate([fit.multi_indices for fit in fits])
     values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
     terms, place = np.unique(degrees, axis=0, return_inverse=True)
