@@ -73,7 +73,12 @@ class LimitAnswer:
 
 
 def takes_over(work: Work, answer: LimitAnswer) -> bool:
-    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen."""
+    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen.
+
+    They know the Gaussian copula alone.
+    """
+    if work.all_inputs.groups:
+        return False
     small = answer.miss.value is None or answer.miss.value < RARE
     return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
 

@@ -72,7 +72,7 @@ def largest_hoop(load: Array, contact_ratio: float, nu: float) -> tuple[float, f
     >>> load = load_on_axis(0.1)
     >>> tension, u = largest_hoop(load, 0.1, 0.25)
     >>> print(f"{tension:.6f} {1 - u**0.5:.4f}")
-    0.009865 0.2182
+    0.009865 0.2186
     """
     hoop = axis_series(load, nu)[0]
     u, value = _peak(hoop, max(_first_guess(hoop, contact_ratio), 1e-3))

