@@ -119,7 +119,21 @@ def limits_table(contents: Contents) -> Table:
             rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
         words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
         rows += [(limit_name(name), words.get(k, k), _cell(e)) for k, e in limit["margin"].items()]
+        rows += _design_rows(name, limit)
     return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
+
+
+def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The most probable way to miss the aim, how many ways there are, and what the methods say of each other."""
+    rows = []
+    for of, value in (limit.get("design_point") or {}).items():
+        unit_of = limit["quantity"] if of.endswith(".strength") else of
+        rows.append((limit_name(name), f"design point: {input_name(of)}", value_text(value, unit_of)))
+    if not rows and limit.get("design_point_reason"):
+        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit['design_point_reason']})"))
+    if limit.get("modes"):
+        rows.append((limit_name(name), "separate ways to miss the aim", str(limit["modes"])))
+    return rows + [(limit_name(name), "check", str(text)) for text in limit.get("checks") or ()]
 
 
 def margins_table(contents: Contents, name: str) -> Table:
