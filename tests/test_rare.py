@@ -15,6 +15,7 @@ from uqsphere.bench.rare import integrate_plane
 from uqsphere.bench.rare_models import PROBLEMS, problem
 from uqsphere.uq.rare.adapt import Pool, collect, pooled_weights
 from uqsphere.uq.rare.auto import find_probability
+from uqsphere.uq.rare.directional import directional_simulation
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.importance import (
     around_design_points,
@@ -346,3 +347,25 @@ def test_references_in_closed_form() -> None:
             beta = float(entry.function(np.zeros((1, entry.dimension)))[0])
             assert entry.reference == pytest.approx(float(ndtr(-beta)), rel=1e-9), entry.name
     assert problem("shell").reference == pytest.approx(float(chi2.sf(50.0, 8)), rel=1e-9)
+
+
+# --- directions -----------------------------------------------------------------------------------
+
+
+def test_directions_are_exact_for_a_shell_and_cover_for_two_sides() -> None:
+    shell = directional_simulation(evaluator(lambda u: 40.0 - (u**2).sum(axis=1), 5), seed=2).estimate
+    assert shell.value == pytest.approx(float(chi2.sf(40.0, 5)), rel=2e-3)
+    exact, covered = 2.0 * float(ndtr(-4.0)), 0
+    for seed in range(20):
+        e = directional_simulation(evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 3), seed=seed).estimate
+        assert e.low is not None
+        assert e.high is not None
+        covered += e.low <= exact <= e.high
+    assert covered >= 16
+
+
+def test_directions_that_meet_nothing_give_a_bound() -> None:
+    e = directional_simulation(evaluator(lambda u: np.ones(len(u)), 3), seed=2).estimate
+    assert e.value is None
+    assert e.high is not None
+    assert "no direction" in str(e.reason)

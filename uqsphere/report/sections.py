@@ -125,7 +125,7 @@ def limits_table(contents: Contents) -> Table:
 
 def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """The most probable way to miss the aim, how many ways there are, and what the methods say of each other."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for of, value in (limit.get("design_point") or {}).items():
         unit_of = limit["quantity"] if of.endswith(".strength") else of
         rows.append((limit_name(name), f"design point: {input_name(of)}", value_text(value, unit_of)))

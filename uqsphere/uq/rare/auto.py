@@ -37,6 +37,8 @@ __all__ = ["RareAnswer", "find_probability"]
 MOST_WIDE = 12
 #: points of a chain that are worth one, in few and in many dimensions
 _CHAIN = (4.0, 10.0)
+#: evaluations kept for telling the parts of the failure domain apart
+FOR_MODES = 400
 #: shape of the weights' tail, and share of one point, above which the weights are not trusted
 WORST_SHAPE, HEAVIEST = 0.7, 0.1
 
@@ -176,6 +178,8 @@ def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accur
     """The answer; weights that are not to be trusted end a sampling early, and their points mend the mixture."""
     rng = random_generator(seed=seed, task="mend")
     answer: ImportanceAnswer | None = None
+    # counting the parts of the failure domain takes some evaluations too
+    reserve = int(min(FOR_MODES, 0.05 * evaluator.budget))
     for turn in range(3):
         # nothing is kept for mending where it would not suffice
         stop = _poor if turn < 2 and evaluator.left > 9000 else None
@@ -183,6 +187,7 @@ def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accur
         again = importance_sampling(
             evaluator,
             defended(mixture),
+            most=evaluator.left - reserve,
             seed=seed,
             accuracy=accuracy,
             block=block,
@@ -215,8 +220,8 @@ def _trusted(answer: ImportanceAnswer) -> bool:
 
 
 def _modes(evaluator: Evaluator, answer: ImportanceAnswer, mixture: Mixture) -> int:
-    if answer.estimate.value is None or evaluator.left < 100:
-        return 0 if answer.estimate.value is None else 1
+    if answer.estimate.value is None:
+        return 0
     return count_modes(evaluator, answer.points, answer.weights, mixture)
 
 

@@ -25,7 +25,7 @@ __all__ = ["ImportanceAnswer", "around_design_points", "defended", "importance_s
 #: independent randomisations that an interval rests on
 REPLICATES = 16
 #: least standard error on a hard limit, over that of independent points
-HARD = 0.8
+HARD = 0.7
 #: dimensions up to which a wider copy of a Gaussian still meets the original
 FEW = 10
 METHOD = "importance sampling"
