@@ -27,6 +27,8 @@ __all__ = ["ActiveAnswer", "learn_probability"]
 
 #: calls between two looks at the lengths of the process, and candidates of every look
 EVERY, CANDIDATES = 5, 6000
+#: looks at untouched space for every variable, before the process is believed
+LOOKS = 6
 METHOD = "active learning, Gaussian process"
 
 
@@ -54,21 +56,31 @@ def learn_probability(
     points = _first_points(size, seed, task, min(max(12, 4 * size), budget))
     try:
         values = evaluator.hard(points)
-        doubt, calm = 1.0, 0
+        doubt, calm, looked = 1.0, 0, 0
         known = np.isfinite(values)
         if known.sum() < 3:
             nothing = absent("fewer than three of the first points have an answer", METHOD, evaluator.count)
             return ActiveAnswer(estimate=nothing, calls=evaluator.count, doubt=1.0, modes=0)
         model = fit_kriging(points[known], _squeezed(values[known]))
-        while evaluator.left >= 1 and calm < 3:
+        while evaluator.left >= 1 and (calm < 3 or looked < LOOKS * size):
             candidates, weights = _candidates(model, seed, task, evaluator.count)
             mean, deviation = predict(model, candidates)
             wrong, failing = _signs(mean, deviation)
             total = float((weights * failing).sum())
             doubt = float((weights * wrong).sum()) / max(total, 1e-300)
-            calm = calm + 1 if doubt < accuracy else 0
-            chosen = candidates[int(np.argmax(weights * wrong * deviation / deviation.max()))]
+            # the looks at untouched space come after three calm turns, and are not ended by a little more doubt
+            calm = calm + 1 if doubt < (accuracy if calm < 3 else 4.0 * accuracy) else 0
+            far = calm >= 3
+            chosen = (
+                _untouched(candidates, points, total)
+                if far
+                else candidates[int(np.argmax(weights * wrong * deviation / deviation.max()))]
+            )
             values = np.append(values, evaluator.hard(chosen[None, :]))
+            if far:
+                # what was excluded there and yet fails sends the process back to learning
+                surprised = bool(values[-1] < 0.0) and float(predict(model, chosen[None, :])[0][0]) > 0.0
+                calm, looked = (0, 0) if surprised else (calm, looked + 1)
             points = np.concatenate([points, chosen[None, :]])
             known = np.isfinite(values)
             if len(points) % EVERY == 0 or calm > 0:
@@ -96,6 +108,18 @@ def _squeezed(values: Array) -> Array:
     """Values with their sign, great ones pulled in: what matters is where they change it."""
     scale = float(np.median(np.abs(values))) or 1.0
     return np.asarray(np.arcsinh(2.0 * values / scale))
+
+
+def _untouched(candidates: Array, points: Array, probability: float) -> Array:
+    """The candidate that is farthest from every point, no farther out than failures of that probability would be."""
+    from scipy.special import ndtri
+
+    reach = 1.0 - float(ndtri(min(max(probability / len(candidates), 1e-15), 0.4)))
+    near = candidates[np.linalg.norm(candidates, axis=1) <= max(reach, 2.0)]
+    if not len(near):
+        return np.asarray(candidates[0])
+    distances = (near**2).sum(axis=1)[:, None] + (points**2).sum(axis=1)[None, :] - 2.0 * near @ points.T
+    return np.asarray(near[int(np.argmax(distances.min(axis=1)))])
 
 
 def _signs(mean: Array, deviation: Array) -> tuple[Array, Array]:
