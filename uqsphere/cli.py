@@ -100,6 +100,8 @@ def build_parser() -> argparse.ArgumentParser:
     bench = command("bench", "speed against error on this machine")
     bench.add_argument("--quick", action="store_true", help="fewer rows and tolerances: a minute instead of ten")
     bench.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR", help="where to write")
+    bench.add_argument("--reliability", type=int, nargs="?", const=10, metavar="N",
+                       help="rare-event methods on public problems instead, N runs each (default 10)")  # fmt: skip
     bench.add_argument("--sweep", type=int, metavar="N", help="N hard scenes against a tighter tolerance instead")
     bench.add_argument("--reference", action="store_true", help="with --sweep: against the reference integrator")
     bench.add_argument("--seed", type=int, default=1, help="with --sweep: seed of the scenes (default 1)")

@@ -326,6 +326,8 @@ def command_bench(chosen: argparse.Namespace) -> int:
     """Measure speed against error, or sweep hard cases."""
     if chosen.sweep is not None:
         return _sweep(chosen)
+    if chosen.reliability is not None:
+        return _reliability(chosen)
     from uqsphere.bench import run_bench
 
     content = run_bench(chosen.out, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr))
@@ -335,6 +337,21 @@ def command_bench(chosen: argparse.Namespace) -> int:
     else:
         print(text)
         print(f"\nwritten to {chosen.out}")
+    return 0
+
+
+def _reliability(chosen: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from uqsphere.bench.rare import rare_table, rare_text
+
+    if not 1 <= chosen.reliability <= 1000:
+        raise UsageError(f"--reliability takes 1 to 1,000 runs of each problem, found {chosen.reliability}")
+    rows = rare_table(repetitions=chosen.reliability, notice=lambda text: print(text, file=sys.stderr))
+    if chosen.json:
+        _document({"reliability": [asdict(row) for row in rows]})
+    else:
+        print(rare_text(rows))
     return 0
 
 

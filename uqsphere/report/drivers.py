@@ -226,9 +226,4 @@ def design_finding(contents: Contents, name: str) -> str:
     text += "cosines in standard normal space."
     if limit.get("design_points", 1) > 1:
         text += f" {limit['design_points']} such points were found, of which this is the nearest."
-    if limit.get("modes"):
-        regions = "region" if limit["modes"] == 1 else "regions"
-        text += f" Failures were seen in {limit['modes']} separate {regions}."
-    for check in limit.get("checks", ()):
-        text += f" {str(check)[:1].upper()}{str(check)[1:]}."
     return text

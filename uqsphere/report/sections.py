@@ -119,7 +119,18 @@ def limits_table(contents: Contents) -> Table:
             rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
         words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
         rows += [(limit_name(name), words.get(k, k), _cell(e)) for k, e in limit["margin"].items()]
+        rows += _design_rows(name, limit)
     return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
+
+
+def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """How many ways there are to miss the aim, and what the methods say; a design point has a table of its own."""
+    rows: list[tuple[str, ...]] = []
+    if not limit.get("design_point") and limit.get("design_point_reason"):
+        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit['design_point_reason']})"))
+    if limit.get("modes"):
+        rows.append((limit_name(name), "separate ways to miss the aim", str(limit["modes"])))
+    return rows + [(limit_name(name), "check", str(text)) for text in limit.get("checks") or ()]
 
 
 def margins_table(contents: Contents, name: str) -> Table:

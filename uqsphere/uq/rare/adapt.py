@@ -18,7 +18,7 @@ from uqsphere.uq.rare.mixture import Mixture, allocate, draw_mixture, fit_mixtur
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["Pool", "adapt", "collect", "pooled_weights", "refit"]
+__all__ = ["Pool", "adapt", "blended", "collect", "pooled_weights", "refit"]
 
 #: points that a fit is made on at most
 _MOST_FITTED = 2000
@@ -95,7 +95,8 @@ def adapt(
     Where the weighted failures are worth too little for a fit, the next stage draws from the same mixture again.
     """
     rng = random_generator(seed=seed, task=f"{task} fits", replicate=len(pool.points))
-    for stage in range(stages):
+    core = mixture
+    for _ in range(stages):
         if evaluator.left < per_stage:
             break
         before = len(pool.points)
@@ -105,11 +106,15 @@ def adapt(
         fitted = refit(pool, rng=rng, most=most)
         if fitted is None:
             continue
-        # a poor stage's fit is joined with what led to it
-        mixture = fitted if share > 0.05 or stage else joined([(0.6, fitted), (0.4, mixture)])
+        mixture, core = blended(fitted, core), fitted
         if share > 0.45:
             break
     return mixture
+
+
+def blended(fitted: Mixture, before: Mixture) -> Mixture:
+    """A fit with a share of what led to it: where the fit has a hole by chance, the other still reaches."""
+    return joined([(0.7, fitted), (0.3, before)])
 
 
 def uncovered(mixture: Mixture, points: Array, probability: float) -> Array:

@@ -15,18 +15,19 @@ import numpy as np
 
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.families import Array
-from uqsphere.uq.rare.adapt import Pool, adapt, collect, pooled_weights, uncovered, worth_of
+from uqsphere.uq.rare.adapt import Pool, adapt, blended, collect, pooled_weights, refit, uncovered, worth_of
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (
     ImportanceAnswer,
     around_design_points,
     defended,
     importance_sampling,
+    tail_shape,
     wide_mixture,
 )
-from uqsphere.uq.rare.mixture import Mixture, fit_mixture, joined
+from uqsphere.uq.rare.mixture import Mixture, fit_mixture, joined, log_density
 from uqsphere.uq.rare.modes import count_modes
-from uqsphere.uq.rare.problem import Evaluator, LimitFunction
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction, log_normal_density
 from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
 from uqsphere.uq.sampling import random_generator
 
@@ -36,6 +37,8 @@ __all__ = ["RareAnswer", "find_probability"]
 MOST_WIDE = 12
 #: points of a chain that are worth one, in few and in many dimensions
 _CHAIN = (4.0, 10.0)
+#: evaluations kept for telling the parts of the failure domain apart
+FOR_MODES = 400
 #: shape of the weights' tail, and share of one point, above which the weights are not trusted
 WORST_SHAPE, HEAVIEST = 0.7, 0.1
 
@@ -172,21 +175,44 @@ def _cover(evaluator: Evaluator, pool: Pool, mixture: Mixture, subset: SubsetAns
 
 
 def _sample(evaluator: Evaluator, pool: Pool, mixture: Mixture, seed: int, accuracy: float) -> ImportanceAnswer:
-    """The answer; where its weights are not to be trusted and budget is left, the mixture is mended once."""
-    # a part is kept for mending, where there is enough
-    most = evaluator.left if evaluator.left < 12_000 else 0.65 * evaluator.left
-    block = 256 if most > 16_000 else 128
-    answer = importance_sampling(evaluator, defended(mixture), seed=seed, accuracy=accuracy, most=most, block=block)
-    for turn in range(2):
-        if _trusted(answer) or evaluator.left < 6000:
-            break
-        mended = adapt(evaluator, pool, mixture, seed=seed, stages=2, per_stage=2048, task=f"mend {turn}")
+    """The answer; weights that are not to be trusted end a sampling early, and their points mend the mixture."""
+    rng = random_generator(seed=seed, task="mend")
+    answer: ImportanceAnswer | None = None
+    # counting the parts of the failure domain takes some evaluations too
+    reserve = int(min(FOR_MODES, 0.05 * evaluator.budget))
+    for turn in range(3):
+        # nothing is kept for mending where it would not suffice
+        stop = _poor if turn < 2 and evaluator.left > 9000 else None
+        block = 256 if evaluator.left > 10_000 else 128
         again = importance_sampling(
-            evaluator, defended(mended), seed=seed, accuracy=accuracy, most=0.8 * evaluator.left, task=f"mended {turn}"
+            evaluator,
+            defended(mixture),
+            most=evaluator.left - reserve,
+            seed=seed,
+            accuracy=accuracy,
+            block=block,
+            task=f"importance {turn}",
+            stop=stop,
         )
-        if _trusted(again) or again.heaviest < answer.heaviest:
-            answer, mixture = again, mended
+        if answer is None or _trusted(again) or again.heaviest < answer.heaviest:
+            answer = again
+        if _trusted(answer) or not len(again.weights) or evaluator.left < 16 * block:
+            break
+        ratio = log_density(again.mixture, again.points) - log_normal_density(again.points)
+        pool.points.append(again.points)
+        pool.mass.append(again.weights * np.exp(ratio))
+        pool.mixtures.append(again.mixture)
+        fitted = refit(pool, rng=rng, most=8)
+        mixture = mixture if fitted is None else blended(fitted, mixture)
+    assert answer is not None
     return answer
+
+
+def _poor(weights: Array) -> bool:
+    """Whether weights (R, n) are already known not to be trusted."""
+    total = float(weights.sum())
+    uneven = tail_shape(weights.reshape(-1)) > WORST_SHAPE or float(weights.max()) > HEAVIEST * total
+    return total > 0.0 and uneven
 
 
 def _trusted(answer: ImportanceAnswer) -> bool:
@@ -194,8 +220,8 @@ def _trusted(answer: ImportanceAnswer) -> bool:
 
 
 def _modes(evaluator: Evaluator, answer: ImportanceAnswer, mixture: Mixture) -> int:
-    if answer.estimate.value is None or evaluator.left < 100:
-        return 0 if answer.estimate.value is None else 1
+    if answer.estimate.value is None:
+        return 0
     return count_modes(evaluator, answer.points, answer.weights, mixture)
 
 

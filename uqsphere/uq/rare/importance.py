@@ -25,7 +25,7 @@ __all__ = ["ImportanceAnswer", "around_design_points", "defended", "importance_s
 #: independent randomisations that an interval rests on
 REPLICATES = 16
 #: least standard error on a hard limit, over that of independent points
-HARD = 0.8
+HARD = 0.7
 #: dimensions up to which a wider copy of a Gaussian still meets the original
 FEW = 10
 METHOD = "importance sampling"
@@ -37,7 +37,8 @@ class ImportanceAnswer:
 
     `points` (n, d), `weights` (n,): mass of failure over the sampling density, whose mean is the probability.
     `heaviest`: share of the largest weight; `shape`: of the weights' tail (above 0.7 the interval is not to
-    be trusted); `worth`: of the sample, as a number of points drawn from the failure domain itself.
+    be trusted); `worth`: of the sample, as a number of points drawn from the failure domain itself.  `mixture` is the
+    density that was really drawn from.
     """
 
     estimate: Estimate
@@ -46,6 +47,7 @@ class ImportanceAnswer:
     heaviest: float
     shape: float
     worth: float
+    mixture: Mixture
 
 
 def wide_mixture(dimension: int, reach: float = 6.0, rungs: int = 6) -> Mixture:
@@ -197,20 +199,21 @@ def importance_sampling(
                 points=np.concatenate([table.points, fresh.points], axis=1),
             )  # fmt: skip
         if table is None:
-            return _nothing(evaluator, evaluator.count - begun)
+            return _nothing(evaluator, mixture, evaluator.count - begun)
         estimate = _estimate(table, evaluator.count - begun, evaluator.limit.integrated)
         if goal == 0 or (estimate.value and estimate.half_width <= accuracy * estimate.value):
             break
         if stop is not None and stop(table.weights):
             break
         goal = 2 * blocks if blocks < 4 else blocks + max(1, blocks // 2)
-    return _summary(table, estimate)
+    return _summary(table, estimate, drawn_mixture)
 
 
-def _nothing(evaluator: Evaluator, evaluations: int) -> ImportanceAnswer:
+def _nothing(evaluator: Evaluator, mixture: Mixture, evaluations: int) -> ImportanceAnswer:
     return ImportanceAnswer(
         estimate=absent("the budget does not suffice for importance sampling", METHOD, evaluations),
-        points=np.empty((0, evaluator.dimension)), weights=np.empty(0), heaviest=1.0, shape=math.inf, worth=0.0,
+        points=np.empty((0, evaluator.dimension)), weights=np.empty(0), heaviest=1.0, shape=math.inf,
+        worth=0.0, mixture=mixture,
     )  # fmt: skip
 
 
@@ -259,7 +262,7 @@ def _estimate(table: _Drawn, evaluations: int, smooth: bool) -> Estimate:
                     method=method, evaluations=evaluations)  # fmt: skip
 
 
-def _summary(table: _Drawn, estimate: Estimate) -> ImportanceAnswer:
+def _summary(table: _Drawn, estimate: Estimate, mixture: Mixture) -> ImportanceAnswer:
     weights = table.weights.reshape(-1)
     total = float(weights.sum())
     return ImportanceAnswer(
@@ -269,4 +272,5 @@ def _summary(table: _Drawn, estimate: Estimate) -> ImportanceAnswer:
         heaviest=float(weights.max()) / total if total > 0.0 else 1.0,
         shape=tail_shape(weights),
         worth=total**2 / float((weights**2).sum()) if total > 0.0 else 0.0,
+        mixture=mixture,
     )

@@ -142,7 +142,8 @@ def fit_mixture(
     for radial in (False, True) if d >= LEAST_RADIAL else (False,):
         least = math.inf
         for count in (k for k in (1, 2, 3, 4, 6, 8) if k <= (3 if radial else most)):
-            if count > 1 and worth < 4.0 * count * (d + 1):
+            # a component of few points fits their noise, and leaves holes beside itself
+            if count > 1 and worth < count * (4.0 * (d + 1) if d > 10 or radial else 3.0 * (d + 0.5 * d * (d + 1))):
                 break
             fitted, loglik = _maximise(points, weights, count, worth, rng, radial)
             # in many dimensions the covariances are mostly not free: see _covariance
@@ -228,7 +229,7 @@ def _covariance(scatter: Array, number: float, d: int) -> Array:
     """
     values, vectors = np.linalg.eigh(scatter)
     ratio = math.sqrt(d / number)
-    middle = float(np.median(values)) if d > 4 else 1.0
+    middle = max(float(np.median(values)), 1e-4) if d > 4 else 1.0
     if d > 4 or number < 20 * d:
         scaled = values / middle
         inside = (scaled > (1.0 - min(ratio, 0.95)) ** 2 * 0.9) & (scaled < (1.0 + ratio) ** 2 * 1.1)

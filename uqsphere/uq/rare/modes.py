@@ -20,6 +20,8 @@ __all__ = ["count_modes"]
 MOST_CENTRES = 8
 #: dimensions up to which peaks are looked for among the points themselves
 MOST_DIMENSIONS = 10
+#: evaluations on the two paths between two peaks
+ON_PATHS = 14
 #: share of the probability from which on a part counts
 LEAST_SHARE = 0.01
 #: a saddle lower than this many natural logarithms below the lower of two peaks separates them
@@ -37,18 +39,28 @@ def count_modes(evaluator: Evaluator, points: Array, weights: Array, mixture: Mi
     failing = np.asarray(np.flatnonzero(weights > 0.0), dtype=np.int64)
     if not failing.size:
         return 0
+    affordable = _affordable(evaluator.left)
     if points.shape[1] > MOST_DIMENSIONS:
-        centres = _centres(mixture)
-        belongs = component_densities(mixture.components, points[failing]).argmax(axis=1)
+        kept = np.argsort(-mixture.shares, kind="stable")[:affordable]
+        centres = _centres(mixture)[kept]
+        belongs = component_densities([mixture.components[k] for k in kept], points[failing]).argmax(axis=1)
     else:
         order = failing[np.argsort(-log_normal_density(points[failing]), kind="stable")]
-        centres = points[_peaks(points, weights, order)]
+        centres = points[_peaks(points, weights, order)[:affordable]]
         belongs = ((points[failing][:, None, :] - centres[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)
     if len(centres) == 1:
         return 1
     labels = _joined(evaluator, centres)
     shares = np.bincount(labels[belongs], weights=weights[failing], minlength=len(centres))
     return max(1, int((shares >= LEAST_SHARE * shares.sum()).sum()))
+
+
+def _affordable(left: float) -> int:
+    """Number of peaks that so many evaluations can tell apart, at least one."""
+    count = MOST_CENTRES
+    while count > 1 and count * (count - 1) // 2 * ON_PATHS + count > left:
+        count -= 1
+    return count
 
 
 def _centres(mixture: Mixture) -> Array:
@@ -96,8 +108,6 @@ def _joined(evaluator: Evaluator, peaks: Array) -> Indices:
     m = len(peaks)
     pairs = [(i, j) for i in range(m) for j in range(i + 1, m)]
     paths = np.concatenate([_paths(peaks[i], peaks[j]) for i, j in pairs])
-    if evaluator.left < len(paths) + m:
-        return np.arange(m, dtype=np.int64)
     points = np.concatenate([paths, peaks])
     with np.errstate(divide="ignore"):
         heights = np.log(np.nan_to_num(evaluator.mass(evaluator.values(points)), nan=0.0))

@@ -1,0 +1,176 @@
+"""Few calls of a dear model: a Gaussian process that learns where the failure domain ends.
+
+The next point is where the process may err and where that matters: the probability of a wrong sign, weighted by the
+density of the variables.  The candidates cover the wide surroundings in all directions, far beyond what a population
+from the law itself would hold, so that a part of the failure domain nobody has seen yet counts as long as the process
+cannot exclude it there: that is the check of the untouched space (compare Echard, Gayton and Lemaire 2011, doi
+10.1016/j.strusafe.2011.01.002, whose population of the law misses far modes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.families import Array
+from uqsphere.uq.rare.auto import RareAnswer, find_probability
+from uqsphere.uq.rare.importance import wide_mixture
+from uqsphere.uq.rare.kriging import Kriging, fit_kriging, predict, through
+from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
+from uqsphere.uq.sampling import sobol_points
+
+__all__ = ["ActiveAnswer", "learn_probability"]
+
+#: calls between two looks at the lengths of the process, and candidates of every look
+EVERY, CANDIDATES = 5, 6000
+#: looks at untouched space for every variable, before the process is believed
+LOOKS = 6
+METHOD = "active learning, Gaussian process"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveAnswer:
+    """The estimate after `calls` of the model; `doubt`: share of the probability that the process could still
+    have wrong, anywhere within the reach of the candidates; `modes` as `find_probability` counts them."""
+
+    estimate: Estimate
+    calls: int
+    doubt: float
+    modes: int
+
+
+def learn_probability(
+    limit: LimitFunction, *, seed: int, budget: int = 200, accuracy: float = 0.05, task: str = "active"
+) -> ActiveAnswer:
+    """Probability of failure from at most `budget` calls, ended earlier when the doubt is below `accuracy`.
+
+    The interval holds what importance sampling gives on the process's mean, and on its mean plus and minus
+    1.96 standard deviations.  For at most ten or so variables, and limits that a Gaussian process can follow.
+    """
+    evaluator = Evaluator(limit=limit, budget=budget)
+    size = evaluator.size
+    points = _first_points(size, seed, task, min(max(12, 4 * size), budget))
+    try:
+        values = evaluator.hard(points)
+        doubt, calm, looked = 1.0, 0, 0
+        known = np.isfinite(values)
+        if known.sum() < 3:
+            nothing = absent("fewer than three of the first points have an answer", METHOD, evaluator.count)
+            return ActiveAnswer(estimate=nothing, calls=evaluator.count, doubt=1.0, modes=0)
+        model = fit_kriging(points[known], _squeezed(values[known]))
+        while evaluator.left >= 1 and (calm < 3 or looked < LOOKS * size):
+            candidates, weights = _candidates(model, seed, task, evaluator.count)
+            mean, deviation = predict(model, candidates)
+            wrong, failing = _signs(mean, deviation)
+            total = float((weights * failing).sum())
+            doubt = float((weights * wrong).sum()) / max(total, 1e-300)
+            # the looks at untouched space come after three calm turns, and are not ended by a little more doubt
+            calm = calm + 1 if doubt < (accuracy if calm < 3 else 4.0 * accuracy) else 0
+            far = calm >= 3
+            chosen = (
+                _untouched(candidates, points, total)
+                if far
+                else candidates[int(np.argmax(weights * wrong * deviation / deviation.max()))]
+            )
+            values = np.append(values, evaluator.hard(chosen[None, :]))
+            if far:
+                # what was excluded there and yet fails sends the process back to learning
+                surprised = bool(values[-1] < 0.0) and float(predict(model, chosen[None, :])[0][0]) > 0.0
+                calm, looked = (0, 0) if surprised else (calm, looked + 1)
+            points = np.concatenate([points, chosen[None, :]])
+            known = np.isfinite(values)
+            if len(points) % EVERY == 0 or calm > 0:
+                model = fit_kriging(points[known], _squeezed(values[known]), model.lengths)
+            else:
+                model = through(points[known], _squeezed(values[known]), model.lengths)
+    except Spent:
+        return ActiveAnswer(estimate=absent("the budget does not suffice for a first design", METHOD, evaluator.count),
+                            calls=evaluator.count, doubt=1.0, modes=0)  # fmt: skip
+    return _answer(model, size, seed, evaluator.count, doubt)
+
+
+def _first_points(size: int, seed: int, task: str, count: int) -> Array:
+    """The origin, and directions all around at rising distances."""
+    from scipy.special import ndtri
+
+    uniforms = sobol_points(dimension=size + 1, count=count - 1, seed=seed, task=task, replicate=0)
+    normals = np.asarray(ndtri(uniforms[:, 1:]))
+    rays = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    reach = np.sqrt(size) + 4.0
+    return np.concatenate([np.zeros((1, size)), rays * (1.0 + (reach - 1.0) * uniforms[:, :1])])
+
+
+def _squeezed(values: Array) -> Array:
+    """Values with their sign, great ones pulled in: what matters is where they change it."""
+    scale = float(np.median(np.abs(values))) or 1.0
+    return np.asarray(np.arcsinh(2.0 * values / scale))
+
+
+def _untouched(candidates: Array, points: Array, probability: float) -> Array:
+    """The candidate that is farthest from every point, no farther out than failures of that probability would be."""
+    from scipy.special import ndtri
+
+    reach = 1.0 - float(ndtri(min(max(probability / len(candidates), 1e-15), 0.4)))
+    near = candidates[np.linalg.norm(candidates, axis=1) <= max(reach, 2.0)]
+    if not len(near):
+        return np.asarray(candidates[0])
+    distances = (near**2).sum(axis=1)[:, None] + (points**2).sum(axis=1)[None, :] - 2.0 * near @ points.T
+    return np.asarray(near[int(np.argmax(distances.min(axis=1)))])
+
+
+def _signs(mean: Array, deviation: Array) -> tuple[Array, Array]:
+    """Probabilities that the sign of the mean is wrong, and that the value is negative."""
+    from scipy.special import ndtr
+
+    scores = mean / np.maximum(deviation, 1e-12)
+    return np.asarray(ndtr(-np.abs(scores))), np.asarray(ndtr(-scores))
+
+
+def _candidates(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array, Array]:
+    """Points in the wide surroundings and about the failures that are known, and their weights in the law."""
+    size = model.points.shape[1]
+    parts: list[tuple[float, Mixture]] = [(0.6, wide_mixture(size, reach=5.0))]
+    near = model.points[np.argsort((model.points**2).sum(axis=1) + 1e3 * (model_sign(model) > 0.0))][:6]
+    local = tuple(Component(mean=point, factor=0.7 * np.eye(size)) for point in near)
+    parts.append((0.4, Mixture(shares=np.full(len(local), 1.0 / len(local)), components=local)))
+    mixture = joined(parts)
+    counts = allocate(mixture.shares, CANDIDATES)
+    drawn = Mixture(shares=np.array(counts) / CANDIDATES, components=mixture.components)
+    found = draw_mixture(drawn, counts, seed=seed, task=f"{task} candidates", replicate=turn)
+    return found, np.exp(log_normal_density(found) - log_density(drawn, found))
+
+
+def model_sign(model: Kriging) -> Array:
+    """Sign of the process at its own points: those of the values."""
+    return np.asarray(np.sign(predict(model, model.points)[0]))
+
+
+def _surrogate(model: Kriging, shift: float) -> Callable[[Array], Array]:
+    def function(points: Array) -> Array:
+        mean, deviation = predict(model, points)
+        return np.asarray(mean + shift * deviation)
+
+    return function
+
+
+def _answer(model: Kriging, size: int, seed: int, calls: int, doubt: float) -> ActiveAnswer:
+    """Importance sampling on the process, and on its two edges for the interval."""
+    found: list[RareAnswer] = [
+        find_probability(LimitFunction(function=_surrogate(model, shift), dimension=size), seed=seed, budget=12_000,
+                         accuracy=0.03)
+        for shift in (0.0, -1.96, 1.96)
+    ]  # fmt: skip
+    middle, most, least = (answer.estimate for answer in found)
+    if middle.value is None or middle.low is None or middle.high is None:
+        return ActiveAnswer(
+            estimate=replace(middle, method=METHOD, evaluations=calls), calls=calls, doubt=doubt, modes=0
+        )
+    low = min(middle.low, least.low if least.low is not None else 0.0)
+    high = max(middle.high, most.high if most.high is not None else middle.high)
+    estimate = Estimate(value=middle.value, low=low, high=high, std_error=(high - low) / 3.92, method=METHOD,
+                        evaluations=calls)  # fmt: skip
+    return ActiveAnswer(estimate=estimate, calls=calls, doubt=doubt, modes=found[0].modes)
