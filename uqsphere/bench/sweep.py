@@ -70,8 +70,14 @@ class Comparison:
         return tuple(row for row in self.wrong if row.status == 0)
 
 
+#: quantities that follow from others row by row: their errors are those of the pressure
+_DERIVED: Final = frozenset(
+    {"core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear", "ring_crack_toughness"}
+)
+
+
 def _names(answers: Answers) -> tuple[str, ...]:
-    return tuple(name for name in OUTPUTS if name in answers.values)
+    return tuple(name for name in OUTPUTS if name in answers.values and name not in _DERIVED)
 
 
 #: one set of answers: values by name, and which times were cut off by the record's end (None: not known)

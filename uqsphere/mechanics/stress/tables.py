@@ -56,7 +56,7 @@ NAMES: Final[dict[str, str]] = {
     "surface": "I_S^(1/m), hoop tension over p_0",
 }
 #: rows evaluated at a time, so that the polynomials stay in the cache
-_CHUNK: Final = 4096
+_CHUNK: Final = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +82,12 @@ class Table:
         c, out = self.coefficients, np.empty(parts[0].size)
         for start in range(0, len(out), _CHUNK):
             piece = slice(start, start + _CHUNK)
-            first = _polynomials(_unit_ratio(a[piece]), c.shape[0])
-            second = _polynomials(_unit(v[piece], *POISSON_WEIBULL), c.shape[1])
-            third = _polynomials(_unit_modulus(m[piece]), c.shape[2])
+            first = _polynomials(_unit_ratio(_whole(a[piece])), c.shape[0])
+            second = _polynomials(_unit(_whole(v[piece]), *POISSON_WEIBULL), c.shape[1])
+            third = _polynomials(_unit_modulus(_whole(m[piece])), c.shape[2])
             inner = (first @ c.reshape(c.shape[0], -1)).reshape(len(first), *c.shape[1:])
-            out[piece] = np.einsum("nj,nj->n", np.einsum("njk,nk->nj", inner, third), second)
+            column = np.einsum("nj,nj->n", np.einsum("njk,nk->nj", inner, third), second)
+            out[piece] = column[: len(out[piece])]
         return np.asarray(np.exp(out).reshape(parts[0].shape))
 
 
@@ -99,11 +100,17 @@ def _two_way(
     out = [np.empty(len(a)) for _ in matrices]
     for start in range(0, len(a), _CHUNK):
         piece = slice(start, start + _CHUNK)
-        first = _polynomials(_unit_ratio(a[piece]), matrices[0].shape[0])
-        second = _polynomials(_unit(v[piece], *bounds), matrices[0].shape[1])
+        first = _polynomials(_unit_ratio(_whole(a[piece])), matrices[0].shape[0])
+        second = _polynomials(_unit(_whole(v[piece]), *bounds), matrices[0].shape[1])
         for matrix, column in zip(matrices, out, strict=True):
-            column[piece] = np.einsum("nj,nj->n", first @ matrix, second)
+            column[piece] = np.einsum("nj,nj->n", first @ matrix, second)[: len(column[piece])]
     return [np.exp(column).reshape(parts[0].shape) for column in out]
+
+
+def _whole(piece: Array) -> Array:
+    """Always as many rows: products of matrices add up in an order that depends on their shape, and a row must not
+    depend on how many others come with it."""
+    return piece if len(piece) == _CHUNK else np.pad(piece, (0, _CHUNK - len(piece)), mode="edge")
 
 
 def _unit(value: Array, low: float, high: float) -> Array:
