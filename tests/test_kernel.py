@@ -261,7 +261,7 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
         found = solve(scene, tolerance=tolerance)
         assert answered(found.status).all()
-        assert (found.status == UNDECIDED).mean() < 0.02
+        assert (found.status == UNDECIDED).mean() < 0.03
         for name in ("p_max", "first_peak", "pulse_width", "rise_time", "force_imbalance", "energy"):
             error = relative(found.values[name], exact.values[name]) / tolerance
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows

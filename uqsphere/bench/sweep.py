@@ -3,7 +3,7 @@
     uqsphere bench --sweep 2000 --reference
 
 A row is wrong and silent if it has an answer and a quantity is off by more than five times the tolerance; a row of
-status 7 has two answers, of which one has to be right.
+status 7 has two answers, of which one has to be right, or the times of events lie between them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _BATCH: Final = 8192
 class Wrong:
     """A row that is wrong: inputs, status, similarity numbers, and (found, expected, error over tolerance).
 
-    With status 0 it is silent; with status 7 it said that it was not sure, but neither of its answers is right.
+    With status 0 it is silent; with status 7 it said that it was not sure, but neither of its answers is right, and no
+    time lies between them.
     """
 
     inputs: dict[str, Any]
@@ -80,6 +81,8 @@ def _names(answers: Answers) -> tuple[str, ...]:
     return tuple(name for name in OUTPUTS if name in answers.values and name not in _DERIVED)
 
 
+#: times of events, of which an undecided row has an earlier and a later one
+_TIMES: Final = frozenset({"contact_time", "pulse_width", "rise_time"})
 #: one set of answers: values by name, and which times were cut off by the record's end (None: not known)
 _Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 
@@ -114,11 +117,19 @@ def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array
 
 
 def _errors(names: Sequence[str], found: Sequence[_Answer], truths: Sequence[_Answer], tolerance: float) -> Array:
-    """Errors over the tolerance, last axis the quantities; of an undecided row, those of the nearer answer."""
+    """Errors over the tolerance, last axis the quantities; of an undecided row, those of the nearer answer.
+
+    Between the two answers of an undecided row there may be more: a time between them is none of its errors.
+    """
     columns = []
     for name in names:
-        pairs = [_error(name, one, truth, tolerance) for one in found for truth in truths]
-        columns.append(np.fmin.reduce(pairs))
+        error = np.fmin.reduce([_error(name, one, truth, tolerance) for one in found for truth in truths])
+        if len(found) > 1 and name in _TIMES:
+            ends = np.stack([np.asarray(one[0][name]) for one in found])
+            for truth in truths:
+                expected = np.asarray(truth[0][name])
+                error = np.where((ends.min(axis=0) <= expected) & (expected <= ends.max(axis=0)), 0.0, error)
+        columns.append(error)
     return np.stack(columns, axis=-1)
 
 
@@ -278,7 +289,7 @@ def table(found: Comparison) -> str:
             f"{theta.min():.0e} to {theta.max():.0e} | {STATUS[int(code)]} |"
         )
     flagged = len(found.wrong) - len(found.silent)
-    lines += ["", f"wrong and silent: {len(found.silent)} rows; undecided, and neither answer right: {flagged} rows"]
+    lines += ["", f"wrong and silent: {len(found.silent)} rows; undecided, and beside both answers: {flagged} rows"]
     for wrong in sorted(found.wrong, key=lambda row: row.status):
         listed = ", ".join(f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items())
         which = f"status {wrong.status}, mu {wrong.mu:.3g}, theta {wrong.theta:.3g}, {wrong.inputs['shape']}"

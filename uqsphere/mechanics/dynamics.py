@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact, criteria
-from uqsphere.mechanics.doubts import CLOSEST, doubtful, jumping, other_ends, other_times, unsettled
+from uqsphere.mechanics.doubts import settle
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 from uqsphere.quantities import OUTPUTS
 
@@ -39,6 +39,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
 
 #: fidelities the integrator knows, and the number it knows them by
 MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
@@ -159,6 +160,7 @@ def _march(
     steps: npt.NDArray[np.int64],
     keep: int = 0,
     wanted: int = _WANTED_ALL,
+    asked: float = 0.0,
 ) -> Motion | None:
     """Run the kernel on rows `order`, with more room for those that run out of it."""
     from uqsphere.mechanics.kernel import march
@@ -187,6 +189,7 @@ def _march(
             arguments["level"],
             arguments["graze"],
             local,
+            asked,
             stop_at_loss,
             capacity,
             answers,
@@ -250,31 +253,18 @@ def integrate(
     blocks = [np.arange(begin, min(begin + _BLOCK, len(rows))) for begin in range(0, len(rows), _BLOCK)]
     mode = MODES[fidelity]
 
-    def run(block: npt.NDArray[np.int64]) -> None:
-        _march(arguments, block, mode, tolerance, True, inner, inner_status, inner_steps, wanted=wanted)
-        looks = doubtful(inner, inner_status, inner_steps, block, tolerance)
-        while looks:
-            factor, again = looks.pop(0)
-            closer = max(1e-13, factor * tolerance)
-            before = inner[again].copy()
-            inner[again] = np.nan
-            _march(arguments, again, mode, closer, True, inner, inner_status, inner_steps, wanted=wanted)
-            open_still = unsettled(before, inner[again], tolerance) & (inner_status[again] == 0)
-            if closer > 1e-13 and factor > CLOSEST and open_still.any():
-                looks.append((max(0.01 * factor, CLOSEST), again[open_still]))
-                again = again[~open_still]
-            graze = other_ends(inner, tolerance)
-            open_rows = again[(inner_status[again] == 0) & (graze[again] != 0.0)]
-            if len(open_rows):
-                other_status = inner_status.copy()
-                _march(
-                    {**arguments, "graze": graze}, open_rows, mode, closer, True, inner_others, other_status,
-                    np.zeros_like(inner_steps), wanted=wanted,
-                )  # fmt: skip
-                inner_status[open_rows] = np.where(other_status[open_rows] == 0, UNDECIDED, other_status[open_rows])
-            jumps = again[jumping(inner[again], closer) & (inner_status[again] == 0)]
-            inner_others[jumps] = other_times(inner[jumps])
-            inner_status[jumps] = UNDECIDED
+    def march(order: Rows, closer: float, graze: Array | None = None) -> tuple[Array, Rows, Rows]:
+        given = {name: column[order] for name, column in arguments.items()}
+        if graze is not None:
+            given["graze"] = graze
+        found, its_status, its_steps = empty_answers(len(order)), np.zeros_like(order), np.zeros_like(order)
+        _march(given, np.arange(len(order)), mode, closer, True, found, its_status, its_steps, wanted=wanted,
+               asked=tolerance)  # fmt: skip
+        return found, its_status, its_steps
+
+    def run(block: Rows) -> None:
+        inner[block], inner_status[block], inner_steps[block] = march(block, tolerance)
+        settle(march, block, tolerance, inner, inner_others, inner_status, inner_steps)
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:

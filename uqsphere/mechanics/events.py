@@ -251,9 +251,10 @@ def _lowest(piece, face, end, grid):
 
 
 @compiled(**INNER)
-def _faces(track, lane, piece, grid, theta, before, h, near, graze):
+def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
 
+    A pressed face whose approach lingers below `hover` is as near to leaving as one that turns there.
     graze > 0: an approach that falls below it counts as a loss; graze < 0: an excursion that stays shallower than
     -graze does not.  The third result says whether a loss was counted, -1 no, else the face.
     """
@@ -280,6 +281,11 @@ def _faces(track, lane, piece, grid, theta, before, h, near, graze):
                 track[NEAREST, lane] = min(track[NEAREST, lane], least)
                 if least < graze:
                     ends, why, lost = place, 1, face
+            elif max(piece[face, 0], grid[face, 0, POINTS]) < hover:
+                track[NEAREST, lane] = min(track[NEAREST, lane], grid[face, 0, POINTS])
+                found = passage(piece, face, graze, -1.0, 0.0, ends) if graze > 0.0 else math.nan
+                if not math.isnan(found):
+                    ends, why, lost = found, 1, face
     if why > 1 and piece[why - 2, 0] > 0.0:
         face = why - 2
         _, rate = both(piece, face, ends)
@@ -301,19 +307,19 @@ def _faces(track, lane, piece, grid, theta, before, h, near, graze):
 
 @compiled(**INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, graze, stop_at_loss,
+    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
     goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
-    `low` > 0 the share of the largest approach below which the record ends; for `near` and `graze` see `_faces`.
+    `low` > 0 the share of the largest approach below which the record ends; for the others see `_faces`.
     grid (face, 2, POINTS + 1): values and slopes over [0, theta].
     """
     apart()
     ends, why = theta, 0
     if flags & SOMETHING:
-        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, graze)
+        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
         if lost >= 0 and stop_at_loss:
             why = 1
         elif why == 1:
@@ -329,7 +335,7 @@ def after_step(
         if flags & (1 << kind):
             track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane])
     for face in range(2):
-        if grid[face, 0, POINTS] > 50.0 * tiny:
+        if grid[face, 0, POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[TOUCHED_A + face, lane] = 1.0
     if before < echo * (1.0 - 1e-12):
         track[X_FIRST, lane] = known

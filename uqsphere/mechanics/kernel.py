@@ -44,7 +44,7 @@ LIMIT = 1 << 20
 @compiled()
 def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, local,
-    stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, layout.ANSWERS) and `status` (rows).
 
@@ -52,7 +52,7 @@ def march(
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
-    the rule itself.  local: error allowed in one step.  capacity: steps that are kept of one row.
+    the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
     kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
     """
     lanes, last_point = LANES, layout.POINTS
@@ -154,7 +154,7 @@ def march(
             misfit[j] = 0.0
             over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
             low[j] = share * track[layout.FACE_A, j] if over else -math.inf
-            near[j] = max(100.0 * local * size[0, j], graze[row[j]])
+            near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
         incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
@@ -240,7 +240,8 @@ def march(
                         grid[face, 1, i] = rate[i, face * LANES + j]
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, theta[j], before, h[j], min(trips[0, j], trips[1, j]),
-                    share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], graze[r], stop_at_loss,
+                    share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], asked * size[0, j], graze[r],
+                    stop_at_loss,
                 )  # fmt: skip
             if flags[j] & (1 << layout.FACE_A) == 0:
                 track[layout.FACE_A, j] = known[j]
