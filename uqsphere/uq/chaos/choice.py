@@ -1,0 +1,190 @@
+"""The competition: transforms, bases and solvers are tried, and the choice falls by K-fold error in output units.
+
+Forward selection looks for the basis: degree by degree, norm by norm.  All solvers then meet on the best of them, and
+the winner's basis grows around the terms that it kept.  Every error on the way is that of samples left out of the
+whole choice of terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
+from uqsphere.uq.chaos.outputs import Transform, possible_transforms
+from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
+from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
+from uqsphere.uq.families import Array
+
+__all__ = ["Contest", "Found", "compete", "deal", "prepare"]
+
+#: hyperbolic norms of the bases that are tried
+NORMS: Final = (1.0, 0.75, 0.5)
+_ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time
+_HELPS: Final = 0.7  # a transform is kept where it brings the error below this share of the error without
+_CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
+_STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
+_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share
+_ROUNDS: Final = 6
+
+
+#: multi-indices (P, d), their rows (P, n) at the samples, and the sizes of the nested sets within
+Basis: TypeAlias = tuple[Indices, Array, tuple[int, ...]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contest:
+    """What all outputs at the same points share: the values of each input's polynomials, and the bases tried.
+
+    `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`.
+    """
+
+    values: list[Array]
+    highest: int
+    bases: tuple[Basis, ...]
+    folds: npt.NDArray[np.intp]
+    most_terms: int
+    quick_terms: int
+    most_candidates: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units."""
+
+    transform: Transform
+    solver: str
+    indices: Indices
+    rows: Array
+    error: float
+
+
+def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
+    """Bases at germ points (n, d), for any number of outputs."""
+    n, dimension = points.shape
+    highest = min(most_degree(germ) for germ in germs)
+    values = [orthonormal_values(germ, points[:, j], highest) for j, germ in enumerate(germs)]
+    most = min(max(400, 3 * n), 1500)
+    bases = []
+    for norm in NORMS:
+        found = nested(dimension, norm, highest, most)
+        if found is not None and (dimension > 1 or norm == 1.0):
+            indices, sizes = found
+            bases.append((indices, products(values, indices), sizes))
+    return Contest(values=values, highest=highest, bases=tuple(bases), folds=deal(n, 10 if n <= 150 else 5),
+                   most_terms=max(n // 2, 1), quick_terms=max(min(n // 2, 32), n // 4, 1), most_candidates=most)  # fmt: skip
+
+
+def deal(n: int, folds: int) -> npt.NDArray[np.intp]:
+    """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the same every time."""
+    folds = min(folds, n)
+    generator = np.random.default_rng(0)
+    runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
+    return np.concatenate(runs)[:n].astype(np.intp)
+
+
+def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, basis: Basis, most: int) -> Found:
+    """One solver on one basis."""
+    indices, rows, sizes = basis
+    variance = float(np.var(outputs)) * outputs.size
+
+    def error(predicted: Array) -> float:
+        off = transform.back(predicted) - outputs
+        return float(off @ off) / variance
+
+    task = Task(basis=rows, values=transform.forward(outputs), folds=contest.folds, error=error, most=most,
+                sizes=sizes)  # fmt: skip
+    active, least = SOLVERS[solver](task).best()
+    return Found(transform=transform, solver=solver, indices=indices[active], rows=rows[active], error=least)
+
+
+def compete(contest: Contest, outputs: Array) -> list[Found]:
+    """The leading contenders for outputs (n,) that vary, best first by their K-fold error in output units."""
+    if not contest.bases:
+        return []
+    answer = []
+    for transform in _screened(contest, outputs):
+        handicap = 1.0 if transform.kind == "identity" else 1.0 / _HELPS
+        answer += [(found.error * handicap, found) for found in _leaders(contest, transform, outputs)]
+    return [found for _, found in sorted(answer, key=lambda pair: pair[0])]
+
+
+def _screened(contest: Contest, outputs: Array) -> list[Transform]:
+    """The identity and the most promising of the other transforms, or one of them where the other is far behind.
+
+    One solver on one basis tells.
+    """
+    indices, rows, sizes = contest.bases[min(1, len(contest.bases) - 1)]
+    size = max([s for s in sizes if s <= outputs.size] or [sizes[0]])
+    basis = indices[:size], rows[:size], sizes
+    transforms = possible_transforms(outputs)
+    errors = [
+        _run(contest, "forward selection", transform, outputs, basis, contest.quick_terms).error
+        for transform in transforms
+    ]
+    if errors[0] < _ENOUGH or len(transforms) == 1:
+        return transforms[:1]
+    best = 1 + int(np.argmin(errors[1:]))
+    if errors[best] * _CLEAR < errors[0]:
+        return [transforms[best]]
+    return [transforms[0], transforms[best]] if errors[best] < errors[0] else transforms[:1]
+
+
+def _leaders(contest: Contest, transform: Transform, outputs: Array) -> list[Found]:
+    """The best contender of each solver, for one transform, best first."""
+    found, basis = _search(contest, transform, outputs)
+    answer = [found]
+    if found.error >= _ENOUGH:
+        answer = [
+            _run(contest, solver, transform, outputs, basis, contest.most_terms)
+            for solver in ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
+        ]
+        answer += [
+            _run(contest, "least squares", transform, outputs, whole, contest.most_terms) for whole in contest.bases
+        ]
+    answer.sort(key=lambda one: one.error)
+    larger = _grow(contest, answer[0], outputs)
+    return [larger, *answer] if larger is not answer[0] else answer
+
+
+def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:
+    """The basis on which forward selection leaves least, of all norms and rising degrees, and what it found there."""
+    best: tuple[Found, Basis] | None = None
+    for indices, rows, sizes in contest.bases:
+        least, worse, last = np.inf, 0, 0.0
+        for k, size in enumerate(sizes):
+            if size < _STRIDE * last and k + 1 < len(sizes):
+                continue
+            basis = indices[:size], rows[:size], sizes[: k + 1]
+            found = _run(contest, "forward selection", transform, outputs, basis, contest.quick_terms)
+            best = (found, basis) if best is None or found.error < best[0].error else best
+            worse, last = (0 if found.error < least else worse + 1), float(size)
+            least = min(least, found.error)
+            if worse >= 2 or least < _ENOUGH:
+                break
+        if least < _ENOUGH:
+            break
+    assert best is not None
+    return best
+
+
+def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
+    """Bases that grow around the terms that were kept, as long as the error falls."""
+    values = found.transform.forward(outputs)
+    solver = "forward selection" if found.solver == "least squares" else found.solver
+    for _ in range(_ROUNDS):
+        if found.error < _ENOUGH or len(found.indices) < 2:
+            break
+        weights = np.abs(solve_rows(found.rows, values))
+        indices = grown(found.indices, weights, contest.highest, contest.most_candidates)
+        indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
+        basis = indices, products(contest.values, indices), ()
+        trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
+        if not trial.error < _GROWS * found.error:
+            break
+        found = trial
+    return found

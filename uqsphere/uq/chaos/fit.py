@@ -1,0 +1,143 @@
+"""From samples to an expansion, and whether it may be used."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from uqsphere.uq.chaos.bases import GermLike
+from uqsphere.uq.chaos.choice import Contest, Found, compete, prepare
+from uqsphere.uq.chaos.solvers import solve_rows
+from uqsphere.uq.chaos.splits import Split, find_split
+from uqsphere.uq.chaos.surrogate import Chaos, Piece, predict
+from uqsphere.uq.families import Array
+
+__all__ = ["Verdict", "fit_chaos", "fit_outputs", "judge", "validation_error"]
+
+#: an error above this is not told from 1 by the best of a few dozen trials
+_NOTHING: Final = 0.9
+#: an output that leaves more than this is taken for a rough one
+_ROUGH: Final = 2e-3
+_SPLIT_HELPS: Final = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether a surrogate may be used: its error (mean square over variance), and why or why not."""
+
+    usable: bool
+    error: float
+    reason: str
+
+
+def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike]) -> Chaos:
+    """Sparse expansion of outputs (n,) at germ points (n, d).
+
+    Solvers, degrees, norms and output transforms compete by K-fold error in the units of the output; an output that
+    stays rough is tried in two pieces.  Never more terms than half the points.  A fit whose error reaches the
+    variance is given up for the constant.  Raises ValueError for values that are not finite and for shapes that do
+    not go together.
+
+    >>> import numpy as np
+    >>> x = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
+    >>> chaos = fit_chaos(x, 1.0 + x[:, 0] * x[:, 1] ** 2, ("uniform", "uniform"))
+    >>> float(predict(chaos, np.array([[0.5, 0.5]]))[0].round(12))
+    1.125
+    """
+    outputs = np.asarray(outputs, dtype=float)
+    return fit_outputs(points, outputs[:, None] if outputs.ndim == 1 else outputs, germs)[0]
+
+
+def fit_outputs(points: Array, outputs: Array, germs: Sequence[GermLike]) -> list[Chaos]:
+    """Expansions of each column of outputs (n, m) at the same germ points (n, d), which share their bases."""
+    points, outputs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float)
+    n = outputs.shape[0]
+    if points.ndim != 2 or outputs.ndim != 2 or points.shape != (n, len(germs)) or n < 4:
+        raise ValueError(f"need points (n, {len(germs)}) and outputs (n,), n >= 4; found {points.shape}, {n}")
+    if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
+        raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
+    contest = prepare(points, germs) if germs else None
+    return [_fitted(contest, points, column, tuple(germs)) for column in outputs.T]
+
+
+def _fitted(contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...]) -> Chaos:
+    # A power of two loses no figures, and squares of what is divided by it stay finite.
+    largest = float(np.abs(outputs).max())
+    unit = 2.0 ** math.frexp(largest)[1] if 0.0 < largest < 2.0**1000 else max(largest, 1e-300)
+    scaled = outputs / unit
+    centre, scale = float(scaled.mean()), float(scaled.std())
+    if contest is None or scale <= 1e-14 * abs(centre) or largest == 0.0:
+        error = 1.0 if contest is None else 0.0
+        return _constant(centre * unit, germs, error, outputs.size)
+    leaders = compete(contest, scaled)
+    best = leaders[0] if leaders else None
+    error = best.error if best is not None else 1.0
+    if error > _ROUGH and outputs.size >= max(48, 6 * (len(germs) + 1)):
+        split = find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
+        if split is not None:
+            return _in_two(split, unit, germs, outputs.size)
+    if best is None or not error < _NOTHING:
+        return _constant(centre * unit, germs, 1.0, outputs.size)
+    return _whole(best, scaled, unit, germs)
+
+
+def _constant(value: float, germs: tuple[GermLike, ...], error: float, samples: int) -> Chaos:
+    piece = Piece(coefficients=np.array([value]), multi_indices=np.zeros((1, len(germs)), dtype=np.int64),
+                  transform=None)  # fmt: skip
+    return Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=error, samples=samples,
+                 solver="constant")  # fmt: skip
+
+
+def _whole(found: Found, scaled: Array, unit: float, germs: tuple[GermLike, ...]) -> Chaos:
+    """One expansion, of all samples in the terms that were found."""
+    transform = found.transform
+    order = np.argsort(found.indices.sum(axis=1) > 0, kind="stable")  # the constant first
+    coefficients = solve_rows(found.rows[order], transform.forward(scaled))
+    kept = replace(transform, unit=unit)
+    if transform.kind == "identity":
+        coefficients *= transform.scale * unit
+        coefficients[0] += transform.centre * unit
+    piece = Piece(coefficients=coefficients, multi_indices=found.indices[order],
+                  transform=None if transform.kind == "identity" else kept)  # fmt: skip
+    return Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=found.error,
+                 samples=scaled.size, solver=found.solver)  # fmt: skip
+
+
+def _in_two(split: Split, unit: float, germs: tuple[GermLike, ...], samples: int) -> Chaos:
+    pieces = tuple(
+        Piece(coefficients=coefficients * unit, multi_indices=indices, transform=None)
+        for indices, coefficients in split.pieces
+    )
+    return Chaos(pieces=pieces, border=split.border, germs=germs, cross_validation_error=split.error,
+                 samples=samples, solver=f"two pieces: {split.proposal}")  # fmt: skip
+
+
+def validation_error(chaos: Chaos, points: Array, outputs: Array) -> float:
+    """1 - Q²: mean square error on held-out germ points (n, d) over the variance of their outputs (n,).
+
+    Not clipped: above 1 the expansion is worse than a constant (`judge` refuses it).
+    """
+    outputs = np.asarray(outputs, dtype=float)
+    unit = float(np.abs(outputs).max(initial=0.0)) or 1.0
+    variance = float(np.var(outputs / unit))
+    residual = float(np.mean((outputs / unit - predict(chaos, points) / unit) ** 2))
+    if variance == 0.0:
+        return 0.0 if residual <= 1e-24 else math.inf
+    return residual / variance
+
+
+def judge(chaos: Chaos, error: float | None = None, most: float = 0.05) -> Verdict:
+    """Whether the expansion may be used: the larger of `error` (held out) and its own is at most `most`."""
+    own = chaos.cross_validation_error
+    worst = own if error is None else max(own, error)
+    if not (math.isfinite(worst) and (error is None or math.isfinite(error))):
+        return Verdict(usable=False, error=1.0, reason="the error of the expansion is not finite")
+    terms = f"{chaos.coefficients.size} terms of degree {chaos.degree} from {chaos.samples} samples"
+    if worst > most:
+        reason = f"refused: it leaves {worst:.2g} of the variance unexplained, more than {most:g} ({terms})"
+        return Verdict(usable=False, error=min(worst, 1.0), reason=reason)
+    return Verdict(usable=True, error=worst, reason=f"it leaves {worst:.2g} of the variance ({terms})")

@@ -1,0 +1,176 @@
+"""Moments and Sobol' indices of an expansion: off its coefficients, or by sampling it where it was transformed.
+
+The coefficients of an expansion of the output itself give its moments and indices exactly.  The expansion of a
+transformed output, or one in two pieces, is sampled instead: it costs nothing but its own evaluation, and what the
+sampling adds is of the order of 1e-4, to be compared with the error of the expansion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from uqsphere.uq.chaos.bases import germ_points
+from uqsphere.uq.chaos.borders import Side
+from uqsphere.uq.chaos.surrogate import Chaos, predict
+from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
+from uqsphere.uq.families import Array
+from uqsphere.uq.sampling import sobol_points
+
+__all__ = ["chaos_indices", "chaos_moments", "index_of", "indices_of_order"]
+
+METHOD: Final = "polynomial chaos"
+_POINTS: Final = 8192
+
+
+def _drawn(chaos: Chaos) -> tuple[Array, Array]:
+    """Two independent designs of germ points (n, d), the same every time."""
+    from scipy.special import ndtri
+
+    d = len(chaos.germs)
+    uniforms = sobol_points(dimension=2 * d, count=_POINTS, seed=0, task="polynomial chaos: moments", replicate=0)
+    normals = ndtri(uniforms)
+    return germ_points(normals[:, :d], chaos.germs), germ_points(normals[:, d:], chaos.germs)
+
+
+def chaos_moments(chaos: Chaos) -> tuple[float, float]:
+    """Mean and standard deviation of the expansion."""
+    if chaos.plain:
+        coefficients = chaos.pieces[0].coefficients
+        return float(coefficients[0]), math.sqrt(float(np.sum(coefficients[1:] ** 2)))
+    values = predict(chaos, np.concatenate(_drawn(chaos)))
+    return float(values.mean()), float(values.std())
+
+
+def _shares(chaos: Chaos) -> tuple[Array, Array]:
+    """First and total index (d,) of every input; the expansion must not be constant."""
+    if not chaos.plain:
+        return _sampled_shares(chaos)
+    squares = chaos.pieces[0].coefficients[1:] ** 2
+    active = chaos.pieces[0].multi_indices[1:] > 0
+    alone = active.sum(axis=1) == 1
+    variance = squares.sum()
+    first = (squares[:, None] * (active & alone[:, None])).sum(axis=0) / variance
+    total = (squares[:, None] * active).sum(axis=0) / variance
+    return first, total
+
+
+def _sampled_shares(chaos: Chaos) -> tuple[Array, Array]:
+    """First and total indices by pick and freeze on the expansion (Saltelli 2010, Jansen 1999)."""
+    one, other = _drawn(chaos)
+    f, g = predict(chaos, one), predict(chaos, other)
+    variance = float(np.var(np.concatenate([f, g])))
+    first, total = np.zeros(len(chaos.germs)), np.zeros(len(chaos.germs))
+    for j in np.flatnonzero(chaos.multi_indices.any(axis=0) | _on_border(chaos)):
+        mixed = one.copy()
+        mixed[:, j] = other[:, j]
+        h = predict(chaos, mixed)
+        total[j] = 0.5 * float(np.mean((f - h) ** 2)) / variance
+        # Of two estimates of the same, the one whose noise goes with the index: small ones by products of small
+        # differences (Owen 2013), large ones by what is left (Jansen).
+        small = float(np.mean((g - g.mean()) * (h - f))) / variance
+        first[j] = small if small < 0.5 else 1.0 - 0.5 * float(np.mean((g - h) ** 2)) / variance
+    return np.clip(first, 0.0, 1.0), np.clip(total, 0.0, 1.0)
+
+
+def _on_border(chaos: Chaos) -> Side:
+    if chaos.border is None:
+        return np.zeros(len(chaos.germs), dtype=bool)
+    return chaos.border.inputs(len(chaos.germs))
+
+
+def index_of(chaos: Chaos, group: Sequence[int]) -> float:
+    """Sobol' index of a group of inputs by itself: the share of the variance that needs all of them and no other.
+
+    One input: its first-order index; two: their interaction; and so on.  Raises ValueError for an expansion that
+    does not vary.
+    """
+    members = sorted(set(group))
+    if chaos.constant:
+        raise ValueError("the expansion is a constant: it has no indices")
+    if chaos.plain:
+        squares = chaos.pieces[0].coefficients[1:] ** 2
+        active = chaos.pieces[0].multi_indices[1:] > 0
+        wanted = np.zeros(len(chaos.germs), dtype=bool)
+        wanted[members] = True
+        return float(squares[(active == wanted).all(axis=1)].sum() / squares.sum())
+    # Inclusion and exclusion over the closed indices of all subsets.
+    total = 0.0
+    for size in range(1, len(members) + 1):
+        for subset in combinations(members, size):
+            total += (-1.0) ** (len(members) - size) * _closed(chaos, subset)
+    return total
+
+
+def _closed(chaos: Chaos, group: Sequence[int]) -> float:
+    """Share of the variance of the mean over all other inputs."""
+    one, other = _drawn(chaos)
+    mixed = one.copy()
+    mixed[:, list(group)] = other[:, list(group)]
+    f, g, h = predict(chaos, one), predict(chaos, other), predict(chaos, mixed)
+    variance = float(np.var(np.concatenate([f, g])))
+    small = float(np.mean((g - g.mean()) * (h - f))) / variance
+    return small if small < 0.5 else 1.0 - 0.5 * float(np.mean((g - h) ** 2)) / variance
+
+
+def indices_of_order(chaos: Chaos, order: int) -> dict[tuple[int, ...], float]:
+    """Sobol' index of every group of `order` inputs that are active in the expansion, the largest first."""
+    active = np.flatnonzero(chaos.multi_indices.any(axis=0) | _on_border(chaos))
+    found = {group: index_of(chaos, group) for group in combinations((int(j) for j in active), order)}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def chaos_indices(
+    fits: Sequence[Chaos], error: float | None = None, evaluations: int | None = None
+) -> dict[str, list[Estimate]]:
+    """First and total Sobol' indices {"first": [...], "total": [...]}, one per input.
+
+    `fits` are expansions of independent randomisations; `error` is the share of the variance they leave
+    unexplained (the mean of their own K-fold errors if not given).  The interval is the sum of the spread
+    over the fits, which holds the error of the coefficients, and of what the unexplained share could move:
+    with f = g + h, h orthogonal to g, an index is (1 - e) S_g + e S_h with S_h in [0, 1].  The spread of a
+    few fits is uncertain itself: it is not taken for less than h, as noise on N points, leaves to the
+    coefficients, 2 sqrt(S (1 - S) e/N).  A single fit has no spread, and takes Cauchy and Schwarz:
+    |sqrt(S) - sqrt(S_g)| <= sqrt(e).
+    """
+    count = sum(fit.samples for fit in fits) if evaluations is None else evaluations
+    dimension = len(fits[0].germs)
+    unexplained = float(np.mean([fit.cross_validation_error for fit in fits])) if error is None else error
+    reason = ""
+    if any(fit.constant for fit in fits):
+        reason = "the output does not vary with the inputs, or the expansion is a constant"
+    elif not math.isfinite(unexplained) or unexplained >= 1.0:
+        reason = "the expansion explains nothing of the variance"
+    if reason:
+        nothing = [absent(reason, METHOD, count)] * dimension
+        return {"first": nothing, "total": list(nothing)}
+    points = sum(fit.samples for fit in fits)
+    sampled = 0.0 if all(fit.plain for fit in fits) else 2e-4
+    shares = np.array([_shares(fit) for fit in fits])  # (R, 2, d)
+    answer = {}
+    for row, name in enumerate(("first", "total")):
+        answer[name] = [_index(shares[:, row, j], unexplained, sampled, count, points) for j in range(dimension)]
+    return answer
+
+
+def _index(shares: Array, unexplained: float, sampled: float, evaluations: int, points: int) -> Estimate:
+    if shares.size == 1:
+        root, reach = math.sqrt(float(shares[0])), math.sqrt(unexplained)
+        value, low, high = float(shares[0]), max(0.0, root - reach) ** 2, (root + reach) ** 2
+        factor = 1.96
+    else:
+        spread = from_replicates(shares, METHOD, evaluations)
+        value = float(np.mean(shares))
+        factor = student(shares.size)
+        noise = 2.0 * math.sqrt(max(value * (1.0 - value), 0.0) * unexplained / points)
+        half = max(spread.half_width, factor * noise)
+        # On both sides, since the noise of superfluous coefficients adds to shares that are zero; and twice,
+        # since the unexplained share is itself an estimate.
+        low, high = value - half - 2.0 * unexplained, value + half + 2.0 * unexplained
+    low, high = max(0.0, low - sampled), min(1.0, high + sampled)
+    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / factor,
+                    method=METHOD, evaluations=evaluations)  # fmt: skip

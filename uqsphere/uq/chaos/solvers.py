@@ -1,0 +1,333 @@
+"""Which terms of a basis to keep: solvers of one signature, each judged on samples that it has not seen.
+
+A solver takes a `Task` and returns a `Path`: rows of the basis in the order in which they enter, and the K-fold error
+of every size.  It runs on all samples and on all samples but one fold, K times, side by side ("lanes", the first of
+which has all samples): the fold left out is predicted by terms that were chosen without it.  The leave-one-out error
+of terms chosen on all samples is ten to a hundred times too small where candidates outnumber samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.families import Array
+
+__all__ = ["SOLVERS", "Path", "Solver", "Task", "leave_one_out", "solve_rows"]
+
+Order: TypeAlias = npt.NDArray[np.intp]
+
+_ROUNDING: Final = 1e-15  # of the norm of the outputs: what is left is rounding
+_DEPENDENT: Final = 1e-8  # of its square norm: a row that hangs on those taken before
+_LEAST_PATIENCE: Final = 10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A basis (P, n) at the samples, row 0 constant; values (n,) to be fitted; the fold (n,) of every sample.
+
+    `error` gives the relative mean square error, in output units, of predictions (n,) of the values.  `sizes` are
+    the whole sets within the basis, for solvers that take nothing less; `most` is the largest number of terms.
+    """
+
+    basis: Array
+    values: Array
+    folds: npt.NDArray[np.intp]
+    error: Callable[[Array], float]
+    most: int
+    sizes: tuple[int, ...] = ()
+
+    @property
+    def masks(self) -> Array:
+        """Which samples each lane sees, (1 + K, n) of 0 and 1; the first sees all."""
+        count = int(self.folds.max()) + 1
+        return np.stack([np.ones(self.folds.size), *((self.folds != k).astype(float) for k in range(count))])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """Rows in the order of their entry, and the K-fold error (k,) of the first 1, 2, … of them.
+
+    -1 stands for a step that found nothing to add.
+    """
+
+    order: Order
+    errors: Array
+
+    def best(self) -> tuple[Order, float]:
+        """The rows with the least error, and that error."""
+        size = int(np.argmin(self.errors)) + 1
+        order = self.order[:size]
+        return order[order >= 0], float(self.errors[size - 1])
+
+
+Solver: TypeAlias = Callable[[Task], Path]
+
+
+def _dots(one: Array, other: Array) -> Array:
+    """Inner products (lanes,) of the lines of two (lanes, n)."""
+    return np.asarray(np.einsum("ij,ij->i", one, other))
+
+
+class _Lanes:
+    """Orthonormal directions of every lane, known at all samples, and the fits in them.
+
+    A direction is orthonormal over the samples that its lane sees and goes on over the fold left out, so that the
+    fit is a prediction there.
+    """
+
+    def __init__(self, task: Task, most: int) -> None:
+        self.task, self.masks = task, task.masks
+        lanes, n = self.masks.shape
+        self.directions = np.empty((lanes, most, n))
+        self.fits = np.zeros((lanes, n))
+        self.residuals = self.masks * task.values
+        self.squares = _dots(self.residuals, self.residuals)
+        self.floors = _ROUNDING**2 * self.squares
+        self.places = 1 + task.folds, np.arange(n)
+        self.count = 0
+        self.errors: list[float] = []
+        self.order: list[int] = []
+        self._least, self._since = np.inf, 0
+
+    def add(self, rows: Order, wanted: npt.NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """One more row for every lane: its new direction (lanes, n), masked, its length and its overlaps."""
+        k = self.count
+        fresh = self.task.basis[rows]
+        before = _dots(self.masks, fresh**2)
+        overlaps = np.zeros((rows.size, k))
+        for _ in range(2):
+            part = np.matmul(self.directions[:, :k], (self.masks * fresh)[:, :, None])[:, :, 0]
+            overlaps += part
+            fresh -= np.matmul(part[:, None, :], self.directions[:, :k])[:, 0]
+            squares = _dots(self.masks, fresh**2)
+            if np.all(squares > 1e-5 * before):  # once is enough where something is left
+                break
+        sound = wanted & (squares > _DEPENDENT * before)
+        lengths = np.where(sound, np.sqrt(squares), 0.0)
+        fresh *= np.where(sound, 1.0 / np.where(sound, lengths, 1.0), 0.0)[:, None]
+        self.directions[:, k] = fresh
+        masked = self.masks * fresh
+        steps = np.where(self.squares > self.floors, _dots(masked, self.residuals), 0.0)
+        self.residuals -= steps[:, None] * masked
+        self.squares = _dots(self.residuals, self.residuals)
+        self.fits += steps[:, None] * fresh
+        self.count += 1
+        self.order.append(int(rows[0]) if sound[0] else -1)
+        self.steps = steps
+        return masked, lengths, overlaps
+
+    def finished(self) -> bool:
+        """Counts the error of the fold left out; true where it has risen for a good while, or nothing is left."""
+        error = self.task.error(self.fits[self.places])
+        self.errors.append(error if math.isfinite(error) else np.inf)
+        self._since = 0 if error < 0.99 * self._least else self._since + 1
+        self._least = min(self._least, self.errors[-1])
+        nothing_left = bool(np.all(self.squares <= self.floors))
+        return nothing_left or self._since > max(_LEAST_PATIENCE, self.count // 4)
+
+    def path(self) -> Path:
+        return Path(order=np.array(self.order, dtype=np.intp), errors=np.array(self.errors))
+
+
+def _pursuit(task: Task, orthogonal: bool) -> Path:
+    """Matching pursuit: the row that correlates best with what is left, again and again.
+
+    Correlations follow from those before by one product of the basis with the new directions of all lanes.
+    """
+    basis = task.basis
+    most = max(min(task.most, basis.shape[0]), 1)
+    lanes = _Lanes(task, most)
+    norms = lanes.masks @ (basis**2).T
+    left = norms.copy()  # square norms of the rows beyond the span of those taken
+    correlations = lanes.residuals @ basis.T
+    every = np.arange(lanes.masks.shape[0])
+    closed = np.zeros_like(left, dtype=bool)
+    rows = np.zeros(every.size, dtype=np.intp)
+    wanted = np.ones(every.size, dtype=bool)
+    for k in range(most):
+        if k:
+            closed |= left <= _DEPENDENT * norms
+            scores = correlations**2 / (np.maximum(left, _DEPENDENT * norms) if orthogonal else norms)
+            scores[closed] = -1.0
+            rows = np.argmax(scores, axis=1)
+            wanted = scores[every, rows] >= 0.0
+            if not wanted[0]:
+                break
+        masked, _, _ = lanes.add(rows, wanted)
+        closed[every, rows] = True
+        if lanes.finished():
+            break
+        along = masked @ basis.T
+        left -= along**2
+        correlations -= lanes.steps[:, None] * along
+    return lanes.path()
+
+
+def matching_pursuit(task: Task) -> Path:
+    """Orthogonal matching pursuit (Pati, Rezaiifar and Krishnaprasad 1993)."""
+    return _pursuit(task, orthogonal=False)
+
+
+def forward_selection(task: Task) -> Path:
+    """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo 1989)."""
+    return _pursuit(task, orthogonal=True)
+
+
+def least_angles(task: Task) -> Path:
+    """Least-angle regression (Efron et al. 2004), for the order alone: coefficients are refitted by least squares.
+
+    With Q R the decomposition of the active rows, normed and centred, and R'τ their signs, the equiangular direction
+    is Q τ/|τ|: one more row adds one entry to τ, so that a step costs one product with the basis.
+    """
+    basis = task.basis
+    most = max(min(task.most, basis.shape[0]), 1)
+    lanes = _Lanes(task, most)
+    every = np.arange(lanes.masks.shape[0])
+    lanes.add(np.zeros(every.size, dtype=np.intp), np.ones(every.size, dtype=bool))
+    lanes.finished()
+    seen = lanes.masks.sum(axis=1)[:, None]
+    squares, means = lanes.masks @ (basis**2).T, lanes.masks @ basis.T / seen
+    centred = squares - seen * means**2
+    usable = centred > _DEPENDENT * squares
+    norms = np.sqrt(np.where(usable, centred, 1.0))
+    correlations = np.where(usable, lanes.residuals @ basis.T / norms, 0.0)
+    floors = _ROUNDING * np.abs(correlations).max(axis=1)
+    height = np.abs(correlations).max(axis=1)
+    tau, along = np.zeros((every.size, most)), np.zeros_like(correlations)
+    rows = np.argmax(np.abs(correlations), axis=1)
+    for k in range(1, most):
+        wanted = usable[every, rows] & (height > floors)
+        if not wanted[0]:
+            break
+        signs = np.where(correlations[every, rows] > 0.0, 1.0, -1.0)
+        masked, lengths, overlaps = lanes.add(rows, wanted)
+        usable[every, rows] = False
+        norm = norms[every, rows]
+        done = signs - np.sum(overlaps[:, 1:] * tau[:, 1:k], axis=1) / norm
+        tau[:, k] = np.where(lengths > 0.0, done * norm / np.where(lengths > 0.0, lengths, 1.0), 0.0)
+        along += tau[:, k, None] * (masked @ basis.T) / norms
+        if lanes.finished():
+            break
+        # All active rows lose correlation at the rate 1/|τ|; the first of the others to catch up enters.
+        rate = 1.0 / np.maximum(np.sqrt(np.sum(tau[:, : k + 1] ** 2, axis=1)), 1e-300)
+        slopes, top = along * rate[:, None], height[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near = (top - correlations) / (rate[:, None] - slopes)
+            far = (top + correlations) / (rate[:, None] + slopes)
+        near[~(near > 1e-14 * top)] = np.inf
+        far[~(far > 1e-14 * top)] = np.inf
+        steps = np.where(usable, np.minimum(near, far), np.inf)
+        rows = np.argmin(steps, axis=1)
+        step = np.minimum(steps[every, rows], height / rate)
+        correlations -= (step * rate)[:, None] * along
+        height = height - step * rate
+    return lanes.path()
+
+
+def _subspace(basis: Array, values: Array, size: int) -> Order:
+    """The rows that subspace pursuit keeps at one size; the constant is always among them."""
+    kept, least = np.zeros(1, dtype=np.intp), np.inf
+    best = kept
+    for _ in range(5):
+        coefficients = _normal_equations(basis[kept], values)
+        residual = values - coefficients @ basis[kept]
+        left = float(residual @ residual)
+        if left >= 0.999 * least:
+            break
+        least, best = left, kept[np.argsort(-np.abs(np.where(kept == 0, np.inf, coefficients)), kind="stable")]
+        scores = np.abs(basis @ residual)
+        scores[kept] = -1.0
+        wider = np.union1d(kept, np.argpartition(scores, -size)[-size:])
+        coefficients = _normal_equations(basis[wider], values)
+        coefficients[wider == 0] = np.inf
+        kept = np.sort(wider[np.argpartition(np.abs(coefficients), -size)[-size:]])
+    return best
+
+
+def _normal_equations(rows: Array, values: Array) -> Array:
+    gram = rows @ rows.T
+    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-12
+    return np.asarray(np.linalg.solve(gram, rows @ values))
+
+
+def subspace_pursuit(task: Task) -> Path:
+    """Subspace pursuit (Dai and Milenkovic 2009), at the best of a few sizes.
+
+    The set of a size is improved as a whole: as many rows again that correlate best are added, and those with the
+    largest coefficients kept, until what is left does not fall any more.
+    """
+    basis, values = task.basis, task.values
+    largest = min(task.most, basis.shape[0] - 1, values.size // 4)
+    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else []
+    best: tuple[float, Order] = (np.inf, np.zeros(1, dtype=np.intp))
+    rising = 0
+    for size in sizes:
+        predicted = np.empty(values.size)
+        for mask in task.masks[1:]:
+            seen, unseen = np.flatnonzero(mask), np.flatnonzero(mask == 0.0)
+            trained = np.ascontiguousarray(basis[:, seen])
+            rows = _subspace(trained, values[seen], size)
+            predicted[unseen] = _normal_equations(trained[rows], values[seen]) @ basis[np.ix_(rows, unseen)]
+        error = task.error(predicted)
+        rising = 0 if error < best[0] else rising + 1
+        if error < best[0]:
+            best = (error, _subspace(basis, values, size))
+        if rising == 2:
+            break
+    errors = np.full(best[1].size, np.inf)
+    errors[-1] = best[0]
+    return Path(order=best[1], errors=errors)
+
+
+def least_squares(task: Task) -> Path:
+    """All terms of a set, the best of the nested sets of the basis."""
+    seen = int(task.masks.sum(axis=1).min())
+    sizes = [size for size in task.sizes if size <= min(task.most, seen - 1)]
+    largest = max(sizes, default=1)
+    predicted = np.empty((len(sizes), task.values.size))
+    for mask in task.masks[1:]:
+        inside, outside = mask == 1.0, mask == 0.0
+        q, r = np.linalg.qr(task.basis[:largest, inside].T)
+        diagonal = np.abs(np.diag(r))
+        r = r + np.diag(np.where(diagonal > 1e-10 * diagonal.max(), 0.0, np.inf))
+        r[~np.isfinite(r)] = 1e150  # a column that hangs on the others gets no weight
+        ahead = np.linalg.solve(r.T, task.basis[:largest, outside]).T
+        fitted = np.cumsum(ahead * (q.T @ task.values[inside]), axis=1)
+        predicted[:, outside] = fitted[:, [size - 1 for size in sizes]].T
+    errors = np.full(largest, np.inf)
+    for size, line in zip(sizes, predicted, strict=True):
+        errors[size - 1] = task.error(line)
+    return Path(order=np.arange(largest, dtype=np.intp), errors=errors)
+
+
+#: name -> solver
+SOLVERS: Final[dict[str, Solver]] = {
+    "matching pursuit": matching_pursuit,
+    "forward selection": forward_selection,
+    "least angles": least_angles,
+    "subspace pursuit": subspace_pursuit,
+    "least squares": least_squares,
+}
+
+
+def solve_rows(rows: Array, values: Array) -> Array:
+    """Least-squares coefficients (k,) of values (n,) in rows (k, n)."""
+    q, r = np.linalg.qr(rows.T)
+    return np.asarray(np.linalg.solve(r, q.T @ values))
+
+
+def leave_one_out(rows: Array, values: Array) -> Array:
+    """What each of values (n,) is predicted to be by least squares in rows (k, n) without it: z_i - e_i/(1 - h_i).
+
+    No fit is repeated: e are the residuals of the one fit and h its leverages.  The rows are those given: where they
+    were chosen on the same values, the prediction is too good.
+    """
+    q, _ = np.linalg.qr(rows.T)
+    leverage = np.minimum(np.sum(q * q, axis=1), 1.0 - 1e-12)
+    return np.asarray(values - (values - q @ (q.T @ values)) / (1.0 - leverage))

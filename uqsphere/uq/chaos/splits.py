@@ -1,0 +1,272 @@
+"""Two expansions in place of one, for outputs with a kink or a jump.
+
+Proposals: a cut across the input along which two planes fit best; a score that tells the two groups of a gapped
+output apart; and the larger or the smaller of two functions, found by turns – which one holds where, and what they
+are (Magnani and Boyd 2009).  Every proposal is made anew without each fold and predicts it, border and all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.chaos.borders import Border, Side, score_features
+from uqsphere.uq.chaos.choice import Basis, Contest, deal
+from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
+from uqsphere.uq.chaos.truncation import Indices
+from uqsphere.uq.families import Array
+
+__all__ = ["PROPOSALS", "Split", "find_split"]
+
+Samples: TypeAlias = npt.NDArray[np.intp]
+
+_LEAST_SHARE: Final = 0.08  # of the samples on either side
+_TURNS: Final = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """Two expansions (multi-indices, coefficients) with their border and their K-fold error."""
+
+    pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
+    border: Border
+    error: float
+    proposal: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Data:
+    """The samples that a proposal may see: germ points (n, d), outputs (n,), and the rows (P, n) of each basis."""
+
+    points: Array
+    outputs: Array
+    bases: tuple[Basis, ...]
+
+
+def _planes(points: Array, outputs: Array, side: Side) -> tuple[Array, Array]:
+    """Values (n,) everywhere of the planes through the samples on either side."""
+    features = score_features(points, points.shape[1] + 1)
+    found = []
+    for part in (~side, side):
+        rows = features[part]
+        gram = rows.T @ rows + 1e-8 * len(rows) * np.eye(features.shape[1])
+        found.append(features @ np.linalg.solve(gram, rows.T @ outputs[part]))
+    return found[0], found[1]
+
+
+def _balanced(side: Side) -> bool:
+    return bool(_LEAST_SHARE <= side.mean() <= 1.0 - _LEAST_SHARE)
+
+
+def _cut(data: _Data) -> tuple[Side, Border] | None:
+    """The cut across one input that leaves the least to two planes."""
+    best: tuple[float, Border] | None = None
+    levels = np.linspace(0.1, 0.9, 17)
+    for axis in range(data.points.shape[1]):
+        column = data.points[:, axis]
+        # A first look with two parabolas in this input alone keeps the planes for the few that matter.
+        for at in np.quantile(column, levels):
+            side = column > at
+            left = sum(float(np.var(data.outputs[part])) * part.mean() for part in (side, ~side))
+            if best is None or left < best[0]:
+                best = (left, Border(kind="axis", axis=axis, at=float(at)))
+    trials = []
+    for axis in range(data.points.shape[1]):
+        ordered = np.sort(data.points[:, axis])
+        for level in levels[::2]:
+            at = float(np.quantile(ordered, level))
+            side = data.points[:, axis] > at
+            low, high = _planes(data.points, data.outputs, side)
+            left = float(np.mean((np.where(side, high, low) - data.outputs) ** 2))
+            trials.append((left, axis, at))
+    _, axis, at = min(trials)
+    return _sharpened(data, axis, at)
+
+
+def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
+    """The cut moved to the middle between the two neighbouring samples where it leaves least."""
+    ordered = np.sort(data.points[:, axis])
+    middles = 0.5 * (ordered[1:] + ordered[:-1])
+    place = int(np.searchsorted(middles, at))
+    reach = max(len(ordered) // 12, 2)
+    trials = []
+    for middle in middles[max(place - reach, 0) : place + reach + 1]:
+        side = data.points[:, axis] > middle
+        if _balanced(side):
+            low, high = _planes(data.points, data.outputs, side)
+            trials.append((float(np.mean((np.where(side, high, low) - data.outputs) ** 2)), float(middle)))
+    if not trials:
+        return None
+    at = min(trials)[1]
+    return data.points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
+
+
+def _gap(data: _Data) -> tuple[Side, Border] | None:
+    """Two groups of outputs with a gap between them, told apart by a logistic score of the inputs."""
+    ordered = np.sort(data.outputs)
+    n = ordered.size
+    first, last = int(_LEAST_SHARE * n), int((1.0 - _LEAST_SHARE) * n)
+    gaps = ordered[first + 1 : last + 1] - ordered[first:last]
+    place = first + int(np.argmax(gaps))
+    # A gap where outputs lie dense is one of many, and no border.
+    if ordered[place + 1] - ordered[place] < 8.0 * (ordered[-1] - ordered[0]) / n:
+        return None
+    side = data.outputs > 0.5 * (ordered[place] + ordered[place + 1])
+    d = data.points.shape[1]
+    quadratic = (d + 1) * (d + 2) // 2
+    best: tuple[float, Array] | None = None
+    folds = deal(n, 5)
+    for count in (d + 1, quadratic):
+        if 4 * count > n:
+            continue
+        features = score_features(data.points, count)
+        wrong = 0.0
+        for fold in range(5):
+            weights = _logistic(features[folds != fold], side[folds != fold])
+            wrong += float(np.sum((features[folds == fold] @ weights > 0.0) != side[folds == fold]))
+        if best is None or wrong < best[0]:
+            best = (wrong, _logistic(features, side))
+    return None if best is None else (side, Border(kind="score", weights=best[1]))
+
+
+def _logistic(features: Array, side: Side) -> Array:
+    """Weights of a logistic regression with a slight penalty, by Newton's steps."""
+    weights = np.zeros(features.shape[1])
+    penalty = 1e-2 * np.eye(features.shape[1])
+    for _ in range(25):
+        chance = 1.0 / (1.0 + np.exp(-np.clip(features @ weights, -30.0, 30.0)))
+        slope = features.T @ (chance - side) + penalty @ weights
+        curvature = (features.T * (chance * (1.0 - chance))) @ features + penalty
+        step = np.linalg.solve(curvature, slope)
+        weights -= step
+        if float(np.abs(step).max()) < 1e-6:
+            break
+    return weights
+
+
+def _crossing(kind: str) -> Callable[[_Data], tuple[Side, Border] | None]:
+    sign = 1.0 if kind == "upper" else -1.0
+
+    def propose(data: _Data) -> tuple[Side, Border] | None:
+        """The larger (smaller) of two planes, from cuts across the inputs that matter, by turns."""
+        centred = data.points - data.points.mean(axis=0)
+        slopes = centred.T @ (data.outputs - data.outputs.mean()) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
+        directions = [centred @ slopes, *(centred[:, j] for j in np.argsort(-np.abs(slopes))[:3])]
+        best: tuple[float, Side] | None = None
+        for along in directions:
+            side = along > np.median(along)
+            for _ in range(_TURNS):
+                low, high = _planes(data.points, data.outputs, side)
+                new = sign * (high - low) > 0.0
+                if not _balanced(new) or bool(np.all(new == side)):
+                    break
+                side = new
+            low, high = _planes(data.points, data.outputs, side)
+            left = float(np.mean((np.where(side, high, low) - data.outputs) ** 2))
+            if _balanced(side) and (best is None or left < best[0]):
+                best = (left, side)
+        return None if best is None else (best[1], Border(kind=kind))
+
+    return propose
+
+
+#: name -> where the second piece holds, and the border, from the samples alone
+PROPOSALS: Final[dict[str, Callable[[_Data], tuple[Side, Border] | None]]] = {
+    "cut": _cut,
+    "gap": _gap,
+    "upper": _crossing("upper"),
+    "lower": _crossing("lower"),
+}
+
+
+def _piece(data: _Data, samples: Samples) -> tuple[Indices, Array]:
+    """Sparse expansion of some of the samples: the best of a few bases by their own K-fold error."""
+    outputs = data.outputs[samples]
+    scale = float(outputs.std())
+    zero = np.zeros((1, data.points.shape[1]), dtype=np.int64)
+    if scale <= 1e-12 * float(np.abs(outputs).max(initial=0.0)) or samples.size < 8:
+        return zero, np.array([float(outputs.mean())])
+    centre = float(outputs.mean())
+    values = (outputs - centre) / scale
+    folds = deal(samples.size, 5)
+    best = (1.0, zero, np.zeros(1))
+    for indices, rows, sizes in data.bases[:2]:
+        for size in [s for s in sizes if s <= max(2 * samples.size, sizes[0])][-2:]:
+            basis = np.ascontiguousarray(rows[:size][:, samples])
+            task = Task(basis=basis, values=values, folds=folds, most=max(samples.size // 3, 1),
+                        error=lambda predicted: float(np.mean((predicted - values) ** 2)))  # fmt: skip
+            active, error = forward_selection(task).best()
+            if error < best[0]:
+                best = (error, indices[active], solve_rows(basis[active], values))
+    coefficients = best[2] * scale
+    coefficients[0] += centre
+    return best[1], coefficients
+
+
+def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
+    """Values (n,) of a piece at all samples, looked up in the rows of the bases."""
+    indices, coefficients = piece
+    for known, rows, _ in data.bases:
+        places = {tuple(row): k for k, row in enumerate(known.tolist())}
+        wanted = [places.get(tuple(row), -1) for row in indices.tolist()]
+        if min(wanted) >= 0:
+            return np.asarray(coefficients @ rows[wanted])
+    raise ValueError("the terms belong to no basis")
+
+
+def _build(
+    data: _Data, seen: Samples, propose: Callable[[_Data], tuple[Side, Border] | None]
+) -> tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border] | None:
+    """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns."""
+    inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
+    found = propose(inner)
+    if found is None or not _balanced(found[0]):
+        return None
+    side, border = found
+    turns = 3 if border.kind in ("upper", "lower") else 1
+    pieces = (_piece(data, seen[~side]), _piece(data, seen[side]))
+    for _ in range(turns - 1):
+        low, high = (_values(data, piece)[seen] for piece in pieces)
+        new = border.side(inner.points, [low, high])
+        if not _balanced(new) or bool(np.all(new == side)):
+            break
+        side = new
+        pieces = (_piece(data, seen[~side]), _piece(data, seen[side]))
+    return pieces, border
+
+
+def find_split(contest: Contest, points: Array, outputs: Array, *, below: float) -> Split | None:
+    """The proposal with the least K-fold error, over the variance of outputs (n,), if it is less than `below`.
+
+    `points` (n, d) are those of the contest.  A proposal that its first fold shows to be hopeless is dropped.
+    """
+    data = _Data(points=points, outputs=outputs, bases=contest.bases)
+    variance = float(np.var(outputs))
+    count = int(contest.folds.max()) + 1
+    folds = contest.folds if count == 5 else deal(outputs.size, 5)
+    best: Split | None = None
+    for name, propose in PROPOSALS.items():
+        whole = _build(data, np.arange(outputs.size), propose)
+        if whole is None:
+            continue
+        limit = below if best is None else best.error
+        left = 0.0
+        for fold in range(5):
+            part = _build(data, np.flatnonzero(folds != fold), propose)
+            if part is None:
+                left = np.inf
+                break
+            unseen = folds == fold
+            values = [_values(data, piece)[unseen] for piece in part[0]]
+            predicted = np.where(part[1].side(points[unseen], values), values[1], values[0])
+            left += float(np.sum((predicted - outputs[unseen]) ** 2))
+            if left > limit * variance * outputs.size:
+                break
+        error = left / (variance * outputs.size)
+        if error < limit:
+            best = Split(pieces=whole[0], border=whole[1], error=error, proposal=name)
+    return best
