@@ -27,7 +27,8 @@ NORMS: Final = (1.0, 0.75, 0.5)
 _ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time
 _HELPS: Final = 0.7  # a transform is kept where it brings the error below this share of the error without
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
-_STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
+_CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
+_STRIDE: Final = 1.6  # sets that are hardly larger than the one before are passed over
 _GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share
 _ROUNDS: Final = 6
 
@@ -106,11 +107,20 @@ def compete(contest: Contest, outputs: Array) -> list[Found]:
     """The leading contenders for outputs (n,) that vary, best first by their K-fold error in output units."""
     if not contest.bases:
         return []
+    found = [_search(contest, transform, outputs) for transform in _screened(contest, outputs)]
+    least = min(_handicapped(one) for one, _ in found)
     answer = []
-    for transform in _screened(contest, outputs):
-        handicap = 1.0 if transform.kind == "identity" else 1.0 / _HELPS
-        answer += [(found.error * handicap, found) for found in _leaders(contest, transform, outputs)]
-    return [found for _, found in sorted(answer, key=lambda pair: pair[0])]
+    for one, basis in found:
+        if _handicapped(one) <= _CLOSE * least:
+            answer += _leaders(contest, one, basis, outputs)
+    answer.sort(key=_handicapped)
+    larger = _grow(contest, answer[0], outputs)
+    return [larger, *answer] if larger is not answer[0] else answer
+
+
+def _handicapped(found: Found) -> float:
+    """The error that contenders are ranked by: a transform has to help measurably."""
+    return found.error if found.transform.kind == "identity" else found.error / _HELPS
 
 
 def _screened(contest: Contest, outputs: Array) -> list[Transform]:
@@ -134,21 +144,15 @@ def _screened(contest: Contest, outputs: Array) -> list[Transform]:
     return [transforms[0], transforms[best]] if errors[best] < errors[0] else transforms[:1]
 
 
-def _leaders(contest: Contest, transform: Transform, outputs: Array) -> list[Found]:
-    """The best contender of each solver, for one transform, best first."""
-    found, basis = _search(contest, transform, outputs)
-    answer = [found]
-    if found.error >= _ENOUGH:
-        answer = [
-            _run(contest, solver, transform, outputs, basis, contest.most_terms)
-            for solver in ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
-        ]
-        answer += [
-            _run(contest, "least squares", transform, outputs, whole, contest.most_terms) for whole in contest.bases
-        ]
-    answer.sort(key=lambda one: one.error)
-    larger = _grow(contest, answer[0], outputs)
-    return [larger, *answer] if larger is not answer[0] else answer
+def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> list[Found]:
+    """All solvers on the basis on which the search ended."""
+    if found.error < _ENOUGH:
+        return [found]
+    solvers = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
+    trials = [(solver, basis) for solver in solvers] + [("least squares", whole) for whole in contest.bases]
+    return [
+        _run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials
+    ]
 
 
 def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:

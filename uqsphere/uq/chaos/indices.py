@@ -27,12 +27,13 @@ METHOD: Final = "polynomial chaos"
 _POINTS: Final = 8192
 
 
-def _drawn(chaos: Chaos) -> tuple[Array, Array]:
-    """Two independent designs of germ points (n, d), the same every time."""
+def _drawn(chaos: Chaos, replicate: int = 0) -> tuple[Array, Array]:
+    """Two independent designs of germ points (n, d), the same every time for a replicate."""
     from scipy.special import ndtri
 
     d = len(chaos.germs)
-    uniforms = sobol_points(dimension=2 * d, count=_POINTS, seed=0, task="polynomial chaos: moments", replicate=0)
+    uniforms = sobol_points(dimension=2 * d, count=_POINTS, seed=0, task="polynomial chaos: moments",
+                            replicate=replicate)  # fmt: skip
     normals = ndtri(uniforms)
     return germ_points(normals[:, :d], chaos.germs), germ_points(normals[:, d:], chaos.germs)
 
@@ -46,10 +47,10 @@ def chaos_moments(chaos: Chaos) -> tuple[float, float]:
     return float(values.mean()), float(values.std())
 
 
-def _shares(chaos: Chaos) -> tuple[Array, Array]:
+def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     """First and total index (d,) of every input; the expansion must not be constant."""
     if not chaos.plain:
-        return _sampled_shares(chaos)
+        return _sampled_shares(chaos, replicate)
     squares = chaos.pieces[0].coefficients[1:] ** 2
     active = chaos.pieces[0].multi_indices[1:] > 0
     alone = active.sum(axis=1) == 1
@@ -59,9 +60,9 @@ def _shares(chaos: Chaos) -> tuple[Array, Array]:
     return first, total
 
 
-def _sampled_shares(chaos: Chaos) -> tuple[Array, Array]:
+def _sampled_shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     """First and total indices by pick and freeze on the expansion (Saltelli 2010, Jansen 1999)."""
-    one, other = _drawn(chaos)
+    one, other = _drawn(chaos, replicate)
     f, g = predict(chaos, one), predict(chaos, other)
     variance = float(np.var(np.concatenate([f, g])))
     first, total = np.zeros(len(chaos.germs)), np.zeros(len(chaos.germs))
@@ -149,8 +150,12 @@ def chaos_indices(
         nothing = [absent(reason, METHOD, count)] * dimension
         return {"first": nothing, "total": list(nothing)}
     points = sum(fit.samples for fit in fits)
-    sampled = 0.0 if all(fit.plain for fit in fits) else 2e-4
-    shares = np.array([_shares(fit) for fit in fits])  # (R, 2, d)
+    # Every fit is sampled by a design of its own, so that the spread holds the error of the sampling too.
+    shares = np.array([_shares(fit, replicate) for replicate, fit in enumerate(fits)])  # (R, 2, d)
+    sampled = 0.0
+    if len(fits) == 1 and not fits[0].plain:
+        again = np.array([_shares(fits[0], replicate) for replicate in range(1, 5)])
+        sampled = 3.0 * float(again.std(axis=0, ddof=1).max())
     answer = {}
     for row, name in enumerate(("first", "total")):
         answer[name] = [_index(shares[:, row, j], unexplained, sampled, count, points) for j in range(dimension)]
@@ -160,7 +165,9 @@ def chaos_indices(
 def _index(shares: Array, unexplained: float, sampled: float, evaluations: int, points: int) -> Estimate:
     if shares.size == 1:
         root, reach = math.sqrt(float(shares[0])), math.sqrt(unexplained)
-        value, low, high = float(shares[0]), max(0.0, root - reach) ** 2, (root + reach) ** 2
+        value = float(shares[0])
+        low = min(max(0.0, root - reach) ** 2, value - sampled)
+        high = max((root + reach) ** 2, value + sampled)
         factor = 1.96
     else:
         spread = from_replicates(shares, METHOD, evaluations)
@@ -171,6 +178,6 @@ def _index(shares: Array, unexplained: float, sampled: float, evaluations: int, 
         # On both sides, since the noise of superfluous coefficients adds to shares that are zero; and twice,
         # since the unexplained share is itself an estimate.
         low, high = value - half - 2.0 * unexplained, value + half + 2.0 * unexplained
-    low, high = max(0.0, low - sampled), min(1.0, high + sampled)
+    low, high = max(0.0, low), min(1.0, high)
     return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / factor,
                     method=METHOD, evaluations=evaluations)  # fmt: skip

@@ -85,6 +85,9 @@ class _Lanes:
         self.task, self.masks = task, task.masks
         lanes, n = self.masks.shape
         self.directions = np.empty((lanes, most, n))
+        # products of every direction with every row of the basis: what a new row has in common with those before
+        self.along = np.empty((most, lanes, task.basis.shape[0]))
+        self.every = np.arange(lanes)
         self.fits = np.zeros((lanes, n))
         self.residuals = self.masks * task.values
         self.squares = _dots(self.residuals, self.residuals)
@@ -95,19 +98,19 @@ class _Lanes:
         self.order: list[int] = []
         self._least, self._since = np.inf, 0
 
-    def add(self, rows: Order, wanted: npt.NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """One more row for every lane: its new direction (lanes, n), masked, its length and its overlaps."""
+    def add(self, rows: Order, wanted: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+        """One more row for every lane: the length of what is new in it (lanes,), and its overlaps (lanes, k)."""
         k = self.count
         fresh = self.task.basis[rows]
         before = _dots(self.masks, fresh**2)
-        overlaps = np.zeros((rows.size, k))
-        for _ in range(2):
-            part = np.matmul(self.directions[:, :k], (self.masks * fresh)[:, :, None])[:, :, 0]
-            overlaps += part
+        overlaps = part = np.ascontiguousarray(self.along[:k, self.every, rows].T)
+        for turn in range(2):
             fresh -= np.matmul(part[:, None, :], self.directions[:, :k])[:, 0]
             squares = _dots(self.masks, fresh**2)
-            if np.all(squares > 1e-5 * before):  # once is enough where something is left
+            if turn or np.all(squares > 1e-5 * before):  # once is enough where something is left
                 break
+            part = np.matmul(self.directions[:, :k], (self.masks * fresh)[:, :, None])[:, :, 0]
+            overlaps = overlaps + part
         sound = wanted & (squares > _DEPENDENT * before)
         lengths = np.where(sound, np.sqrt(squares), 0.0)
         fresh *= np.where(sound, 1.0 / np.where(sound, lengths, 1.0), 0.0)[:, None]
@@ -120,7 +123,8 @@ class _Lanes:
         self.count += 1
         self.order.append(int(rows[0]) if sound[0] else -1)
         self.steps = steps
-        return masked, lengths, overlaps
+        np.matmul(masked, self.task.basis.T, out=self.along[k])
+        return lengths, overlaps
 
     def finished(self) -> bool:
         """Counts the error of the fold left out; true where it has risen for a good while, or nothing is left."""
@@ -159,13 +163,12 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
             wanted = scores[every, rows] >= 0.0
             if not wanted[0]:
                 break
-        masked, _, _ = lanes.add(rows, wanted)
+        lanes.add(rows, wanted)
         closed[every, rows] = True
         if lanes.finished():
             break
-        along = masked @ basis.T
-        left -= along**2
-        correlations -= lanes.steps[:, None] * along
+        left -= lanes.along[k] ** 2
+        correlations -= lanes.steps[:, None] * lanes.along[k]
     return lanes.path()
 
 
@@ -206,12 +209,12 @@ def least_angles(task: Task) -> Path:
         if not wanted[0]:
             break
         signs = np.where(correlations[every, rows] > 0.0, 1.0, -1.0)
-        masked, lengths, overlaps = lanes.add(rows, wanted)
+        lengths, overlaps = lanes.add(rows, wanted)
         usable[every, rows] = False
         norm = norms[every, rows]
         done = signs - np.sum(overlaps[:, 1:] * tau[:, 1:k], axis=1) / norm
         tau[:, k] = np.where(lengths > 0.0, done * norm / np.where(lengths > 0.0, lengths, 1.0), 0.0)
-        along += tau[:, k, None] * (masked @ basis.T) / norms
+        along += tau[:, k, None] * lanes.along[k] / norms
         if lanes.finished():
             break
         # All active rows lose correlation at the rate 1/|τ|; the first of the others to catch up enters.
@@ -267,10 +270,12 @@ def subspace_pursuit(task: Task) -> Path:
     sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else []
     best: tuple[float, Order] = (np.inf, np.zeros(1, dtype=np.intp))
     rising = 0
+    # five folds at most: nothing is shared between them here
+    folds = task.folds % 5
     for size in sizes:
         predicted = np.empty(values.size)
-        for mask in task.masks[1:]:
-            seen, unseen = np.flatnonzero(mask), np.flatnonzero(mask == 0.0)
+        for fold in range(int(folds.max()) + 1):
+            seen, unseen = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
             trained = np.ascontiguousarray(basis[:, seen])
             rows = _subspace(trained, values[seen], size)
             predicted[unseen] = _normal_equations(trained[rows], values[seen]) @ basis[np.ix_(rows, unseen)]
