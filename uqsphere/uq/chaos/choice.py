@@ -8,7 +8,7 @@ whole choice of terms.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -30,7 +30,11 @@ _CLEAR: Final = 4.0  # times less error: the search need not go on without the t
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
 _STRIDE: Final = 1.6  # sets that are hardly larger than the one before are passed over
 _GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share
-_ROUNDS: Final = 6
+_MOST_TERMS: Final = 256
+_SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
+_ENOUGH_TO_SEARCH: Final = 400  # samples from which on the search is held among the first of them
+_SEARCHED: Final = 256
+_MANY: Final = 600  # samples from which on time matters more than the last factor of the error
 
 
 #: multi-indices (P, d), their rows (P, n) at the samples, and the sizes of the nested sets within
@@ -41,7 +45,8 @@ Basis: TypeAlias = tuple[Indices, Array, tuple[int, ...]]
 class Contest:
     """What all outputs at the same points share: the values of each input's polynomials, and the bases tried.
 
-    `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`.
+    `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`, and where there are
+    many samples it is held among the first of them alone, in a contest of their own (`search`).
     """
 
     values: list[Array]
@@ -51,6 +56,9 @@ class Contest:
     most_terms: int
     quick_terms: int
     most_candidates: int
+    solvers: tuple[str, ...]
+    rounds: int
+    search: Contest | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,15 +77,26 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     n, dimension = points.shape
     highest = min(most_degree(germ) for germ in germs)
     values = [orthonormal_values(germ, points[:, j], highest) for j, germ in enumerate(germs)]
-    most = min(max(400, 3 * n), 1500)
+    many = n > _MANY
+    most = 800 if many else min(max(400, 3 * n), 1500)
     bases = []
     for norm in NORMS:
         found = nested(dimension, norm, highest, most)
         if found is not None and (dimension > 1 or norm == 1.0):
             indices, sizes = found
             bases.append((indices, products(values, indices), sizes))
-    return Contest(values=values, highest=highest, bases=tuple(bases), folds=deal(n, 10 if n <= 150 else 5),
-                   most_terms=max(n // 2, 1), quick_terms=max(min(n // 2, 32), n // 4, 1), most_candidates=most)  # fmt: skip
+    return Contest(
+        values=values,
+        highest=highest,
+        bases=tuple(bases),
+        folds=deal(n, 10 if n <= 150 else 5),
+        most_terms=max(min(n // 2, _MOST_TERMS), 1),
+        quick_terms=max(min(n // 2, 32), min(n // 4, _MOST_TERMS // 2), 1),
+        most_candidates=most,
+        solvers=_SOLVERS[:1] if many else _SOLVERS,
+        rounds=2 if many else 6,
+        search=prepare(points[:_SEARCHED], germs) if n > _ENOUGH_TO_SEARCH else None,
+    )
 
 
 def deal(n: int, folds: int) -> npt.NDArray[np.intp]:
@@ -107,7 +126,7 @@ def compete(contest: Contest, outputs: Array) -> list[Found]:
     """The leading contenders for outputs (n,) that vary, best first by their K-fold error in output units."""
     if not contest.bases:
         return []
-    found = [_search(contest, transform, outputs) for transform in _screened(contest, outputs)]
+    found = _searched(contest, outputs)
     least = min(_handicapped(one) for one, _ in found)
     answer = []
     for one, basis in found:
@@ -116,6 +135,22 @@ def compete(contest: Contest, outputs: Array) -> list[Found]:
     answer.sort(key=_handicapped)
     larger = _grow(contest, answer[0], outputs)
     return [larger, *answer] if larger is not answer[0] else answer
+
+
+def _searched(contest: Contest, outputs: Array) -> list[tuple[Found, Basis]]:
+    """What the search finds for each transform in the running: its leader there, and the basis for all samples."""
+    inner = contest.search
+    if inner is None or float(np.std(outputs[: inner.folds.size])) <= 1e-3 * float(np.std(outputs)):
+        return [_search(contest, transform, outputs) for transform in _screened(contest, outputs)]
+    some = outputs[: inner.folds.size]
+    whole = {transform.kind: transform for transform in possible_transforms(outputs)}
+    answer = []
+    for transform in _screened(inner, some):
+        if transform.kind in whole:
+            found, (indices, _, sizes) = _search(inner, transform, some)
+            basis = indices, products(contest.values, indices), sizes
+            answer.append((replace(found, transform=whole[transform.kind]), basis))
+    return answer or [_search(contest, whole["identity"], outputs)]
 
 
 def _handicapped(found: Found) -> float:
@@ -146,13 +181,10 @@ def _screened(contest: Contest, outputs: Array) -> list[Transform]:
 
 def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> list[Found]:
     """All solvers on the basis on which the search ended."""
-    if found.error < _ENOUGH:
+    if found.error < _ENOUGH and contest.search is None:
         return [found]
-    solvers = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
-    trials = [(solver, basis) for solver in solvers] + [("least squares", whole) for whole in contest.bases]
-    return [
-        _run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials
-    ]
+    trials = [(solver, basis) for solver in contest.solvers] + [("least squares", whole) for whole in contest.bases]
+    return [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
 
 
 def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:
@@ -180,7 +212,7 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
     """Bases that grow around the terms that were kept, as long as the error falls."""
     values = found.transform.forward(outputs)
     solver = "forward selection" if found.solver == "least squares" else found.solver
-    for _ in range(_ROUNDS):
+    for _ in range(contest.rounds):
         if found.error < _ENOUGH or len(found.indices) < 2:
             break
         weights = np.abs(solve_rows(found.rows, values))

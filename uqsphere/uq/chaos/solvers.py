@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["SOLVERS", "Path", "Solver", "Task", "leave_one_out", "solve_rows"]
+__all__ = ["SOLVERS", "Path", "Solver", "Task", "solve_rows"]
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
@@ -325,14 +325,3 @@ def solve_rows(rows: Array, values: Array) -> Array:
     """Least-squares coefficients (k,) of values (n,) in rows (k, n)."""
     q, r = np.linalg.qr(rows.T)
     return np.asarray(np.linalg.solve(r, q.T @ values))
-
-
-def leave_one_out(rows: Array, values: Array) -> Array:
-    """What each of values (n,) is predicted to be by least squares in rows (k, n) without it: z_i - e_i/(1 - h_i).
-
-    No fit is repeated: e are the residuals of the one fit and h its leverages.  The rows are those given: where they
-    were chosen on the same values, the prediction is too good.
-    """
-    q, _ = np.linalg.qr(rows.T)
-    leverage = np.minimum(np.sum(q * q, axis=1), 1.0 - 1e-12)
-    return np.asarray(values - (values - q @ (q.T @ values)) / (1.0 - leverage))

@@ -26,6 +26,8 @@ Samples: TypeAlias = npt.NDArray[np.intp]
 
 _LEAST_SHARE: Final = 0.08  # of the samples on either side
 _TURNS: Final = 12
+_MOST_TERMS: Final = 80
+_MOST_CANDIDATES: Final = 600
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,9 +197,9 @@ def _piece(data: _Data, samples: Samples) -> tuple[Indices, Array]:
     folds = deal(samples.size, 5)
     best = (1.0, zero, np.zeros(1))
     for indices, rows, sizes in data.bases[:2]:
-        for size in [s for s in sizes if s <= max(2 * samples.size, sizes[0])][-2:]:
+        for size in [s for s in sizes if s <= max(min(2 * samples.size, _MOST_CANDIDATES), sizes[0])][-2:]:
             basis = np.ascontiguousarray(rows[:size][:, samples])
-            task = Task(basis=basis, values=values, folds=folds, most=max(samples.size // 3, 1),
+            task = Task(basis=basis, values=values, folds=folds, most=max(min(samples.size // 3, _MOST_TERMS), 1),
                         error=lambda predicted: float(np.mean((predicted - values) ** 2)))  # fmt: skip
             active, error = forward_selection(task).best()
             if error < best[0]:
