@@ -7,6 +7,7 @@ whole choice of terms.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
@@ -20,7 +21,7 @@ from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
 from uqsphere.uq.families import Array
 
-__all__ = ["Contest", "Found", "compete", "deal", "prepare"]
+__all__ = ["Basis", "Contest", "Found", "compete", "deal", "prepare", "spread_of"]
 
 #: hyperbolic norms of the bases that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
@@ -29,7 +30,7 @@ _HELPS: Final = 0.7  # a transform is kept where it brings the error below this 
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
 _STRIDE: Final = 1.6  # sets that are hardly larger than the one before are passed over
-_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share
+_GROWS: Final = 0.75  # a grown basis is kept where it brings the error below this share
 _MOST_TERMS: Final = 256
 _SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
 _ENOUGH_TO_SEARCH: Final = 400  # samples from which on the search is held among the first of them
@@ -63,13 +64,17 @@ class Contest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units."""
+    """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
+
+    `reported` is that error and a standard error more: the least of many errors is a lucky one.
+    """
 
     transform: Transform
     solver: str
     indices: Indices
     rows: Array
     error: float
+    reported: float
 
 
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
@@ -94,7 +99,7 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
         quick_terms=max(min(n // 2, 32), min(n // 4, _MOST_TERMS // 2), 1),
         most_candidates=most,
         solvers=_SOLVERS[:1] if many else _SOLVERS,
-        rounds=2 if many else 6,
+        rounds=2 if many else 6 if n > 150 else 3,
         search=prepare(points[:_SEARCHED], germs) if n > _ENOUGH_TO_SEARCH else None,
     )
 
@@ -118,8 +123,21 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
 
     task = Task(basis=rows, values=transform.forward(outputs), folds=contest.folds, error=error, most=most,
                 sizes=sizes)  # fmt: skip
-    active, least = SOLVERS[solver](task).best()
-    return Found(transform=transform, solver=solver, indices=indices[active], rows=rows[active], error=least)
+    path = SOLVERS[solver](task)
+    active, least = path.best()
+    return Found(
+        transform=transform,
+        solver=solver,
+        indices=indices[active],
+        rows=rows[active],
+        error=least,
+        reported=least + spread_of(transform.back(path.held_out) - outputs) / variance,
+    )
+
+
+def spread_of(off: Array) -> float:
+    """Standard error of the sum of squares of what predictions (n,) are off by."""
+    return float(np.std(off**2)) * math.sqrt(off.size)
 
 
 def compete(contest: Contest, outputs: Array) -> list[Found]:

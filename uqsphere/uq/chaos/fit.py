@@ -103,7 +103,7 @@ def _whole(found: Found, scaled: Array, unit: float, germs: tuple[GermLike, ...]
         coefficients[0] += transform.centre * unit
     piece = Piece(coefficients=coefficients, multi_indices=found.indices[order],
                   transform=None if transform.kind == "identity" else kept)  # fmt: skip
-    return Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=found.error,
+    return Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=min(found.reported, 1.0),
                  samples=scaled.size, solver=found.solver)  # fmt: skip
 
 

@@ -49,6 +49,11 @@ class _Data:
     bases: tuple[Basis, ...]
 
 
+#: samples and, if there is one, the side that each was on when all were seen -> where the second piece holds, and the
+#: border; the hint spares the turns a bad start, and nothing else is taken from it
+Proposal: TypeAlias = Callable[[_Data, Side | None], tuple[Side, Border] | None]
+
+
 def _planes(points: Array, outputs: Array, side: Side) -> tuple[Array, Array]:
     """Values (n,) everywhere of the planes through the samples on either side."""
     features = score_features(points, points.shape[1] + 1)
@@ -64,7 +69,7 @@ def _balanced(side: Side) -> bool:
     return bool(_LEAST_SHARE <= side.mean() <= 1.0 - _LEAST_SHARE)
 
 
-def _cut(data: _Data) -> tuple[Side, Border] | None:
+def _cut(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
     """The cut across one input that leaves the least to two planes."""
     best: tuple[float, Border] | None = None
     levels = np.linspace(0.1, 0.9, 17)
@@ -107,7 +112,7 @@ def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
     return data.points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
 
 
-def _gap(data: _Data) -> tuple[Side, Border] | None:
+def _gap(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
     """Two groups of outputs with a gap between them, told apart by a logistic score of the inputs."""
     ordered = np.sort(data.outputs)
     n = ordered.size
@@ -150,17 +155,17 @@ def _logistic(features: Array, side: Side) -> Array:
     return weights
 
 
-def _crossing(kind: str) -> Callable[[_Data], tuple[Side, Border] | None]:
+def _crossing(kind: str) -> Proposal:
     sign = 1.0 if kind == "upper" else -1.0
 
-    def propose(data: _Data) -> tuple[Side, Border] | None:
+    def propose(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
         """The larger (smaller) of two planes, from cuts across the inputs that matter, by turns."""
         centred = data.points - data.points.mean(axis=0)
         slopes = centred.T @ (data.outputs - data.outputs.mean()) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
         directions = [centred @ slopes, *(centred[:, j] for j in np.argsort(-np.abs(slopes))[:3])]
         best: tuple[float, Side] | None = None
-        for along in directions:
-            side = along > np.median(along)
+        starts = [along > np.median(along) for along in directions]
+        for side in starts if hint is None else [hint, *starts]:
             for _ in range(_TURNS):
                 low, high = _planes(data.points, data.outputs, side)
                 new = sign * (high - low) > 0.0
@@ -176,8 +181,8 @@ def _crossing(kind: str) -> Callable[[_Data], tuple[Side, Border] | None]:
     return propose
 
 
-#: name -> where the second piece holds, and the border, from the samples alone
-PROPOSALS: Final[dict[str, Callable[[_Data], tuple[Side, Border] | None]]] = {
+#: name -> proposal
+PROPOSALS: Final[dict[str, Proposal]] = {
     "cut": _cut,
     "gap": _gap,
     "upper": _crossing("upper"),
@@ -221,11 +226,11 @@ def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
 
 
 def _build(
-    data: _Data, seen: Samples, propose: Callable[[_Data], tuple[Side, Border] | None]
+    data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None
 ) -> tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border] | None:
     """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns."""
     inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
-    found = propose(inner)
+    found = propose(inner, None if hint is None else hint[seen])
     if found is None or not _balanced(found[0]):
         return None
     side, border = found
@@ -239,6 +244,12 @@ def _build(
         side = new
         pieces = (_piece(data, seen[~side]), _piece(data, seen[side]))
     return pieces, border
+
+
+def _sides(data: _Data, whole: tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]) -> Side:
+    """Which samples the second piece holds."""
+    pieces, border = whole
+    return border.side(data.points, [_values(data, piece) for piece in pieces])
 
 
 def _doubt(data: _Data, whole: tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]) -> float:
@@ -268,9 +279,9 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
         if whole is None:
             continue
         limit = below if best is None else best.error
-        left = 0.0
+        left, hint = 0.0, _sides(data, whole)
         for fold in range(5):
-            part = _build(data, np.flatnonzero(folds != fold), propose)
+            part = _build(data, np.flatnonzero(folds != fold), propose, hint)
             if part is None:
                 left = np.inf
                 break
