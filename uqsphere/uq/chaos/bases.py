@@ -120,7 +120,7 @@ def law_germ(
             lower=lambda: -1.0,
             upper=lambda: 1.0,
         )
-        coefficients, _, _ = chaospy.discretized_stieltjes(degree, law, rule="gaussian_legendre", tolerance=1e-12)
+        coefficients, _, _ = chaospy.discretized_stieltjes(degree, law, rule="legendre", tolerance=1e-12)
     a, b = np.asarray(coefficients, dtype=np.float64).reshape(2, degree + 1)
     b[0] = 1.0
     return Germ(name=name, quantile=quantile, recurrence=np.array([centre + half * a, b * half**2]))

@@ -261,7 +261,7 @@ def _subspace(basis: Array, values: Array, size: int) -> Order:
 
 def _normal_equations(rows: Array, values: Array) -> Array:
     gram = rows @ rows.T
-    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-12
+    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-14
     return np.asarray(np.linalg.solve(gram, rows @ values))
 
 
@@ -273,7 +273,7 @@ def subspace_pursuit(task: Task) -> Path:
     """
     basis, values = task.basis, task.values
     largest = min(task.most, basis.shape[0] - 1, values.size // 4)
-    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else []
+    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else [1]
     best: tuple[float, Order, Array] = (np.inf, np.zeros(1, dtype=np.intp), np.zeros(values.size))
     rising = 0
     # five folds at most: nothing is shared between them here
@@ -291,9 +291,11 @@ def subspace_pursuit(task: Task) -> Path:
             best = (error, _subspace(basis, values, size), predicted)
         if rising == 2:
             break
-    errors = np.full(best[1].size, np.inf)
+    diagonal = np.abs(np.diag(np.linalg.qr(basis[best[1]].T, mode="r")))
+    order = np.where(diagonal > 1e-7 * diagonal.max(), best[1], -1)  # -1: it hangs on those before
+    errors = np.full(order.size, np.inf)
     errors[-1] = best[0]
-    return Path(order=best[1], errors=errors, held_out=best[2])
+    return Path(order=order, errors=errors, held_out=best[2])
 
 
 def least_squares(task: Task) -> Path:
