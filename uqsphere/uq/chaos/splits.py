@@ -227,9 +227,7 @@ def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
     raise ValueError("the terms belong to no basis")
 
 
-def _build(
-    data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None
-) -> Halves | None:
+def _build(data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None) -> Halves | None:
     """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns."""
     inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
     found = propose(inner, None if hint is None else hint[seen])
