@@ -321,3 +321,18 @@ def test_enrichment_of_a_smooth_and_of_a_hopeless_output() -> None:
     hopeless = enrichment(p, oscillation(p), germs, 1e-2)
     assert hopeless.points is None
     assert not hopeless.reached
+
+
+def test_a_polynomial_that_is_wild_beyond_its_samples_is_not_believed() -> None:
+    germs = ("normal",) * 2
+    held_out = points(8000, germs, 99)
+
+    def branches(x: np.ndarray) -> np.ndarray:
+        """Four branches (Waarts 2000): the least of two parabolas and two planes."""
+        along, across = (x[:, 0] + x[:, 1]) / math.sqrt(2.0), x[:, 0] - x[:, 1]
+        return np.minimum(3.0 + 0.1 * across**2 - np.abs(along), 3.0 * math.sqrt(2.0) - np.abs(across))
+
+    for replicate in range(5):
+        p = points(128, germs, replicate)
+        chaos = fit_chaos(p, branches(p), germs)
+        assert validation_error(chaos, held_out, branches(held_out)) < 1.0

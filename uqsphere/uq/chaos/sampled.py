@@ -17,7 +17,7 @@ from uqsphere.uq.chaos.truncation import Indices, nested, products
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
 
-__all__ = ["active_inputs", "sampled_moments", "sampled_shares"]
+__all__ = ["active_inputs", "law_points", "sampled_moments", "sampled_shares"]
 
 _POINTS: Final = 8192
 _REGRESSED: Final = 4096
@@ -32,7 +32,7 @@ def active_inputs(chaos: Chaos) -> tuple[int, ...]:
     return tuple(int(j) for j in np.flatnonzero(active))
 
 
-def _drawn(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
+def law_points(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     """Two independent designs of germ points (n, d), the same every time for a replicate."""
     from scipy.special import ndtri
 
@@ -77,7 +77,7 @@ class _Companion:
 
 def sampled_moments(chaos: Chaos) -> tuple[float, float]:
     """Mean and standard deviation of the expansion, from its values on a Sobol' design."""
-    values = predict(chaos, np.concatenate(_drawn(chaos, 0)))
+    values = predict(chaos, np.concatenate(law_points(chaos, 0)))
     largest = float(np.abs(values).max()) or 1.0
     return float((values / largest).mean()) * largest, float((values / largest).std()) * largest
 
@@ -88,7 +88,7 @@ def sampled_shares(chaos: Chaos, groups: Sequence[Sequence[int]], replicate: int
     Closed ones by products of small differences, so that the noise of a small index is small (Owen 2013); total ones
     by squares of differences (Jansen 1999).
     """
-    one, other = _drawn(chaos, replicate)
+    one, other = law_points(chaos, replicate)
     f, g = predict(chaos, one), predict(chaos, other)
     unit, centre = float(np.std(f)), float(np.mean(f))
     if unit == 0.0:

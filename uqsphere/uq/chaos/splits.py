@@ -246,12 +246,6 @@ def _build(data: _Data, seen: Samples, propose: Proposal, hint: Side | None = No
     return pieces, border
 
 
-def _sides(data: _Data, whole: Halves) -> Side:
-    """Which samples the second piece holds."""
-    pieces, border = whole
-    return border.side(data.points, [_values(data, piece) for piece in pieces])
-
-
 def _doubt(data: _Data, whole: Halves) -> float:
     """What it costs that samples leave the place of the border open: a share of a sample on the wrong side.
 
@@ -279,6 +273,17 @@ def _moved(data: _Data, seen: Samples, border: Border, whole: Border) -> Border:
     return whole if int(np.sum((column > low) & (column <= high))) <= 1 else border
 
 
+def _left_out(data: _Data, unseen: Side, propose: Proposal, side: Side, border: Border) -> float:
+    """Sum of squares left on the samples unseen by a proposal made anew without them; inf where there is none."""
+    seen = np.flatnonzero(~unseen)
+    part = _build(data, seen, propose, side)
+    if part is None:
+        return float(np.inf)
+    values = [_values(data, piece)[unseen] for piece in part[0]]
+    there = _moved(data, seen, part[1], border).side(data.points[unseen], values)
+    return float(np.sum((np.where(there, values[1], values[0]) - data.outputs[unseen]) ** 2))
+
+
 def find_split(contest: Contest, points: Array, outputs: Array, *, below: float) -> Split | None:
     """The proposal with the least K-fold error, over the variance of outputs (n,), if it is less than `below`.
 
@@ -293,21 +298,19 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
         whole = _build(data, np.arange(outputs.size), propose)
         if whole is None:
             continue
-        limit = below if best is None else best.error
-        left, hint = 0.0, _sides(data, whole)
+        limit = (below if best is None else best.error) * variance * outputs.size
+        values = [_values(data, piece) for piece in whole[0]]
+        side = whole[1].side(points, values)
+        at_hand = float(np.sum((np.where(side, values[1], values[0]) - outputs) ** 2))
+        doubt = _doubt(data, whole)
+        # What does not even describe the samples at hand will not foretell others.
+        if at_hand + doubt >= limit:
+            continue
+        left = doubt
         for fold in range(5):
-            part = _build(data, np.flatnonzero(folds != fold), propose, hint)
-            if part is None:
-                left = np.inf
+            left += _left_out(data, folds == fold, propose, side, whole[1])
+            if left >= limit:
                 break
-            unseen = folds == fold
-            values = [_values(data, piece)[unseen] for piece in part[0]]
-            border = _moved(data, np.flatnonzero(~unseen), part[1], whole[1])
-            predicted = np.where(border.side(points[unseen], values), values[1], values[0])
-            left += float(np.sum((predicted - outputs[unseen]) ** 2))
-            if left > limit * variance * outputs.size:
-                break
-        error = (left + _doubt(data, whole)) / (variance * outputs.size)
-        if error < limit:
-            best = Split(pieces=whole[0], border=whole[1], error=error, proposal=name)
+        if left < limit:
+            best = Split(pieces=whole[0], border=whole[1], error=left / (variance * outputs.size), proposal=name)
     return best
