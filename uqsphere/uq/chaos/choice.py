@@ -29,7 +29,7 @@ _ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time
 _HELPS: Final = 0.7  # a transform is kept where it brings the error below this share of the error without
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
-_STRIDE: Final = 1.6  # sets that are hardly larger than the one before are passed over
+_STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
 _GROWS: Final = 0.75  # a grown basis is kept where it brings the error below this share
 _MOST_TERMS: Final = 256
 _SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
@@ -96,10 +96,10 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
         bases=tuple(bases),
         folds=deal(n, 10 if n <= 150 else 5),
         most_terms=max(min(n // 2, _MOST_TERMS), 1),
-        quick_terms=max(min(n // 2, 32), min(n // 4, _MOST_TERMS // 2), 1),
+        quick_terms=max(n // 2 if n <= 150 else min(n // 4, _MOST_TERMS // 2), 1),
         most_candidates=most,
         solvers=_SOLVERS[:1] if many else _SOLVERS,
-        rounds=2 if many else 6 if n > 150 else 3,
+        rounds=2 if many else 6 if n > 100 else 3,
         search=prepare(points[:_SEARCHED], germs) if n > _ENOUGH_TO_SEARCH else None,
     )
 
