@@ -30,7 +30,8 @@ _HELPS: Final = 0.7  # a transform is kept where it brings the error below this 
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
 _STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
-_GROWS: Final = 0.75  # a grown basis is kept where it brings the error below this share
+_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share,
+_GROWS_FEW: Final = 0.75  # and below this where samples are few, and chance is large
 _MOST_TERMS: Final = 256
 _SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
 _ENOUGH_TO_SEARCH: Final = 400  # samples from which on the search is held among the first of them
@@ -238,7 +239,7 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
         indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
         basis = indices, products(contest.values, indices), ()
         trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
-        if not trial.error < _GROWS * found.error:
+        if not trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error:
             break
         found = trial
     return found
