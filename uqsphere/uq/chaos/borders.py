@@ -42,6 +42,14 @@ class Border:
             return np.asarray(score_features(points, self.weights.size) @ self.weights > 0.0)
         return np.asarray(values[1] > values[0] if self.kind == "upper" else values[1] < values[0])
 
+    def distance(self, points: Array) -> Array:
+        """How far (n,) points (n, d) lie from a border that is drawn in the inputs, on any scale."""
+        if self.kind == "axis":
+            return np.abs(points[:, self.axis] - self.at)
+        if self.weights is None:
+            raise ValueError("where two pieces cross, they have to be compared themselves")
+        return np.abs(score_features(points, self.weights.size) @ self.weights)
+
     def inputs(self, dimension: int) -> Side:
         """Which inputs (d,) the border itself depends on, apart from the pieces."""
         answer = np.zeros(dimension, dtype=bool)

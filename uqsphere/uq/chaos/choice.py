@@ -7,8 +7,9 @@ whole choice of terms.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
 from uqsphere.uq.families import Array
 
-__all__ = ["Contest", "Found", "compete", "deal", "prepare"]
+__all__ = ["Basis", "Contest", "Found", "compete", "deal", "prepare", "spread_of"]
 
 #: hyperbolic norms of the bases that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
@@ -28,9 +29,14 @@ _ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time
 _HELPS: Final = 0.7  # a transform is kept where it brings the error below this share of the error without
 _CLEAR: Final = 4.0  # times less error: the search need not go on without the transform
 _CLOSE: Final = 2.0  # times the least error of the search: a transform still in the running
-_STRIDE: Final = 1.6  # sets that are hardly larger than the one before are passed over
-_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share
-_ROUNDS: Final = 6
+_STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
+_GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share,
+_GROWS_FEW: Final = 0.75  # and below this where samples are few, and chance is large
+_MOST_TERMS: Final = 256
+_SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
+_ENOUGH_TO_SEARCH: Final = 400  # samples from which on the search is held among the first of them
+_SEARCHED: Final = 256
+_MANY: Final = 600  # samples from which on time matters more than the last factor of the error
 
 
 #: multi-indices (P, d), their rows (P, n) at the samples, and the sizes of the nested sets within
@@ -41,7 +47,8 @@ Basis: TypeAlias = tuple[Indices, Array, tuple[int, ...]]
 class Contest:
     """What all outputs at the same points share: the values of each input's polynomials, and the bases tried.
 
-    `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`.
+    `bases` holds one for each norm.  The search for a basis takes no more than `quick_terms`, and where there are
+    many samples it is held among the first of them alone, in a contest of their own (`search`).
     """
 
     values: list[Array]
@@ -51,17 +58,24 @@ class Contest:
     most_terms: int
     quick_terms: int
     most_candidates: int
+    solvers: tuple[str, ...]
+    rounds: int
+    search: Contest | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units."""
+    """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
+
+    `reported` is that error and a standard error more: the least of many errors is a lucky one.
+    """
 
     transform: Transform
     solver: str
     indices: Indices
     rows: Array
     error: float
+    reported: float
 
 
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
@@ -69,16 +83,26 @@ def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
     n, dimension = points.shape
     highest = min(most_degree(germ) for germ in germs)
     values = [orthonormal_values(germ, points[:, j], highest) for j, germ in enumerate(germs)]
-    most = min(max(400, 3 * n), 1500)
+    many = n > _MANY
+    most = 800 if many else min(max(400, 3 * n), 1500)
     bases = []
     for norm in NORMS:
         found = nested(dimension, norm, highest, most)
         if found is not None and (dimension > 1 or norm == 1.0):
             indices, sizes = found
             bases.append((indices, products(values, indices), sizes))
-    folds, quick = deal(n, 10 if n <= 150 else 5), max(min(n // 2, 32), n // 4, 1)
-    return Contest(values=values, highest=highest, bases=tuple(bases), folds=folds, most_terms=max(n // 2, 1),
-                   quick_terms=quick, most_candidates=most)  # fmt: skip
+    return Contest(
+        values=values,
+        highest=highest,
+        bases=tuple(bases),
+        folds=deal(n, 10 if n <= 150 else 5),
+        most_terms=max(min(n // 2, _MOST_TERMS), 1),
+        quick_terms=max(n // 2 if n <= 150 else min(n // 4, _MOST_TERMS // 2), 1),
+        most_candidates=most,
+        solvers=_SOLVERS[:1] if many else _SOLVERS,
+        rounds=2 if many else 6 if n > 100 else 3,
+        search=prepare(points[:_SEARCHED], germs) if n > _ENOUGH_TO_SEARCH else None,
+    )
 
 
 def deal(n: int, folds: int) -> npt.NDArray[np.intp]:
@@ -100,8 +124,21 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
 
     task = Task(basis=rows, values=transform.forward(outputs), folds=contest.folds, error=error, most=most,
                 sizes=sizes)  # fmt: skip
-    active, least = SOLVERS[solver](task).best()
-    return Found(transform=transform, solver=solver, indices=indices[active], rows=rows[active], error=least)
+    path = SOLVERS[solver](task)
+    active, least = path.best()
+    return Found(
+        transform=transform,
+        solver=solver,
+        indices=indices[active],
+        rows=rows[active],
+        error=least,
+        reported=least + spread_of(transform.back(path.held_out) - outputs) / variance,
+    )
+
+
+def spread_of(off: Array) -> float:
+    """Standard error of the sum of squares of what predictions (n,) are off by."""
+    return float(np.std(off**2)) * math.sqrt(off.size)
 
 
 def compete(contest: Contest, outputs: Array, *, plain: bool = False) -> list[Found]:
@@ -111,8 +148,7 @@ def compete(contest: Contest, outputs: Array, *, plain: bool = False) -> list[Fo
     """
     if not contest.bases:
         return []
-    transforms = [identity(outputs)] if plain else _screened(contest, outputs)
-    found = [_search(contest, transform, outputs) for transform in transforms]
+    found = _searched(contest, outputs, plain)
     least = min(_handicapped(one) for one, _ in found)
     answer = []
     for one, basis in found:
@@ -121,6 +157,23 @@ def compete(contest: Contest, outputs: Array, *, plain: bool = False) -> list[Fo
     answer.sort(key=_handicapped)
     larger = _grow(contest, answer[0], outputs)
     return [larger, *answer] if larger is not answer[0] else answer
+
+
+def _searched(contest: Contest, outputs: Array, plain: bool) -> list[tuple[Found, Basis]]:
+    """What the search finds for each transform in the running: its leader there, and the basis for all samples."""
+    inner = contest.search
+    if inner is None or float(np.std(outputs[: inner.folds.size])) <= 1e-3 * float(np.std(outputs)):
+        allowed = [identity(outputs)] if plain else _screened(contest, outputs)
+        return [_search(contest, transform, outputs) for transform in allowed]
+    some = outputs[: inner.folds.size]
+    whole = {transform.kind: transform for transform in possible_transforms(outputs)}
+    answer = []
+    for transform in [identity(some)] if plain else _screened(inner, some):
+        if transform.kind in whole:
+            found, (indices, _, sizes) = _search(inner, transform, some)
+            basis = indices, products(contest.values, indices), sizes
+            answer.append((replace(found, transform=whole[transform.kind]), basis))
+    return answer or [_search(contest, whole["identity"], outputs)]
 
 
 def _handicapped(found: Found) -> float:
@@ -151,10 +204,9 @@ def _screened(contest: Contest, outputs: Array) -> list[Transform]:
 
 def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> list[Found]:
     """All solvers on the basis on which the search ended."""
-    if found.error < _ENOUGH:
+    if found.error < _ENOUGH and contest.search is None:
         return [found]
-    solvers = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
-    trials = [(solver, basis) for solver in solvers] + [("least squares", whole) for whole in contest.bases]
+    trials = [(solver, basis) for solver in contest.solvers] + [("least squares", whole) for whole in contest.bases]
     return [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
 
 
@@ -183,7 +235,7 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
     """Bases that grow around the terms that were kept, as long as the error falls."""
     values = found.transform.forward(outputs)
     solver = "forward selection" if found.solver == "least squares" else found.solver
-    for _ in range(_ROUNDS):
+    for _ in range(contest.rounds):
         if found.error < _ENOUGH or len(found.indices) < 2:
             break
         weights = np.abs(solve_rows(found.rows, values))
@@ -191,7 +243,7 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
         indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
         basis = indices, products(contest.values, indices), ()
         trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
-        if not trial.error < _GROWS * found.error:
+        if not trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error:
             break
         found = trial
     return found

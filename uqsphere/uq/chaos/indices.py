@@ -1,8 +1,8 @@
 """Moments and Sobol' indices of an expansion: off its coefficients, or by sampling it where it was transformed.
 
 The coefficients of an expansion of the output itself give its moments and indices exactly.  The expansion of a
-transformed output, or one in two pieces, is sampled instead: it costs nothing but its own evaluation, and what the
-sampling adds is of the order of 1e-4, to be compared with the error of the expansion.
+transformed output, or one in two pieces, is sampled instead (`sampled`), each time by a design of its own, so that
+the spread over several fits holds the error of the sampling too.
 """
 
 from __future__ import annotations
@@ -14,44 +14,34 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.chaos.bases import germ_points
-from uqsphere.uq.chaos.borders import Side
-from uqsphere.uq.chaos.surrogate import Chaos, predict
+from uqsphere.uq.chaos.sampled import active_inputs, sampled_moments, sampled_shares
+from uqsphere.uq.chaos.surrogate import Chaos
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
 from uqsphere.uq.families import Array
-from uqsphere.uq.sampling import sobol_points
 
 __all__ = ["chaos_indices", "chaos_moments", "index_of", "indices_of_order"]
 
 METHOD: Final = "polynomial chaos"
-_POINTS: Final = 8192
-
-
-def _drawn(chaos: Chaos, replicate: int = 0) -> tuple[Array, Array]:
-    """Two independent designs of germ points (n, d), the same every time for a replicate."""
-    from scipy.special import ndtri
-
-    d = len(chaos.germs)
-    uniforms = sobol_points(dimension=2 * d, count=_POINTS, seed=0, task="polynomial chaos: moments",
-                            replicate=replicate)  # fmt: skip
-    normals = ndtri(uniforms)
-    return germ_points(normals[:, :d], chaos.germs), germ_points(normals[:, d:], chaos.germs)
 
 
 def chaos_moments(chaos: Chaos) -> tuple[float, float]:
     """Mean and standard deviation of the expansion."""
     if chaos.plain:
         coefficients = chaos.pieces[0].coefficients
-        return float(coefficients[0]), math.sqrt(float(np.sum(coefficients[1:] ** 2)))
-    values = predict(chaos, np.concatenate(_drawn(chaos)))
-    return float(values.mean()), float(values.std())
+        largest = float(np.abs(coefficients[1:]).max(initial=0.0)) or 1.0  # squares of large ones stay finite
+        return float(coefficients[0]), largest * math.sqrt(float(np.sum((coefficients[1:] / largest) ** 2)))
+    return sampled_moments(chaos)
 
 
 def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     """First and total index (d,) of every input; the expansion must not be constant."""
     if not chaos.plain:
-        return _sampled_shares(chaos, replicate)
-    squares = chaos.pieces[0].coefficients[1:] ** 2
+        first, total = np.zeros(len(chaos.germs)), np.zeros(len(chaos.germs))
+        inputs = active_inputs(chaos)
+        for j, pair in zip(inputs, sampled_shares(chaos, [[j] for j in inputs], replicate), strict=True):
+            first[j], total[j] = pair
+        return first, total
+    squares = _squares(chaos)
     active = chaos.pieces[0].multi_indices[1:] > 0
     alone = active.sum(axis=1) == 1
     variance = squares.sum()
@@ -60,28 +50,10 @@ def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     return first, total
 
 
-def _sampled_shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
-    """First and total indices by pick and freeze on the expansion (Saltelli 2010, Jansen 1999)."""
-    one, other = _drawn(chaos, replicate)
-    f, g = predict(chaos, one), predict(chaos, other)
-    variance = float(np.var(np.concatenate([f, g])))
-    first, total = np.zeros(len(chaos.germs)), np.zeros(len(chaos.germs))
-    for j in np.flatnonzero(chaos.multi_indices.any(axis=0) | _on_border(chaos)):
-        mixed = one.copy()
-        mixed[:, j] = other[:, j]
-        h = predict(chaos, mixed)
-        total[j] = 0.5 * float(np.mean((f - h) ** 2)) / variance
-        # Of two estimates of the same, the one whose noise goes with the index: small ones by products of small
-        # differences (Owen 2013), large ones by what is left (Jansen).
-        small = float(np.mean((g - g.mean()) * (h - f))) / variance
-        first[j] = small if small < 0.5 else 1.0 - 0.5 * float(np.mean((g - h) ** 2)) / variance
-    return np.clip(first, 0.0, 1.0), np.clip(total, 0.0, 1.0)
-
-
-def _on_border(chaos: Chaos) -> Side:
-    if chaos.border is None:
-        return np.zeros(len(chaos.germs), dtype=bool)
-    return chaos.border.inputs(len(chaos.germs))
+def _squares(chaos: Chaos) -> Array:
+    """Squares of the coefficients but the constant, on a scale of their own."""
+    coefficients = chaos.pieces[0].coefficients[1:]
+    return np.asarray((coefficients / np.abs(coefficients).max()) ** 2)
 
 
 def index_of(chaos: Chaos, group: Sequence[int]) -> float:
@@ -94,34 +66,20 @@ def index_of(chaos: Chaos, group: Sequence[int]) -> float:
     if chaos.constant:
         raise ValueError("the expansion is a constant: it has no indices")
     if chaos.plain:
-        squares = chaos.pieces[0].coefficients[1:] ** 2
+        squares = _squares(chaos)
         active = chaos.pieces[0].multi_indices[1:] > 0
         wanted = np.zeros(len(chaos.germs), dtype=bool)
         wanted[members] = True
         return float(squares[(active == wanted).all(axis=1)].sum() / squares.sum())
     # Inclusion and exclusion over the closed indices of all subsets.
-    total = 0.0
-    for size in range(1, len(members) + 1):
-        for subset in combinations(members, size):
-            total += (-1.0) ** (len(members) - size) * _closed(chaos, subset)
-    return total
-
-
-def _closed(chaos: Chaos, group: Sequence[int]) -> float:
-    """Share of the variance of the mean over all other inputs."""
-    one, other = _drawn(chaos)
-    mixed = one.copy()
-    mixed[:, list(group)] = other[:, list(group)]
-    f, g, h = predict(chaos, one), predict(chaos, other), predict(chaos, mixed)
-    variance = float(np.var(np.concatenate([f, g])))
-    small = float(np.mean((g - g.mean()) * (h - f))) / variance
-    return small if small < 0.5 else 1.0 - 0.5 * float(np.mean((g - h) ** 2)) / variance
+    subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
+    closed = [pair[0] for pair in sampled_shares(chaos, subsets, 0)]
+    return sum((-1.0) ** (len(members) - len(subset)) * c for subset, c in zip(subsets, closed, strict=True))
 
 
 def indices_of_order(chaos: Chaos, order: int) -> dict[tuple[int, ...], float]:
     """Sobol' index of every group of `order` inputs that are active in the expansion, the largest first."""
-    active = np.flatnonzero(chaos.multi_indices.any(axis=0) | _on_border(chaos))
-    found = {group: index_of(chaos, group) for group in combinations((int(j) for j in active), order)}
+    found = {group: index_of(chaos, group) for group in combinations(active_inputs(chaos), order)}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 

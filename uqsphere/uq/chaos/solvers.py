@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["SOLVERS", "Path", "Solver", "Task", "leave_one_out", "solve_rows"]
+__all__ = ["SOLVERS", "Path", "Solver", "Task", "solve_rows"]
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
@@ -53,11 +53,13 @@ class Task:
 class Path:
     """Rows in the order of their entry, and the K-fold error (k,) of the first 1, 2, … of them.
 
-    -1 stands for a step that found nothing to add.
+    -1 stands for a step that found nothing to add.  `held_out` (n,) are the predictions of every sample without its
+    fold, at the size of the least error.
     """
 
     order: Order
     errors: Array
+    held_out: Array
 
     def best(self) -> tuple[Order, float]:
         """The rows with the least error, and that error."""
@@ -95,6 +97,7 @@ class _Lanes:
         self.places = 1 + task.folds, np.arange(n)
         self.count = 0
         self.errors: list[float] = []
+        self.held_out = np.zeros(n)
         self.order: list[int] = []
         self._least, self._since = np.inf, 0
 
@@ -128,7 +131,10 @@ class _Lanes:
 
     def finished(self) -> bool:
         """Counts the error of the fold left out; true where it has risen for a good while, or nothing is left."""
-        error = self.task.error(self.fits[self.places])
+        predicted = self.fits[self.places]
+        error = self.task.error(predicted)
+        if error < min(self.errors, default=np.inf):
+            self.held_out = predicted
         self.errors.append(error if math.isfinite(error) else np.inf)
         self._since = 0 if error < 0.99 * self._least else self._since + 1
         self._least = min(self._least, self.errors[-1])
@@ -136,7 +142,7 @@ class _Lanes:
         return nothing_left or self._since > max(_LEAST_PATIENCE, self.count // 4)
 
     def path(self) -> Path:
-        return Path(order=np.array(self.order, dtype=np.intp), errors=np.array(self.errors))
+        return Path(order=np.array(self.order, dtype=np.intp), errors=np.array(self.errors), held_out=self.held_out)
 
 
 def _pursuit(task: Task, orthogonal: bool) -> Path:
@@ -255,7 +261,7 @@ def _subspace(basis: Array, values: Array, size: int) -> Order:
 
 def _normal_equations(rows: Array, values: Array) -> Array:
     gram = rows @ rows.T
-    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-12
+    gram.flat[:: len(rows) + 1] *= 1.0 + 1e-14
     return np.asarray(np.linalg.solve(gram, rows @ values))
 
 
@@ -267,8 +273,8 @@ def subspace_pursuit(task: Task) -> Path:
     """
     basis, values = task.basis, task.values
     largest = min(task.most, basis.shape[0] - 1, values.size // 4)
-    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else []
-    best: tuple[float, Order] = (np.inf, np.zeros(1, dtype=np.intp))
+    sizes = sorted({int(s) for s in np.geomspace(min(4, largest), largest, 6)}) if largest >= 2 else [1]
+    best: tuple[float, Order, Array] = (np.inf, np.zeros(1, dtype=np.intp), np.zeros(values.size))
     rising = 0
     # five folds at most: nothing is shared between them here
     folds = task.folds % 5
@@ -282,12 +288,14 @@ def subspace_pursuit(task: Task) -> Path:
         error = task.error(predicted)
         rising = 0 if error < best[0] else rising + 1
         if error < best[0]:
-            best = (error, _subspace(basis, values, size))
+            best = (error, _subspace(basis, values, size), predicted)
         if rising == 2:
             break
-    errors = np.full(best[1].size, np.inf)
+    diagonal = np.abs(np.diag(np.linalg.qr(basis[best[1]].T, mode="r")))
+    order = np.where(diagonal > 1e-7 * diagonal.max(), best[1], -1)  # -1: it hangs on those before
+    errors = np.full(order.size, np.inf)
     errors[-1] = best[0]
-    return Path(order=best[1], errors=errors)
+    return Path(order=order, errors=errors, held_out=best[2])
 
 
 def least_squares(task: Task) -> Path:
@@ -306,9 +314,10 @@ def least_squares(task: Task) -> Path:
         fitted = np.cumsum(ahead * (q.T @ task.values[inside]), axis=1)
         predicted[:, outside] = fitted[:, [size - 1 for size in sizes]].T
     errors = np.full(largest, np.inf)
-    for size, line in zip(sizes, predicted, strict=True):
-        errors[size - 1] = task.error(line)
-    return Path(order=np.arange(largest, dtype=np.intp), errors=errors)
+    lines = [task.error(line) for line in predicted]
+    errors[[size - 1 for size in sizes]] = lines
+    held_out = predicted[int(np.argmin(lines))] if lines else np.zeros(task.values.size)
+    return Path(order=np.arange(largest, dtype=np.intp), errors=errors, held_out=held_out)
 
 
 #: name -> solver
@@ -325,14 +334,3 @@ def solve_rows(rows: Array, values: Array) -> Array:
     """Least-squares coefficients (k,) of values (n,) in rows (k, n)."""
     q, r = np.linalg.qr(rows.T)
     return np.asarray(np.linalg.solve(r, q.T @ values))
-
-
-def leave_one_out(rows: Array, values: Array) -> Array:
-    """What each of values (n,) is predicted to be by least squares in rows (k, n) without it: z_i - e_i/(1 - h_i).
-
-    No fit is repeated: e are the residuals of the one fit and h its leverages.  The rows are those given: where they
-    were chosen on the same values, the prediction is too good.
-    """
-    q, _ = np.linalg.qr(rows.T)
-    leverage = np.minimum(np.sum(q * q, axis=1), 1.0 - 1e-12)
-    return np.asarray(values - (values - q @ (q.T @ values)) / (1.0 - leverage))

@@ -26,6 +26,8 @@ Samples: TypeAlias = npt.NDArray[np.intp]
 
 _LEAST_SHARE: Final = 0.08  # of the samples on either side
 _TURNS: Final = 12
+_MOST_TERMS: Final = 80
+_MOST_CANDIDATES: Final = 600
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,13 +49,20 @@ class _Data:
     bases: tuple[Basis, ...]
 
 
+#: two expansions, each with its multi-indices and coefficients, and their border
+Halves: TypeAlias = tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]
+#: samples and, if there is one, the side that each was on when all were seen -> where the second piece holds, and the
+#: border; the hint spares the turns a bad start, and nothing else is taken from it
+Proposal: TypeAlias = Callable[[_Data, Side | None], tuple[Side, Border] | None]
+
+
 def _planes(points: Array, outputs: Array, side: Side) -> tuple[Array, Array]:
     """Values (n,) everywhere of the planes through the samples on either side."""
     features = score_features(points, points.shape[1] + 1)
     found = []
     for part in (~side, side):
         rows = features[part]
-        gram = rows.T @ rows + 1e-8 * len(rows) * np.eye(features.shape[1])
+        gram = rows.T @ rows + 1e-8 * max(len(rows), 1) * np.eye(features.shape[1])
         found.append(features @ np.linalg.solve(gram, rows.T @ outputs[part]))
     return found[0], found[1]
 
@@ -62,7 +71,7 @@ def _balanced(side: Side) -> bool:
     return bool(_LEAST_SHARE <= side.mean() <= 1.0 - _LEAST_SHARE)
 
 
-def _cut(data: _Data) -> tuple[Side, Border] | None:
+def _cut(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
     """The cut across one input that leaves the least to two planes."""
     best: tuple[float, Border] | None = None
     levels = np.linspace(0.1, 0.9, 17)
@@ -105,7 +114,7 @@ def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
     return data.points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
 
 
-def _gap(data: _Data) -> tuple[Side, Border] | None:
+def _gap(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
     """Two groups of outputs with a gap between them, told apart by a logistic score of the inputs."""
     ordered = np.sort(data.outputs)
     n = ordered.size
@@ -148,17 +157,17 @@ def _logistic(features: Array, side: Side) -> Array:
     return weights
 
 
-def _crossing(kind: str) -> Callable[[_Data], tuple[Side, Border] | None]:
+def _crossing(kind: str) -> Proposal:
     sign = 1.0 if kind == "upper" else -1.0
 
-    def propose(data: _Data) -> tuple[Side, Border] | None:
+    def propose(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
         """The larger (smaller) of two planes, from cuts across the inputs that matter, by turns."""
         centred = data.points - data.points.mean(axis=0)
         slopes = centred.T @ (data.outputs - data.outputs.mean()) / np.maximum(np.sum(centred**2, axis=0), 1e-300)
         directions = [centred @ slopes, *(centred[:, j] for j in np.argsort(-np.abs(slopes))[:3])]
         best: tuple[float, Side] | None = None
-        for along in directions:
-            side = along > np.median(along)
+        starts = [along > np.median(along) for along in directions]
+        for side in starts if hint is None else [hint, *starts]:
             for _ in range(_TURNS):
                 low, high = _planes(data.points, data.outputs, side)
                 new = sign * (high - low) > 0.0
@@ -174,8 +183,8 @@ def _crossing(kind: str) -> Callable[[_Data], tuple[Side, Border] | None]:
     return propose
 
 
-#: name -> where the second piece holds, and the border, from the samples alone
-PROPOSALS: Final[dict[str, Callable[[_Data], tuple[Side, Border] | None]]] = {
+#: name -> proposal
+PROPOSALS: Final[dict[str, Proposal]] = {
     "cut": _cut,
     "gap": _gap,
     "upper": _crossing("upper"),
@@ -195,9 +204,9 @@ def _piece(data: _Data, samples: Samples) -> tuple[Indices, Array]:
     folds = deal(samples.size, 5)
     best = (1.0, zero, np.zeros(1))
     for indices, rows, sizes in data.bases[:2]:
-        for size in [s for s in sizes if s <= max(2 * samples.size, sizes[0])][-2:]:
+        for size in [s for s in sizes if s <= max(min(2 * samples.size, _MOST_CANDIDATES), sizes[0])][-2:]:
             basis = np.ascontiguousarray(rows[:size][:, samples])
-            task = Task(basis=basis, values=values, folds=folds, most=max(samples.size // 3, 1),
+            task = Task(basis=basis, values=values, folds=folds, most=max(min(samples.size // 3, _MOST_TERMS), 1),
                         error=lambda predicted: float(np.mean((predicted - values) ** 2)))  # fmt: skip
             active, error = forward_selection(task).best()
             if error < best[0]:
@@ -218,12 +227,10 @@ def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
     raise ValueError("the terms belong to no basis")
 
 
-def _build(
-    data: _Data, seen: Samples, propose: Callable[[_Data], tuple[Side, Border] | None]
-) -> tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border] | None:
+def _build(data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None) -> Halves | None:
     """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns."""
     inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
-    found = propose(inner)
+    found = propose(inner, None if hint is None else hint[seen])
     if found is None or not _balanced(found[0]):
         return None
     side, border = found
@@ -239,16 +246,42 @@ def _build(
     return pieces, border
 
 
-def _doubt(data: _Data, whole: tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]) -> float:
-    """What three samples on the wrong side of a score would cost.
+def _doubt(data: _Data, whole: Halves) -> float:
+    """What it costs that samples leave the place of the border open: a share of a sample on the wrong side.
 
-    The few that were found there say little: none of n leaves up to 3/n (Hanley and Lippman-Hand 1983).
+    A cut lies anywhere between two samples: a quarter of what is between them is lost in the mean.  Of a score, the
+    few samples that were found on the wrong side say little: none of n leaves up to 3/n (Hanley and Lippman-Hand
+    1983).  The jump is taken where it matters, among the tenth of the samples nearest to the border.
     """
     pieces, border = whole
-    if border.kind != "score":
+    if border.kind in ("upper", "lower"):
         return 0.0
     low, high = (_values(data, piece) for piece in pieces)
-    return 3.0 * float(np.mean((high - low) ** 2))
+    near = np.argsort(border.distance(data.points))[: max(len(low) // 10, 2)]
+    return (0.5 if border.kind == "axis" else 3.0) * float(np.mean((high - low)[near] ** 2))
+
+
+def _moved(data: _Data, seen: Samples, border: Border, whole: Border) -> Border:
+    """The cut that all samples gave, where that of the samples seen is the same as far as they can tell.
+
+    What its place is uncertain by is counted by `_doubt`: a sample left out would count it as a whole sample.
+    """
+    if border.kind != "axis" or whole.kind != "axis" or border.axis != whole.axis:
+        return border
+    low, high = sorted((border.at, whole.at))
+    column = data.points[seen, border.axis]
+    return whole if int(np.sum((column > low) & (column <= high))) <= 1 else border
+
+
+def _left_out(data: _Data, unseen: Side, propose: Proposal, side: Side, border: Border) -> float:
+    """Sum of squares left on the samples unseen by a proposal made anew without them; inf where there is none."""
+    seen = np.flatnonzero(~unseen)
+    part = _build(data, seen, propose, side)
+    if part is None:
+        return float(np.inf)
+    values = [_values(data, piece)[unseen] for piece in part[0]]
+    there = _moved(data, seen, part[1], border).side(data.points[unseen], values)
+    return float(np.sum((np.where(there, values[1], values[0]) - data.outputs[unseen]) ** 2))
 
 
 def find_split(contest: Contest, points: Array, outputs: Array, *, below: float) -> Split | None:
@@ -265,20 +298,19 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
         whole = _build(data, np.arange(outputs.size), propose)
         if whole is None:
             continue
-        limit = below if best is None else best.error
-        left = 0.0
+        limit = (below if best is None else best.error) * variance * outputs.size
+        values = [_values(data, piece) for piece in whole[0]]
+        side = whole[1].side(points, values)
+        at_hand = float(np.sum((np.where(side, values[1], values[0]) - outputs) ** 2))
+        doubt = _doubt(data, whole)
+        # What does not even describe the samples at hand will not foretell others.
+        if at_hand + doubt >= limit:
+            continue
+        left = doubt
         for fold in range(5):
-            part = _build(data, np.flatnonzero(folds != fold), propose)
-            if part is None:
-                left = np.inf
+            left += _left_out(data, folds == fold, propose, side, whole[1])
+            if left >= limit:
                 break
-            unseen = folds == fold
-            values = [_values(data, piece)[unseen] for piece in part[0]]
-            predicted = np.where(part[1].side(points[unseen], values), values[1], values[0])
-            left += float(np.sum((predicted - outputs[unseen]) ** 2))
-            if left > limit * variance * outputs.size:
-                break
-        error = (left + _doubt(data, whole)) / (variance * outputs.size)
-        if error < limit:
-            best = Split(pieces=whole[0], border=whole[1], error=error, proposal=name)
+        if left < limit:
+            best = Split(pieces=whole[0], border=whole[1], error=left / (variance * outputs.size), proposal=name)
     return best

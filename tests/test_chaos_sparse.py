@@ -1,0 +1,338 @@
+"""Sparse polynomial chaos as a whole: transforms, two pieces, honesty, derivatives, indices, laws of one's own."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from uqsphere.bench.chaos_models import MODELS
+from uqsphere.uq.chaos import (
+    Germ,
+    chaos_indices,
+    chaos_moments,
+    enrichment,
+    fit_chaos,
+    fit_outputs,
+    forecast,
+    germ_points,
+    gradients,
+    index_of,
+    indices_of_order,
+    judge,
+    law_germ,
+    orthonormal_values,
+    predict,
+    validation_error,
+)
+from uqsphere.uq.chaos.outputs import possible_transforms
+from uqsphere.uq.sampling import sobol_points
+
+
+def points(n: int, germs: tuple, replicate: int = 0) -> np.ndarray:
+    uniforms = sobol_points(dimension=len(germs), count=n, seed=11, task="sparse", replicate=replicate)
+    return germ_points(ndtri(uniforms), germs)
+
+
+def step(x: np.ndarray) -> np.ndarray:
+    return np.where(x[:, 1] > 0.21, 3.0, 0.0) + np.sin(x[:, 0]) + x[:, 2]
+
+
+def crossing(x: np.ndarray) -> np.ndarray:
+    """The larger of two peaks."""
+    return np.maximum(1.0 + x[:, 0] + 0.3 * x[:, 1] ** 2, 1.2 + 0.8 * x[:, 2] - x[:, 1])
+
+
+def oscillation(x: np.ndarray) -> np.ndarray:
+    return np.sin(25.0 * x[:, 0] * x[:, 1] + 9.0 * x[:, 2])
+
+
+# --- transforms -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("outputs", [np.geomspace(0.1, 30.0, 40), -np.geomspace(2.0, 3.0, 40), np.linspace(-1, 2, 40)])
+def test_transforms_go_there_and_back(outputs: np.ndarray) -> None:
+    found = possible_transforms(outputs)
+    kinds = [transform.kind for transform in found]
+    assert kinds[0] == "identity"
+    assert ("log" in kinds) == (outputs.min() > 0.0 or outputs.max() < 0.0)
+    for transform in found:
+        values = transform.forward(outputs)
+        assert abs(values.mean()) < 1e-12
+        assert values.std() == pytest.approx(1.0)
+        np.testing.assert_allclose(transform.back(values), outputs, rtol=1e-12)
+        inner = values[1:-1]
+        rate = (transform.back(inner + 1e-6) - transform.back(inner - 1e-6)) / 2e-6
+        np.testing.assert_allclose(transform.slope(inner), rate, rtol=1e-6)
+        if transform.kind != "identity":  # whatever an expansion does far away
+            far = transform.back(np.array([-1e6, 1e6]))
+            assert np.isfinite(far).all()
+            assert transform.kind == "shifted log" or (far * np.sign(outputs[0]) >= 0.0).all()
+
+
+def test_the_logarithm_is_taken_where_it_helps_and_only_there() -> None:
+    germs = ("normal",) * 4
+    p, q = points(64, germs), points(2000, germs, 1)
+
+    def product(z: np.ndarray) -> np.ndarray:
+        return np.exp(z @ np.array([0.5, 0.3, 0.2, 0.1]))
+
+    chaos = fit_chaos(p, product(p), germs)
+    assert chaos.transform == "log"
+    assert validation_error(chaos, q, product(q)) < 1e-24
+    # positive, but a polynomial: the logarithm of it is not
+    germs = ("uniform",) * 4
+    p, q = points(64, germs), points(2000, germs, 1)
+    chaos = fit_chaos(p, 3.0 + p[:, 0] * p[:, 1] + p[:, 2], germs)
+    assert chaos.transform == "identity"
+    assert validation_error(chaos, q, 3.0 + q[:, 0] * q[:, 1] + q[:, 2]) < 1e-24
+
+
+# --- honesty ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [4, 7, 16, 40])
+def test_reported_errors_never_exceed_one(n: int) -> None:
+    rng = np.random.default_rng(n)
+    for germs in (("normal",) * 3, ("uniform",) * 12):
+        for outputs in (rng.standard_normal(n), rng.standard_cauchy(n), np.eye(n)[0]):
+            chaos = fit_chaos(points(n, germs), outputs, germs)
+            assert 0.0 <= chaos.cross_validation_error <= 1.0
+            assert np.isfinite(predict(chaos, points(500, germs, 1))).all()
+
+
+@pytest.mark.parametrize("model", [step, crossing, oscillation, lambda x: np.abs(x[:, 0] + x[:, 1])])
+def test_a_rough_output_is_never_given_smooth_and_sure(model) -> None:
+    germs = ("uniform",) * 3
+    held_out = points(4000, germs, 99)
+    for replicate in range(3):
+        p = points(128, germs, replicate)
+        chaos = fit_chaos(p, model(p), germs)
+        true = validation_error(chaos, held_out, model(held_out))
+        assert true < 1.1
+        assert true < 4.0 * chaos.cross_validation_error + 1e-20, chaos.solver
+
+
+def test_an_oscillation_that_the_points_miss_is_refused() -> None:
+    germs = ("uniform",) * 3
+    p = points(128, germs)
+    chaos = fit_chaos(p, oscillation(p), germs)
+    verdict = judge(chaos)
+    assert not verdict.usable
+    assert chaos.constant
+    assert "does not vary" in str(chaos_indices([chaos])["first"][0].reason)
+
+
+# --- two pieces -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("model", "most"), [(step, 0.03), (crossing, 1e-2)])
+def test_a_domain_is_split_where_that_helps(model, most: float) -> None:
+    germs = ("uniform",) * 3
+    held_out = points(4000, germs, 99)
+    p = points(256, germs)
+    chaos = fit_chaos(p, model(p), germs)
+    assert len(chaos.pieces) == 2
+    assert validation_error(chaos, held_out, model(held_out)) < most
+    mean, sd = chaos_moments(chaos)
+    truth = model(points(2**14, germs, 98))
+    assert mean == pytest.approx(truth.mean(), abs=0.05 * truth.std())
+    assert sd == pytest.approx(truth.std(), rel=0.05)
+
+
+def test_a_smooth_output_is_left_whole() -> None:
+    germs = ("uniform",) * 3
+    p = points(128, germs)
+    assert len(fit_chaos(p, np.exp(p.sum(axis=1)), germs).pieces) == 1
+
+
+# --- derivatives and many outputs -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("germs", "model"),
+    [
+        (("uniform", "normal"), lambda x: x[:, 0] ** 3 - 2.0 * x[:, 0] * x[:, 1] ** 2 + x[:, 1]),
+        (("normal", "normal"), lambda x: np.exp(0.3 * x[:, 0] - 0.2 * x[:, 1] ** 2)),
+        (("uniform",) * 3, crossing),
+    ],
+    ids=["polynomial", "logarithm", "two pieces"],
+)
+def test_derivatives_are_those_of_the_values(germs, model) -> None:
+    p = points(128, germs)
+    chaos = fit_chaos(p, model(p), germs)
+    x, h = 0.9 * points(50, germs, 1), 1e-5
+    found = gradients(chaos, x)
+    for j in range(len(germs)):
+        up, down = x.copy(), x.copy()
+        up[:, j] += h
+        down[:, j] -= h
+        np.testing.assert_allclose(found[:, j], (predict(chaos, up) - predict(chaos, down)) / (2.0 * h), atol=1e-6)
+
+
+def test_many_outputs_share_a_design_and_do_not_disturb_each_other() -> None:
+    germs = ("uniform",) * 3
+    p = points(64, germs)
+    outputs = np.stack([p[:, 0] ** 2, np.exp(p[:, 1]), np.full(64, 2.0)], axis=1)
+    together = fit_outputs(p, outputs, germs)
+    q = points(9000, germs, 1)  # more than one block
+    for chaos, column in zip(together, outputs.T, strict=True):
+        assert np.array_equal(predict(chaos, q), predict(fit_chaos(p, column, germs), q))
+        np.testing.assert_allclose(predict(chaos, q)[8000:8010], predict(chaos, q[8000:8010]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1e300, 1e-300])
+def test_huge_and_tiny_outputs(unit: float) -> None:
+    germs = ("uniform",) * 3
+    p = points(64, germs)
+    chaos = fit_chaos(p, unit * np.exp(p[:, 0] + 0.3 * p[:, 1]), germs)
+    q = points(100, germs, 1)
+    np.testing.assert_allclose(predict(chaos, q) / unit, np.exp(q[:, 0] + 0.3 * q[:, 1]), rtol=1e-4)
+    assert chaos.cross_validation_error < 1e-6
+    assert validation_error(chaos, q, unit * np.exp(q[:, 0] + 0.3 * q[:, 1])) < 1e-6
+
+
+# --- moments and indices ----------------------------------------------------------------------------------
+
+
+def test_indices_of_ishigami_of_any_order() -> None:
+    model = MODELS["Ishigami"]
+    p = points(256, model.germs)
+    chaos = fit_chaos(p, model(p), model.germs)
+    v1, v2, v13 = 0.5 * (1.0 + 0.1 * math.pi**4 / 5.0) ** 2, 49.0 / 8.0, 0.01 * math.pi**8 * 8.0 / 225.0
+    v = v1 + v2 + v13
+    assert chaos_moments(chaos) == pytest.approx((3.5, math.sqrt(v)), rel=1e-4)
+    assert index_of(chaos, [0]) == pytest.approx(v1 / v, abs=1e-4)
+    assert index_of(chaos, [2, 0]) == pytest.approx(v13 / v, abs=1e-4)
+    second = indices_of_order(chaos, 2)
+    assert next(iter(second)) == (0, 2)
+    assert index_of(chaos, [0, 1, 2]) == pytest.approx(0.0, abs=1e-6)
+    assert sum(sum(indices_of_order(chaos, k).values()) for k in (1, 2, 3)) == pytest.approx(1.0)
+
+
+def test_indices_of_the_g_function_lie_in_their_intervals() -> None:
+    model = MODELS["g-function"]
+    a = np.array([0.0, 1.0, 4.5, 9.0, 99.0, 99.0, 99.0, 99.0])
+    shares = 1.0 / (3.0 * (1.0 + a) ** 2)
+    v = np.prod(1.0 + shares) - 1.0
+    exact = {"first": shares / v, "total": shares * np.prod(1.0 + shares) / (1.0 + shares) / v}
+    held_out = points(4000, model.germs, 99)
+    fits = [fit_chaos(p := points(128, model.germs, r), model(p), model.germs) for r in range(3)]
+    error = float(np.mean([validation_error(chaos, held_out, model(held_out)) for chaos in fits]))
+    found = chaos_indices(fits, error=error)
+    for order, values in exact.items():
+        for estimate, value in zip(found[order], values, strict=True):
+            assert estimate.low <= value <= estimate.high
+
+
+def test_indices_of_a_transformed_expansion_are_those_of_the_output() -> None:
+    germs = ("normal",) * 3
+    scatter = np.array([0.5, 0.3, 0.2])
+    p = points(64, germs)
+    chaos = fit_chaos(p, np.exp(p @ scatter), germs)
+    assert not chaos.plain
+    s2 = scatter**2
+    every = math.expm1(s2.sum())
+    single = chaos_indices([chaos])
+    for j in range(3):
+        for order, value in (("first", math.expm1(s2[j]) / every),
+                             ("total", (math.exp(s2.sum()) - math.exp(s2.sum() - s2[j])) / every)):  # fmt: skip
+            estimate = single[order][j]
+            assert estimate.value == pytest.approx(value, abs=2e-3)
+            assert estimate.low <= value <= estimate.high
+    pair = (math.exp(s2[0] + s2[1]) - math.exp(s2[0]) - math.exp(s2[1]) + 1.0) / every
+    assert index_of(chaos, [0, 1]) == pytest.approx(pair, abs=2e-3)
+    assert chaos_moments(chaos)[0] == pytest.approx(math.exp(0.5 * s2.sum()), rel=1e-3)
+
+
+# --- laws of one's own ------------------------------------------------------------------------------------
+
+
+def ramp() -> Germ:
+    return law_germ("ramp", quantile=lambda u: 2.0 + 3.0 * np.sqrt(u), density=lambda x: 2.0 * (x - 2.0) / 9.0,
+                    lower=2.0, upper=5.0)  # fmt: skip
+
+
+def test_the_polynomials_of_a_law_of_ones_own_are_orthonormal() -> None:
+    x, w = np.polynomial.legendre.leggauss(60)
+    nodes = 3.5 + 1.5 * x
+    weights = w * 1.5 * 2.0 * (nodes - 2.0) / 9.0
+    values = orthonormal_values(ramp(), nodes, 12)
+    np.testing.assert_allclose((values * weights) @ values.T, np.eye(13), atol=1e-8)
+
+
+def test_a_uniform_density_gives_legendre_polynomials() -> None:
+    germ = law_germ("flat", quantile=lambda u: 2.0 * u - 1.0, density=lambda x: np.full_like(x, 0.5), lower=-1.0,
+                    upper=1.0, degree=8)  # fmt: skip
+    x = np.linspace(-1.0, 1.0, 11)
+    np.testing.assert_allclose(orthonormal_values(germ, x, 8), orthonormal_values("uniform", x, 8), atol=1e-8)
+
+
+def test_an_expansion_in_a_law_of_ones_own() -> None:
+    germs = (ramp(), "normal")
+    p, q = points(64, germs), points(500, germs, 1)
+    assert p[:, 0].mean() == pytest.approx(4.0, abs=0.02)
+    chaos = fit_chaos(p, p[:, 0] ** 2 * p[:, 1] + p[:, 0], germs)
+    assert validation_error(chaos, q, q[:, 0] ** 2 * q[:, 1] + q[:, 0]) < 1e-20
+    # moments of the ramp on (2, 5): E x = 4, E x^4 = the integral of 2 (x - 2) x^4/9
+    fourth = 2.0 / 9.0 * ((5**6 - 2**6) / 6.0 - 2.0 * (5**5 - 2**5) / 5.0)
+    assert chaos_moments(chaos) == pytest.approx((4.0, math.sqrt(0.5 + fourth)), rel=1e-8)
+
+
+def test_laws_without_polynomials_are_refused() -> None:
+    with pytest.raises(ValueError, match="finite bounds"):
+        law_germ("tail", quantile=lambda u: u, density=np.exp, lower=0.0, upper=math.inf)
+    with pytest.raises(ValueError, match="integrates to"):
+        law_germ("twice", quantile=lambda u: u, density=lambda x: np.full_like(x, 2.0), lower=0.0, upper=1.0)
+    with pytest.raises(ValueError, match="up to degree 3"):
+        orthonormal_values(law_germ("short", quantile=lambda u: u, density=np.ones_like, lower=0.0, upper=1.0,
+                                    degree=3), np.zeros(2), 4)  # fmt: skip
+
+
+# --- more points ------------------------------------------------------------------------------------------
+
+
+def test_forecasts_follow_the_course() -> None:
+    sizes = [64, 128, 256]
+    steady = forecast(sizes, [4e-2, 1e-2, 2.5e-3], 2.5e-3 / 16.0)
+    assert steady.points == pytest.approx(1024, rel=0.15)
+    assert forecast(sizes, [4e-2, 1e-2, 2.5e-3], 1e-2).reached
+    flat = forecast(sizes, [0.11, 0.1, 0.1], 1e-3)
+    assert flat.points is None
+    assert "would not help" in flat.reason
+    slow = forecast(sizes, [0.4, 0.25, 0.16], 1e-6)
+    assert slow.points is None
+    assert "more than" in slow.reason
+    for bad in ([1.0], [64, 64], [128, 64]):
+        with pytest.raises(ValueError, match="rising sizes"):
+            forecast(bad, [0.1] * len(bad), 0.01)
+
+
+def test_enrichment_of_a_smooth_and_of_a_hopeless_output() -> None:
+    germs = ("uniform",) * 3
+    p = points(96, germs)
+    smooth = enrichment(p, np.cos(2.0 * p[:, 0]) / (1.5 + p[:, 1] * p[:, 2]), germs, 1e-6)
+    assert smooth.sizes == (24, 48, 96)
+    assert smooth.errors[0] > smooth.errors[2]
+    assert smooth.points is not None
+    assert 96 < smooth.points < 5000
+    hopeless = enrichment(p, oscillation(p), germs, 1e-2)
+    assert hopeless.points is None
+    assert not hopeless.reached
+
+
+def test_a_polynomial_that_is_wild_beyond_its_samples_is_not_believed() -> None:
+    germs = ("normal",) * 2
+    held_out = points(8000, germs, 99)
+
+    def branches(x: np.ndarray) -> np.ndarray:
+        """Four branches (Waarts 2000): the least of two parabolas and two planes."""
+        along, across = (x[:, 0] + x[:, 1]) / math.sqrt(2.0), x[:, 0] - x[:, 1]
+        return np.minimum(3.0 + 0.1 * across**2 - np.abs(along), 3.0 * math.sqrt(2.0) - np.abs(across))
+
+    for replicate in range(5):
+        p = points(128, germs, replicate)
+        chaos = fit_chaos(p, branches(p), germs)
+        assert validation_error(chaos, held_out, branches(held_out)) < 1.0
