@@ -18,6 +18,7 @@ FLOORS = {
     "uqsphere.mechanics": 2,
     "uqsphere.uq": 2,
     "uqsphere.materials": 3,
+    "uqsphere.records": 3,
     "uqsphere.study": 4,
     "uqsphere.model": 5,
     "uqsphere.store": 5,
