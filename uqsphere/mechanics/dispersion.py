@@ -22,7 +22,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "rayleigh_speed", "surface_factors"]
+__all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "rayleigh_speed", "surface_factors",
+           "transfer"]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 
@@ -236,9 +237,9 @@ def first_mode(nu: float) -> FirstMode:
     )  # fmt: skip
 
 
-def _multiplier(samples: int, step: float, distance: float, radius: float, wave_speed: float, nu: float,
-                surface: bool) -> npt.NDArray[np.complex128]:  # fmt: skip
-    """What the spectrum of a mean stress at a gauge is multiplied with to have it a `distance` further on, (k,)."""
+def transfer(samples: int, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+             surface: bool = True) -> npt.NDArray[np.complex128]:  # fmt: skip
+    """What `correct` multiplies the spectrum (`rfft`) of `samples` samples with, (samples // 2 + 1,)."""
     if not (step > 0.0 and radius > 0.0 and wave_speed > 0.0):
         raise ValueError(f"step, radius and wave speed must be positive, found {step!r}, {radius!r}, {wave_speed!r}")
     mode = first_mode(nu)
@@ -281,7 +282,9 @@ def correct(strain: Any, step: float, distance: float, *, radius: float, wave_sp
     Valid up to `FirstMode.limit`; beyond, phase lag and factor are held at their values there.
     """
     strain = np.asarray(strain, dtype=float)
-    turned = _multiplier(len(strain), step, distance, radius, wave_speed, nu, surface)
+    turned = transfer(
+        len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface
+    )
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
 
 
@@ -296,5 +299,7 @@ def disperse(strain: Any, step: float, distance: float, *, radius: float, wave_s
     True
     """
     strain = np.asarray(strain, dtype=float)
-    turned = _multiplier(len(strain), step, distance, radius, wave_speed, nu, surface)
+    turned = transfer(
+        len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface
+    )
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) / turned, len(strain)))

@@ -93,6 +93,8 @@ class Record:
         Standard deviation of a sample at rest; 0 where there is no baseline to tell it from.
     memory : (k,) array
         Samples over which the noise is correlated, at least 1.
+    offset : (k,) array
+        Standard deviation of the baseline that was taken off.
     names, notes : tuples of str
     """
 
@@ -102,6 +104,7 @@ class Record:
     held: Flags
     noise: Array
     memory: Array
+    offset: Array
     names: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -179,8 +182,8 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | None = None,
     if len(strain) > _LARGE:
         start, step, strain, held = _thinned(start, step, strain, held, notes)
     unknown, memory = np.zeros(signals), np.ones(signals)
-    return Record(start=start, step=step, strain=strain, held=held, noise=unknown, memory=memory, names=names,
-                  notes=tuple(notes))  # fmt: skip
+    return Record(start=start, step=step, strain=strain, held=held, noise=unknown, memory=memory,
+                  offset=unknown.copy(), names=names, notes=tuple(notes))  # fmt: skip
 
 
 def _ascending(time: Array, notes: list[str]) -> Array:
@@ -328,11 +331,15 @@ def set_baseline(record: Record) -> Record:
     RecordError
         Where a signal is nowhere at rest.
     """
-    strain, noise, memory, notes = record.strain.copy(), record.noise.copy(), record.memory.copy(), list(record.notes)
+    strain, notes = record.strain.copy(), list(record.notes)
+    noise, memory, unsure = record.noise.copy(), record.memory.copy(), record.offset.copy()
     for k, name in enumerate(record.names):
         values = strain[:, k]
         middle, scatter = _rest(values)
-        onset = find_onset(values - middle, scatter)
+        try:
+            onset = find_onset(values - middle, scatter)
+        except RecordError as error:
+            raise RecordError(f"{name}: {error}") from None
         count = onset.sample - max(3, onset.sample // 20)
         quiet = values[: max(count, 0)]
         if count < _BASELINE or abs(quiet.mean() - middle) > 0.05 * onset.peak:
@@ -342,10 +349,11 @@ def set_baseline(record: Record) -> Record:
         if abs(offset) > 0.005 * onset.peak:
             notes.append(f"{name}: a baseline of {offset * 1e6:.4g} microstrain is taken off")
         noise[k], memory[k], drift = _scatter(quiet)
+        unsure[k] = noise[k] * np.sqrt(min(1.0, memory[k] / len(quiet)))
         if drift > 0.02 * onset.peak:
             notes.append(f"{name}: the baseline drifts by {drift * 1e6:.3g} microstrain, which is left in")
         strain[:, k] = values - offset
-    return replace(record, strain=strain, noise=noise, memory=memory, notes=tuple(notes))
+    return replace(record, strain=strain, noise=noise, memory=memory, offset=unsure, notes=tuple(notes))
 
 
 def _rest_behind(values: Array, name: str, peak: float) -> Array:

@@ -26,6 +26,8 @@ _FEWEST: Final = 30
 _MOST_PIECES, _SAMPLES = 64, 5
 #: misfit over the peak that is not worth a further cubic where there is no noise
 _FINE: Final = 2e-4
+#: what is taken in before the foot of the rise and behind that of the fall, over the way from there to half the peak
+_FEET: Final = 0.2
 #: share of the peak below which a pulse is over
 _OVER: Final = 0.02
 
@@ -80,18 +82,23 @@ def _window(values: Array, step: float, noise: float) -> tuple[int, int]:
     onset = find_onset(values, noise)
     # the peak of the first wave, not of a later one: up to where it first falls back
     width = max(1, round(2e-6 / step))
-    calm = _smooth(values, width)
-    level = max(_OVER * onset.peak, 3.0 * noise / np.sqrt(width))
-    high = np.flatnonzero(calm[onset.sample :] > 0.5 * onset.peak)
+    high = np.flatnonzero(_smooth(values, width)[onset.sample :] > 0.5 * onset.peak)
     if len(high) == 0:
         raise RecordError("the first wave of the record does not press: there is no incident pulse")
-    below = np.flatnonzero(calm[onset.sample + high[0] :] < level)
+    half = onset.sample + int(high[0])
+    # means over a part of the rise see its foot and the end of the fall through the noise
+    width = max(width, (half - onset.sample) // 5 + 1)
+    calm = _smooth(values, width)
+    level = max(0.01 * onset.peak, 4.0 * noise / np.sqrt(width))
+    before = np.flatnonzero(calm[:half] < level)
+    foot = int(before[-1]) + 1 if len(before) else 0
+    below = np.flatnonzero(calm[half:] < max(_OVER * onset.peak, level))
     if len(below) == 0:
         raise RecordError("the record begins or ends inside the pulse: its end is not at the level of its beginning")
-    end = onset.sample + int(high[0]) + int(below[0])
-    # the foot of the rise, below the level of the onset: a straight line through it meets zero about here
-    lead = max(2, round(0.1 * (int(high[0]) + 1)))
-    return max(onset.sample - lead, 0), end
+    end = half + int(below[0])
+    falling = end - int(np.flatnonzero(calm[: end + 1] > 0.5 * onset.peak)[-1])
+    lead, tail = (max(2, round(_FEET * length)) for length in (half - foot, falling))
+    return max(foot - lead, 0), min(end + tail, len(values) - 2)
 
 
 def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, begin: float | None = None,
