@@ -29,6 +29,7 @@ FLOORS = {
     "uqsphere.bench": 8,
     "uqsphere.summary": 8,
     "uqsphere.given": 8,
+    "uqsphere.experiment": 8,
     "uqsphere.commands": 9,
     "uqsphere.cli": 10,
     "uqsphere.__main__": 11,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,9 +55,7 @@ def write(folder: Path, text: str, encoding: str = "utf-8") -> Path:
         ({}, "utf-16"),
     ],
 )
-def test_however_it_is_written_the_numbers_are_the_same(
-    tmp_path: Path, options: dict[str, str], encoding: str
-) -> None:
+def test_however_it_is_written_the_numbers_are_the_same(tmp_path: Path, options: dict[str, str], encoding: str) -> None:
     values = noisy()
     table = read_table(write(tmp_path, text_of(values, **options), encoding))
     assert table.values.shape == (len(TIME), 2)
@@ -184,7 +181,9 @@ def test_noise_and_its_memory_are_found() -> None:
     for noise, memory in ((white, 1.0), (slow, 8.0)):
         values = 1e-6 * noise
         values[30_000:34_000] -= 1e-4
-        record = set_baseline(make_record(Table(names=("t", "e"), units=("s", ""), values=np.column_stack([time, values]))))
+        record = set_baseline(
+            make_record(Table(names=("t", "e"), units=("s", ""), values=np.column_stack([time, values])))
+        )
         assert abs(record.noise[0] / 1e-6 - 1.0) < 0.05
         assert abs(record.memory[0] / memory - 1.0) < 0.25
 
@@ -284,8 +283,8 @@ def test_a_record_drives_the_model_as_its_ideal_pulse_does(tmp_path: Path) -> No
 
 
 def test_the_integrators_follow_the_cubics_alike(tmp_path: Path) -> None:
-    from uqsphere.mechanics.plain import integrate_plain
     from uqsphere.mechanics.dynamics import solve
+    from uqsphere.mechanics.plain import integrate_plain
     from uqsphere.model import scene_of
 
     study = study_of(tmp_path, text_of(noisy()))
@@ -335,7 +334,7 @@ def test_faults_of_a_measured_study_have_a_place(tmp_path: Path, change: str, wo
 
 
 def test_a_pulse_longer_than_the_round_trip_is_refused(tmp_path: Path) -> None:
-    lengths = ('bars.infinite=false', 'bars.incident_length="0.3 m"', 'bars.receiving_length="1 m"')
+    lengths = ("bars.infinite=false", 'bars.incident_length="0.3 m"', 'bars.receiving_length="1 m"')
     with pytest.raises(StudyError, match="longer than the round trip"):
         study_of(tmp_path, text_of(noisy()), *lengths)
 
@@ -347,5 +346,3 @@ def test_sign_is_left_where_the_study_says_what_it_is(tmp_path: Path) -> None:
         measured_pulse(path, polarity="tension")
     record = set_baseline(make_record(read_table(path)))
     assert turn_sign(turn_sign(record, 0), 0).strain.min() < -0.9 * PEAK
-
-

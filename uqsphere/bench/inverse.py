@@ -1,7 +1,7 @@
 """Tests that are made up and read back: scene → gauge records with noise and gain → forces, E*, fracture.
 
-Every repetition draws its own noise, gains and baseline.  The forces that the inverse states are held against those of the
-scene at every instant, E* against the scene's own.
+Every repetition draws its own noise, gains and baseline.  The forces that the inverse states are held against those
+of the scene at every instant, E* against the scene's own.
 
     python -m uqsphere.bench.inverse --repetitions 200
 """
@@ -94,7 +94,7 @@ def make_test(scene: Scene, *, rng: np.random.Generator | None = None, noise: fl
     # the clock of the recorder knows nothing of the samples at the sphere
     start = BEFORE + rng.uniform(0.0, 1.0) * step
     delay = rig.incident_gauge / c0
-    time = step * np.arange(round((BEFORE + 2.0 * delay + AFTER) / step))
+    time = np.asarray(step * np.arange(round((BEFORE + 2.0 * delay + AFTER) / step)), dtype=float)
     horizon = found.end * float(scene.scales.time[0])
     impedance = float(scene.scales.impedance[0])
 
@@ -179,7 +179,9 @@ def main() -> None:
     parser.add_argument("--gain-sd", type=float, default=0.01)
     parser.add_argument("--seed", type=int, default=1)
     chosen = parser.parse_args()
-    print(json.dumps(coverage(chosen.repetitions, noise=chosen.noise, gain_sd=chosen.gain_sd, seed=chosen.seed), indent=1))
+    print(
+        json.dumps(coverage(chosen.repetitions, noise=chosen.noise, gain_sd=chosen.gain_sd, seed=chosen.seed), indent=1)
+    )
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def phase_speed(wave_number: Any, nu: float) -> Array:
     wave_number = np.atleast_1d(np.asarray(wave_number, dtype=float))
     if not ((wave_number >= 0.0) & (wave_number <= 60.0)).all():
         raise ValueError("wave numbers times the radius must lie between 0 and 60")
-    found = np.ones_like(wave_number)
+    found: Array = np.ones_like(wave_number)
     # below this, the series of Rayleigh and Love is exact to rounding
     waves = np.flatnonzero(wave_number > 1e-2)
     small = wave_number <= 1e-2
@@ -282,9 +282,7 @@ def correct(strain: Any, step: float, distance: float, *, radius: float, wave_sp
     Valid up to `FirstMode.limit`; beyond, phase lag and factor are held at their values there.
     """
     strain = np.asarray(strain, dtype=float)
-    turned = transfer(
-        len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface
-    )
+    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
 
 
@@ -299,7 +297,5 @@ def disperse(strain: Any, step: float, distance: float, *, radius: float, wave_s
     True
     """
     strain = np.asarray(strain, dtype=float)
-    turned = transfer(
-        len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface
-    )
+    turned = transfer(len(strain), step, distance, radius=radius, wave_speed=wave_speed, nu=nu, surface=surface)
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) / turned, len(strain)))

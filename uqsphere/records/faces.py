@@ -1,7 +1,8 @@
 """From gauges to faces: the three waves at the sphere, on one time axis, with their noise.
 
-The incident gauge stands a distance d_1 before face A, the receiving gauge d_3 behind face B.  The incident wave reaches
-A d_1/c0 after its gauge, the reflected wave left A d_1/c0 before it, the transmitted wave left B d_3/c0 before its own.
+The incident gauge stands a distance d_1 before face A, the receiving gauge d_3 behind face B.  The incident wave
+reaches A d_1/c0 after its gauge, the reflected wave left A d_1/c0 before it, the transmitted wave left B d_3/c0
+before its own.
 Of one gauge that sees incident and reflected wave both, the first must be over before the second arrives.
 """
 
@@ -52,7 +53,9 @@ class Rig:
         for name in ("incident", "receiving"):
             gauge, length = getattr(self, f"{name}_gauge"), getattr(self, f"{name}_length")
             if not 0.0 <= gauge < math.inf or gauge > length:
-                raise RecordError(f"the {name} gauge, {gauge:.4g} m from the sphere, must sit on its bar of {length:.4g} m")
+                raise RecordError(
+                    f"the {name} gauge, {gauge:.4g} m from the sphere, must sit on its bar of {length:.4g} m"
+                )
 
     @property
     def undisturbed(self) -> float:
@@ -96,7 +99,7 @@ class Faces:
     @property
     def time(self) -> Array:
         """Time since the incident wave reached face A, (n,) [s]."""
-        return self.step * np.arange(len(self.incident))
+        return np.asarray(self.step * np.arange(len(self.incident)), dtype=float)
 
 
 def _read_at(values: Array, place: float, count: int) -> tuple[Array, float]:
@@ -166,7 +169,9 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     if math.isfinite(rig.undisturbed):
         within = int(rig.undisturbed / step)
         if within < count:
-            notes.append(f"after {rig.undisturbed * 1e6:.4g} us waves from the far ends mix in: what is later is left out")
+            notes.append(
+                f"waves from the far ends mix in after {rig.undisturbed * 1e6:.4g} us: what is later is left out"
+            )
             count = within
     if count < _FEWEST:
         raise RecordError(f"{max(count, 0)} samples are left behind first touch, {_FEWEST} at least are needed")
@@ -191,7 +196,7 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     channels = [0, 0, 1] if shared else [0, 1, 2]
     noise, memory = record.noise[channels] * grown, record.memory[channels] / np.square(grown)
     return Faces(
-        step=step, incident=incident, reflected=waves[0], transmitted=waves[1], noise=noise, memory=np.maximum(memory, 0.0),
+        step=step, incident=incident, reflected=waves[0], transmitted=waves[1], noise=noise, memory=memory,
         offset=record.offset[channels], known=last, shared=shared, pulse=cut, notes=(*cut.notes, *notes),
     )  # fmt: skip
 

@@ -4,8 +4,8 @@ Forces follow from the waves alone, P_A = -E_b F_0 (eps_i + eps_r) and P_B = -E_
 The stiffness is the reduced modulus E* with which the model of theory (3), driven by the measured incident wave, shows
 the reflected and transmitted waves that were measured: weighted least squares over E*, the gains, small shifts of
 time and the noise of the incident wave, each but E* with its prior, so that the interval of E* has all of them.
-Blocks of the residuals say whether one E* serves from first touch to the end; if not, the blocks are taken in one by one,
-and the first that the fit to those before it does not foresee holds the point of departure.
+Blocks of the residuals say whether one E* serves from first touch to the end; if not, the blocks are taken in one by
+one, and the first that the fit to those before it does not foresee holds the point of departure.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Stiffness:
 
 @dataclass(frozen=True, kw_only=True)
 class Departure:
-    """Where the elastic contact ends: time with the block it lies in [s], forces with 95 % intervals [N], E* before it."""
+    """Where the elastic contact ends: time and the blocks it lies in [s], forces with 95 % intervals [N]."""
 
     time: float
     earliest: float
@@ -156,7 +156,8 @@ class _Fit:
         self.pulse = fit_pulse(faces.pulse)
         self.speed = float(bars.wave_speed(columns["bars.E"], columns["bars.density"]))
         cut, curve = faces.pulse, self.pulse.pulse(1, {})
-        misfit = np.square(cut.strain - self.pulse.peak * pulse_value(curve, 0, cut.step * np.arange(len(cut.strain))))
+        places = np.asarray(cut.step * np.arange(len(cut.strain)), dtype=float)
+        misfit = np.square(cut.strain - self.pulse.peak * pulse_value(curve, 0, places))
         # what the cubics miss of the pulse is no noise: it comes back in many samples at once
         missed = _LASTING * (max(float(misfit.mean()) - cut.noise**2, 0.0) + (_FLOOR * self.pulse.peak) ** 2)
         # the sums of correlated noise scatter by its memory more
@@ -280,10 +281,10 @@ class _Fit:
         return min(trials, key=lambda pair: pair[0])[1]
 
 
-def _blocks(length: int, loaded: int) -> Array:
+def _blocks(length: int, loaded: int) -> npt.NDArray[np.int64]:
     """Borders of blocks from `loaded` to the end."""
     width = max(_FEWEST, (length - loaded) // _BLOCKS)
-    return np.arange(loaded, length - width + 1, width)
+    return np.arange(loaded, length - width + 1, width, dtype=np.int64)
 
 
 def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, first: int, last: int) -> float:
@@ -299,7 +300,7 @@ def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, first: int, las
     return worst
 
 
-def _all_blocks(fit: _Fit, parameters: Array, borders: Array, width: int) -> float:
+def _all_blocks(fit: _Fit, parameters: Array, borders: npt.NDArray[np.int64], width: int) -> float:
     """The largest mean residual of a block over the scatter of its noise, fitted to all of them."""
     count = len(fit.faces.incident)
     residual = fit.residual(parameters, count).reshape(2, count)
@@ -307,7 +308,8 @@ def _all_blocks(fit: _Fit, parameters: Array, borders: Array, width: int) -> flo
     return float(max(means) * math.sqrt(width))
 
 
-def _departure(fit: _Fit, forces: Forces, borders: Array, width: int) -> tuple[Departure | None, Array, Array, int]:
+def _departure(fit: _Fit, forces: Forces, borders: npt.NDArray[np.int64],
+               width: int) -> tuple[Departure | None, Array, Array, int]:  # fmt: skip
     """The first block that the fit to those before does not foresee, and that fit."""
     length = len(forces.time)
     start = fit.scan(int(borders[0]) + 4 * width)

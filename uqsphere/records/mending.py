@@ -52,7 +52,7 @@ class Wiring:
     unit : str
         One of `SIGNAL_UNITS`; empty: what the file says, else strain.
     gauge_factor, excitation, amplification, active_arms : float
-        k [-], bridge supply U_0 [V] (0: not given), A of the amplifier, N = 1 quarter, 2 half, 2 (1 + nu) Poisson bridge.
+        k [-], bridge supply U_0 [V] (0: not given), A of the amplifier, N: 1 quarter, 2 half bridge.
     time_unit : str
         Unit of the time; empty: what the file says, else s.
     """
@@ -111,7 +111,7 @@ class Record:
     @property
     def time(self) -> Array:
         """Instants of the samples, (n,) [s]."""
-        return self.start + self.step * np.arange(len(self.strain))
+        return np.asarray(self.start + self.step * np.arange(len(self.strain)), dtype=float)
 
 
 def _pick(table: Table, signals: int, columns: Sequence[str]) -> list[int]:
@@ -276,7 +276,9 @@ def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Arra
         held |= inside & (wide > (_SHORT_GAP + 1.5) * step)
     jitter = uneven and bool(np.abs(steps[steps < 1.5 * step] - step).max(initial=0.0) > 0.01 * step)
     if jitter:
-        notes.append(f"the steps of time are uneven: brought to even ones of {step * 1e6:.6g} us by lines between samples")
+        notes.append(
+            f"the steps of time are uneven: brought to even ones of {step * 1e6:.6g} us by lines between samples"
+        )
     if filled:
         notes.append(f"{filled} missing samples are filled by lines between their neighbours")
     if held.any():
@@ -291,7 +293,8 @@ def _thinned(start: float, step: float, strain: Array, held: Flags,
     whole = len(strain) // block * block
     notes.append(f"{len(strain):,} samples are thinned to {whole // block:,}, the means of {block} each")
     means = strain[:whole].reshape(-1, block, strain.shape[1]).mean(axis=1)
-    return start + 0.5 * (block - 1) * step, step * block, means, held[:whole].reshape(-1, block).any(axis=1)
+    lost = np.asarray(held[:whole].reshape(-1, block).any(axis=1))
+    return start + 0.5 * (block - 1) * step, step * block, np.asarray(means, dtype=float), lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,5 +398,7 @@ def turn_sign(record: Record, signal: int) -> Record:
         return record
     strain = record.strain.copy()
     strain[:, signal] = -values
-    said = f"{record.names[signal]}: its first wave was positive; a wave that presses is negative here, the sign is turned"
+    said = (
+        f"{record.names[signal]}: its first wave was positive; a wave that presses is negative here, the sign is turned"
+    )
     return replace(record, strain=strain, notes=(*record.notes, said))

@@ -166,8 +166,8 @@ def _corrected(values: Array, first: int, last: int, step: float, bar: Bar, dist
     kept = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency / limit - 0.8) / 0.2, 0.0, 1.0))
     there = np.fft.irfft(np.fft.rfft(there) * kept, len(wave))
     notes.append(
-        f"dispersion over {distance:.4g} m is corrected up to {limit / 1e3:.4g} kHz, where {inside:.4%} of the energy is; "
-        "what is above is left out"
+        f"dispersion over {distance:.4g} m is corrected up to {limit / 1e3:.4g} kHz, where {inside:.4%} of the energy "
+        "is; what is above is left out"
     )
     moved = values.copy()
     moved[first : last + 1] = there[place]
@@ -212,7 +212,7 @@ def fit_pulse(cut: CutPulse, source: str = "", digest: str = "") -> MeasuredPuls
         worst = int(np.argmax(gain))
         joints = np.insert(joints, worst + 1, 0.5 * (joints[worst] + joints[worst + 1]))
     left = float(np.sqrt(misfit[1:-1].mean()))
-    curve = PPoly.from_spline(spline)
+    curve = PPoly.from_spline((spline.t, spline.c, 3))
     fine = np.linspace(0.0, length, 20 * len(joints) + 1)
     level = spline(fine)
     peak = float(level.max())

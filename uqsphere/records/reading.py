@@ -32,7 +32,9 @@ _MOST_ODD: Final = 2_000_000
 #: what the kinds of line, separator and names are told from
 _HEAD: Final = 1 << 16
 #: words that a recorder writes for a number it does not have, in lower case
-_ABSENT: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "inf", "-inf", "+inf", "overflow"})
+_ABSENT: Final = frozenset(
+    {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "inf", "-inf", "+inf", "overflow"}
+)
 _NAME: Final = re.compile(r"^(?P<name>.*?)\s*[\[(/]\s*(?P<unit>[^\])]*?)\s*[\])]?\s*$")
 
 
@@ -173,7 +175,9 @@ def _form(head: str, name: str) -> _Form:
         if score and (best is None or (score, -order) > (best[0], -best[1])):
             best = (score, order, separator, comma, usual)
     if best is None:
-        columns = "one column only" if any(_number(line, True) is not None for line in lines if line.strip()) else "none"
+        columns = (
+            "one column only" if any(_number(line, True) is not None for line in lines if line.strip()) else "none"
+        )
         raise RecordError(
             f"{name}: no table of numbers was found (columns of numbers: {columns}); a record has a column of time and "
             "one or more of strain or volts, divided by comma, semicolon or tab"
@@ -283,4 +287,3 @@ def _comma_hint(form: _Form) -> str:
     if form.separator == "," and not form.comma:
         return "; with a decimal comma the columns must be divided by semicolons or tabs"
     return ""
-

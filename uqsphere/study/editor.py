@@ -48,7 +48,7 @@ def build_schema() -> Node:
             rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
         ),
         "striker": _section("striker", required=("speed",)),
-        "pulse": _section("pulse", shape=_words(PULSE_KEYS, "shape of the incident pulse"), **_record()),
+        "pulse": _section("pulse", (), shape=_words(PULSE_KEYS, "shape of the incident pulse"), **_record()),
         "model": _model(),
         "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
         "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),

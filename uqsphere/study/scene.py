@@ -78,7 +78,9 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
     if scene.options.get("pulse.shape") == "measured":
         for name in ("striker.speed", "striker.length"):
             if scene.readings.pop(name, None) is not None:
-                findings.add(tuple(name.split(".")), "the record says what the striker did: leave it out, or use pulse.gain")
+                findings.add(
+                    tuple(name.split(".")), "the record says what the striker did: leave it out, or use pulse.gain"
+                )
     elif document.striker is not None:
         _require(scene, findings, "striker.speed", '"0.5 m/s"')
         needs_length = scene.options.get("pulse.shape") not in (None, "step") and "pulse.duration" not in scene.readings
