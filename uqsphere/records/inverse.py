@@ -222,21 +222,25 @@ class _Fit:
         ])  # fmt: skip
 
     def slopes(self, parameters: Array, count: int) -> Array:
-        """Derivatives of the residual, (2 count, parameters), by differences to both sides."""
+        """Derivatives of the residual, (2 count, parameters), by differences; of noise and baseline to one side."""
         steps = np.full(_COUNT, 1e-3)
         steps[[_SHIFT_A, _SHIFT_B]] = 0.25 * self.faces.step
         steps[_NOISE:] = 0.3 if self.pulse.noise > 0.0 else 0.0
         if self.faces.shared:
             steps[_BASE + 1] = 0.0
         columns = []
+        here = self.residual(parameters, count)
         for k, step in enumerate(steps):
             if step == 0.0:
                 columns.append(np.zeros(2 * count))
                 continue
             move = np.zeros(_COUNT)
             move[k] = step
-            above, below = self.residual(parameters + move, count), self.residual(parameters - move, count)
-            columns.append((above - below) / (2.0 * step))
+            above = self.residual(parameters + move, count)
+            if k >= _NOISE:
+                columns.append((above - here) / step)
+            else:
+                columns.append((above - self.residual(parameters - move, count)) / (2.0 * step))
         return np.stack(columns, axis=1)
 
     def loss(self, parameters: Array, count: int) -> float:
