@@ -36,6 +36,8 @@ Array = npt.NDArray[np.float64]
 _Z: Final = 1.959963984540054
 #: blocks of a record, and the residual of a block over its standard deviation that no chance explains
 _BLOCKS, _ODD = 24, 4.5
+#: blocks that one fit has to foresee
+_AHEAD: Final = 3
 #: share of the largest force above which a departure is looked for, and samples of a block at the least
 _LOADED, _FEWEST = 0.1, 8
 #: what the model and the cubics of the pulse leave of a record without noise, over its peak
@@ -291,17 +293,22 @@ def _blocks(length: int, loaded: int) -> npt.NDArray[np.int64]:
     return np.arange(loaded, length - width + 1, width, dtype=np.int64)
 
 
-def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, first: int, last: int) -> float:
-    """The mean residual of samples first to last over its standard deviation, the larger of both waves."""
+def _unforeseen(
+    fit: _Fit, parameters: Array, covariance: Array, borders: npt.NDArray[np.int64], width: int
+) -> list[float]:
+    """Mean residuals of blocks behind the fit over their standard deviations, the larger of both waves."""
     count = len(fit.faces.incident)
     residual, slopes = fit.residual(parameters, count), fit.slopes(parameters, count)
-    worst = 0.0
-    for wave in range(2):
-        part = slice(wave * count + first, wave * count + last)
-        lean = slopes[part].mean(axis=0)
-        spread = 1.0 / (last - first) + float(lean @ covariance @ lean)
-        worst = max(worst, abs(float(residual[part].mean())) / math.sqrt(spread))
-    return worst
+    found = []
+    for first in borders:
+        worst = 0.0
+        for wave in range(2):
+            part = slice(wave * count + int(first), wave * count + min(int(first) + width, count))
+            lean = slopes[part].mean(axis=0)
+            spread = 1.0 / (part.stop - part.start) + float(lean @ covariance @ lean)
+            worst = max(worst, abs(float(residual[part].mean())) / math.sqrt(spread))
+        found.append(worst)
+    return found
 
 
 def _all_blocks(fit: _Fit, parameters: Array, borders: npt.NDArray[np.int64], width: int) -> float:
@@ -318,12 +325,14 @@ def _departure(fit: _Fit, forces: Forces, borders: npt.NDArray[np.int64],
     length = len(forces.time)
     start = fit.scan(int(borders[0]) + 4 * width)
     parameters, covariance = start, np.zeros((_COUNT, _COUNT))
-    for k in range(3, len(borders)):
-        first = int(borders[k])
-        parameters, covariance = fit.solve(first, parameters)
-        excess = _unforeseen(fit, parameters, covariance, first, min(first + width, length))
-        if excess <= _ODD:
+    for k in range(3, len(borders), _AHEAD):
+        ahead = borders[k : k + _AHEAD]
+        parameters, covariance = fit.solve(int(ahead[0]), parameters)
+        excesses = _unforeseen(fit, parameters, covariance, ahead, width)
+        odd = next((n for n, excess in enumerate(excesses) if excess > _ODD), None)
+        if odd is None:
             continue
+        first, excess = int(ahead[odd]), excesses[odd]
         # where the residual begins to grow: the best corner of a broken line over this block and the one before
         low, high = max(first - width, 0), min(first + width, length)
         residual = fit.residual(parameters, length).reshape(2, length)[:, low:high]
