@@ -154,8 +154,10 @@ CASES = [
         at='"granit"'),
     one("a material of the other kind", '"maraging_steel"', '"basalt"', "is for sphere"),
     one("an unknown shape", SHAPE, 'shape = "square"', '"square"', "rectangular", at='"square"'),
-    one("a measured pulse", SHAPE, 'shape = "measured"\nfile = "p.csv"', "does not read measured records",
-        at='"measured"'),
+    one("a record that is not there", "[striker]\nspeed = { dist = \"normal\", mean = \"0.5 m/s\", cov = 0.02 }\n"
+        "length = \"0.8 m\"\n\n[pulse]\n" + SHAPE,
+        '[pulse]\nshape = "measured"\nfile = "p.csv"', 'there is no file "p.csv" beside the study',
+        at='"p.csv"', count=2),
     one("a key of another shape", SHAPE, 'rise = "1 us"', "does not belong to a rectangular pulse"),
     one("a word for a flag", "tolerance = 1e-6", 'first_loading_only = "yes"', "true or false"),
     one("an unknown fidelity", "tolerance = 1e-6", 'fidelity = "fast"',

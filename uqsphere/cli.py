@@ -94,6 +94,10 @@ def build_parser() -> argparse.ArgumentParser:
     given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
     given.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
+    from uqsphere.experiment import add_records
+
+    add_records(command("records", "pulse, contact forces and stiffness from records of strain gauges"))
+
     listing = command("list", "what there is to choose from")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
     listing.add_argument("--json", action="store_true", help="print one JSON document on stdout")

@@ -11,6 +11,7 @@ from typing import Any
 
 from uqsphere.console import Progress, plain, table
 from uqsphere.errors import AccessError, FolderError, UsageError
+from uqsphere.experiment import command_records as command_records
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of

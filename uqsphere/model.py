@@ -96,6 +96,10 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     columns = {name: np.full(n, number) for name, number in study.at_means().items()}
     for name, column in values.items():
         columns[name] = np.broadcast_to(np.asarray(column, dtype=float), (n,))
+    if study.record is not None:
+        # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of each row
+        gain = columns.get("pulse.gain", np.ones(n))
+        columns["striker.speed"] = 2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
     return Scene(
         columns=columns,
         shape=str(study.options["pulse.shape"]),
@@ -104,6 +108,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
         first_loading_only=study.model.first_loading_only,
         horizon=study.model.horizon,
         demands=study.demands,
+        record=study.record,
     )
 
 

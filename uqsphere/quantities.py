@@ -142,6 +142,10 @@ INPUTS: Final[dict[str, Quantity]] = _table(
              meaning="level of the second peak over v_0/2"),
     Quantity(name="pulse.valley", symbol="g_v", dimension="number", plausible=(0.0, 2.0), closed=True,
              meaning="level half-way between the peaks of a two-peak pulse"),
+    Quantity(name="pulse.gain", symbol="G", dimension="number", plausible=(0.5, 2.0),
+             meaning="true strain over that of a measured pulse"),
+    *(Quantity(name=f"pulse.noise_{j}", symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
+               meaning=f"noise of a measured pulse, mode {j}, over its standard deviation") for j in range(1, 7)),
 )  # fmt: skip
 
 #: Every quantity of interest that the impact model answers.

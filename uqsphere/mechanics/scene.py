@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.measured import MeasuredPulse
 from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, Pulse, build_pulse
 from uqsphere.quantities import INPUTS
 
@@ -96,6 +97,9 @@ class Scene:
         End of the record [s]; None: the rule of docs/theory.md.
     demands : mapping of str to (str, mapping)
         Further quantities: name -> criterion of `uqsphere.mechanics.criteria` and its parameters.
+    record : MeasuredPulse or None
+        The pulse of the shape ``measured``, the same in every row but for its noise and gain; `striker.speed` is
+        then 2 c0 times its peak strain and gain.
 
     Raises
     ------
@@ -110,15 +114,18 @@ class Scene:
     first_loading_only: bool = False
     horizon: float | None = None
     demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
+    record: MeasuredPulse | None = None
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
+        if self.shape not in SHAPES and self.record is None:
             raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
+        if (self.shape == "measured") != (self.record is not None):
+            raise ValueError("a record belongs to the shape 'measured', and that shape needs one")
         needed = list(_NEEDED)
         if not self.infinite:
             needed += ["bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end"]
-        needed += [f"pulse.{name}" for name in PARAMETERS[self.shape]]
-        if self.shape != "step" and "pulse.duration" not in self.columns:
+        needed += [f"pulse.{name}" for name in PARAMETERS.get(self.shape, ())]
+        if self.shape not in ("step", "measured") and "pulse.duration" not in self.columns:
             needed.append("striker.length")
         missing = [name for name in needed if name not in self.columns]
         if missing:
@@ -145,6 +152,8 @@ class Scene:
     @cached_property
     def pulse(self) -> Pulse:
         """The incident pulse of every row, times in seconds."""
+        if self.record is not None:
+            return self.record.pulse(len(self), self.columns)
         numbers = {
             name.removeprefix("pulse."): column
             for name, column in self.columns.items()
@@ -201,6 +210,8 @@ class Scene:
             time = 2.0 * approach / speed
             if self.shape == "step":
                 duration = np.full(len(self), np.inf)
+            elif self.record is not None:
+                duration = np.full(len(self), self.record.duration)
             else:
                 wave_speed = bars.wave_speed(c["bars.E"], c["bars.density"])
                 duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)

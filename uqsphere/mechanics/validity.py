@@ -151,6 +151,8 @@ def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
     with np.errstate(all="ignore"):
         if scene.shape == "trapezoid":
             rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
+        elif scene.record is not None:
+            rise = np.full(len(scene), scene.record.rise / 0.8)
         elif scene.shape == "two_peak":
             rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
         else:

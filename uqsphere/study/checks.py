@@ -30,6 +30,8 @@ def pulse_duration(scene: Scene) -> float | None:
     """t_i [s]: the pulse's own duration, or 2 l_0/c_0 of the striker; infinite for a step."""
     if scene.options.get("pulse.shape") == "step":
         return math.inf
+    if scene.record is not None:
+        return scene.record.duration
     if (own := scene.mean("pulse.duration")) is not None:
         return own
     length, speed = scene.mean("striker.length"), _wave_speed(scene)
@@ -101,6 +103,7 @@ def _check_round_trip(scene: Scene, findings: Findings) -> None:
     trip = 2.0 * length / speed
     if width > trip * _ROUNDING:
         place = ("pulse", "duration") if "pulse.duration" in scene.readings else ("striker", "length")
+        place = place if scene.record is None else ("pulse", "file")
         findings.add(
             place,
             f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "

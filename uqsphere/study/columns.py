@@ -15,7 +15,7 @@ from uqsphere.quantities import UNITS, Quantity, units_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.reading import read_bytes
 
-__all__ = ["LARGEST_CSV", "MOST_VALUES", "read_column"]
+__all__ = ["LARGEST_CSV", "MOST_VALUES", "inside_folder", "read_column"]
 
 LARGEST_CSV: Final = 1 << 20
 MOST_VALUES: Final = 100_000
@@ -41,7 +41,7 @@ def read_column(
             findings.add(place, f'an empirical distribution needs {key} = "{example}"')
     if "file" not in names:
         return ()
-    path = _inside(names["file"], (*place, "file"), findings, folder)
+    path = inside_folder(names["file"], (*place, "file"), findings, folder)
     if path is None or "column" not in names:
         return ()
     rows = _rows(path, names["file"], (*place, "file"), findings)
@@ -64,7 +64,7 @@ def _factor(raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: 
     return 1.0
 
 
-def _inside(name: str, place: Place, findings: Findings, folder: Path) -> Path | None:
+def inside_folder(name: str, place: Place, findings: Findings, folder: Path) -> Path | None:
     """The file as a real path, if it lies in the study's folder, links followed."""
     posix = PurePosixPath(name.replace("\\", "/"))
     if len(name) > 255 or "\0" in name or ":" in name or posix.is_absolute() or ".." in posix.parts:

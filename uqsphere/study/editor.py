@@ -11,7 +11,9 @@ from typing import Any, Final, get_args
 
 from uqsphere.materials import material_names
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.quantities import INPUTS, OUTPUTS, Quantity, units_of
+from uqsphere.mechanics.measured import noise_names
+from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, Quantity, units_of
+from uqsphere.records.mending import SIGNAL_UNITS
 from uqsphere.study.nouns import Accuracy, Budget
 from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.study.requests import METHODS
@@ -46,7 +48,7 @@ def build_schema() -> Node:
             rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
         ),
         "striker": _section("striker", required=("speed",)),
-        "pulse": _section("pulse", shape=_words(PULSE_KEYS, "shape of the incident pulse")),
+        "pulse": _section("pulse", (), shape=_words(PULSE_KEYS, "shape of the incident pulse"), **_record()),
         "model": _model(),
         "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
         "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),
@@ -55,7 +57,9 @@ def build_schema() -> Node:
         "analysis": _analysis(),
         "margins": _margins(),
     }
-    scene = {"required": ["sphere", "bars", "striker"], "not": {"anyOf": _present("inputs", "outputs")}}
+    measured = {"pulse": {"properties": {"shape": {"const": "measured"}}, "required": ["shape"]}}
+    driven = [{"required": ["striker"]}, {"properties": measured, "required": ["pulse"]}]
+    scene = {"required": ["sphere", "bars"], "anyOf": driven, "not": {"anyOf": _present("inputs", "outputs")}}
     parts = _present("sphere", "bars", "striker", "pulse", "model")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -140,9 +144,29 @@ def _section(name: str, required: Sequence[str] = (), **others: Node) -> Node:
     properties = dict(others)
     for path, quantity in INPUTS.items():
         section, key = path.split(".")
-        if section == name:
+        if section == name and path not in noise_names():
             properties[key] = _scalar(quantity)
     return _table(properties, required)
+
+
+def _record() -> dict[str, Node]:
+    """Keys of a measured pulse that are no numbers of the scene."""
+    positive = {"type": "number", "exclusiveMinimum": 0}
+    return {
+        "file": _text("record beside the study, with columns of time and strain"),
+        "columns": _list(_text("name of a column: time, then strain"), least=2),
+        "time_unit": _words(UNITS["time"], "unit of the time"),
+        "unit": _words(SIGNAL_UNITS, "unit of the signal"),
+        "gauge_factor": positive | {"description": "of the gauges"},
+        "excitation": positive | {"description": "supply of the bridge [V]"},
+        "amplification": positive | {"description": "of the signal"},
+        "active_arms": positive | {"description": "1 quarter, 2 half bridge, 2 (1 + nu) with gauges across"},
+        "polarity": _words(("auto", "tension", "compression"), "what is positive in the record"),
+        "window": _list({"$ref": "#/$defs/time"}, least=2) | {"maxItems": 2},
+        "correct_dispersion": _FLAG | {"description": "carry the wave from the gauge to the sphere"},
+        "gauge_distance": {"$ref": "#/$defs/length"},
+        "noise": _FLAG | {"description": "the noise of the record becomes random inputs"},
+    }
 
 
 def _scalar(quantity: Quantity) -> Node:

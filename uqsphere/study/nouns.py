@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uqsphere.mechanics.measured import MeasuredPulse
 from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
 
 if TYPE_CHECKING:
@@ -156,6 +157,8 @@ class Study:
         reads it.  The keys are those of `random` and ``limits.NAME.strength``, ``limits.NAME.model_factor``.
     warnings : tuple of str
         What a user should know and what does not stop the study.
+    record : MeasuredPulse or None
+        The pulse of a measured record; `striker.speed` then follows from it and is none of the numbers.
     overrides : tuple of str
         What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
     """
@@ -179,6 +182,7 @@ class Study:
     outputs: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
+    record: MeasuredPulse | None = None
 
     @property
     def hash(self) -> str:
@@ -232,6 +236,7 @@ class Study:
             "analysis": _lists(asdict(self.analysis)),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
+            **({} if self.record is None else {"record": _lists(asdict(self.record))}),
         }
 
 

@@ -113,6 +113,7 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         margins=margins,
         outputs=tuple(outputs or ()),
         warnings=tuple(findings.warnings),
+        record=scene.record,
     )
     check_moved_mean(study, findings)
     return None if findings.faults else study

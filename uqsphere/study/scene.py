@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.materials import KINDS, library
+from uqsphere.mechanics.measured import MeasuredPulse
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Source
 from uqsphere.study.numbers import BAR_ENDS, Reading, read_number
+from uqsphere.study.record import RECORD_KEYS, read_record
 from uqsphere.study.schema import Document, PulseTable
 from uqsphere.uq.laws import Law
 
@@ -26,13 +28,14 @@ PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "half_sine": ((), ("duration",)),
     "two_peak": (("t1", "level1", "t2", "level2"), ("duration", "valley")),
     "step": ((), ()),
+    "measured": RECORD_KEYS,
 }
 
 #: level of a two-peak pulse half-way between its peaks, over the lower peak
 DEFAULT_VALLEY: Final = 0.75
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Scene:
     """The numbers of a scene by dotted path, the random ones in file order, and what they came with."""
 
@@ -40,6 +43,7 @@ class Scene:
     options: dict[str, str | bool] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Source] = field(default_factory=dict)
+    record: MeasuredPulse | None = None
 
     def mean(self, name: str) -> float | None:
         """The number at its nominal mean; None where the scene has none, or a faulty one."""
@@ -63,14 +67,21 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
                     scene.readings[name] = reading
                     _warn_of_odd(name, reading, findings)
     for section in ("sphere", "bars", "striker"):
-        if getattr(document, section) is None and not findings.touched((section,)):
+        measured = section == "striker" and document.pulse is not None and document.pulse.shape == "measured"
+        if getattr(document, section) is None and not measured and not findings.touched((section,)):
             findings.add((section,), f"the table [{section}] is missing")
     _fill_from_library(document, scene, findings)
     _read_bars(document, scene, findings)
-    _read_pulse(document.pulse or PulseTable(), scene, findings)
+    _read_pulse(document.pulse or PulseTable(), scene, findings, folder)
     if document.sphere is not None:
         _require(scene, findings, "sphere.radius", '"10 mm"')
-    if document.striker is not None:
+    if scene.options.get("pulse.shape") == "measured":
+        for name in ("striker.speed", "striker.length"):
+            if scene.readings.pop(name, None) is not None:
+                findings.add(
+                    tuple(name.split(".")), "the record says what the striker did: leave it out, or use pulse.gain"
+                )
+    elif document.striker is not None:
         _require(scene, findings, "striker.speed", '"0.5 m/s"')
         needs_length = scene.options.get("pulse.shape") not in (None, "step") and "pulse.duration" not in scene.readings
         if needs_length and not findings.touched(("pulse", "duration")):
@@ -151,13 +162,9 @@ def _read_bars(document: Document, scene: Scene, findings: Findings) -> None:
             scene.readings.setdefault(f"bars.{key}", Reading(value=BAR_ENDS[word]))
 
 
-def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings) -> None:
+def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> None:
     shape = pulse.shape
     if not findings.clean(("pulse", "shape")):
-        return
-    if shape == "measured":
-        shapes = one_of(PULSE_KEYS)
-        findings.add(("pulse", "shape"), f'"measured": this version does not read measured records; allowed: {shapes}')
         return
     scene.options["pulse.shape"] = shape
     needed, optional = PULSE_KEYS[shape]
@@ -167,8 +174,11 @@ def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings) -> None:
         if given and key not in (*needed, *optional):
             findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
             scene.readings.pop(f"pulse.{key}", None)
-        elif key in needed:
+        elif key in needed and shape != "measured":
             _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
+    if shape == "measured":
+        scene.record = read_record(pulse, scene, findings, folder)
+        return
     levels = [scene.readings.get(f"pulse.{key}") for key in ("level1", "level2")]
     # Where a level scatters, the valley follows it sample by sample and is no number of its own.
     fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]

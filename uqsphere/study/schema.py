@@ -87,10 +87,21 @@ class PulseTable(Table):
     t2: Number = None
     level2: Number = None
     valley: Number = None
-    # Keys of a measured record: known, so that the answer is about the record and not about its keys.
-    file: Any = None
-    correct_dispersion: Any = None
+    # of a measured record
+    file: str | None = None
+    columns: list[str] | None = None
+    time_unit: str | None = None
+    unit: str | None = None
+    gauge_factor: float | None = None
+    excitation: float | None = None
+    amplification: float | None = None
+    active_arms: float | None = None
+    polarity: str | None = None
+    window: list[Any] | None = None
+    correct_dispersion: bool | None = None
     gauge_distance: Any = None
+    gain: Number = None
+    noise: bool | None = None
 
 
 class ModelTable(Table):
@@ -265,7 +276,7 @@ def _words(place: Place) -> list[str]:
         "aim": Aim,
         "on_failure": OnFailure,
     }
-    return [str(word) for word in get_args(choices[str(place[-1])]) if word != "measured"]
+    return [str(word) for word in get_args(choices[str(place[-1])])]
 
 
 def _take_out(data: Any, place: Place) -> None:

@@ -1,0 +1,265 @@
+"""What the records of a test say, for the command line: the pulse of one gauge, or forces from two bars."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.console import plain, table
+from uqsphere.errors import UsageError
+from uqsphere.quantities import UnitError, format_value, parse_value
+
+if TYPE_CHECKING:
+    from uqsphere.records.faces import Faces
+    from uqsphere.records.inverse import Inverse
+    from uqsphere.records.mending import Record
+    from uqsphere.study import Study
+
+__all__ = ["add_records", "command_records"]
+
+
+def add_records(parser: argparse.ArgumentParser) -> None:
+    """The options of `uqsphere records`."""
+    parser.add_argument("record", metavar="FILE.csv", type=Path, help="time and one signal, two gauges or three waves")
+    parser.add_argument("--study", type=Path, metavar="STUDY", help="sphere and bars; needed for forces")
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
+                        help="replace a value of the study")  # fmt: skip
+    parser.add_argument("--columns", metavar="T,A,B", help="columns that count: time, then the signals")
+    parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
+    parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
+    parser.add_argument("--gauge-factor", type=float, default=2.0, metavar="K")
+    parser.add_argument("--excitation", type=float, default=0.0, metavar="VOLTS", help="supply of the bridge")
+    parser.add_argument("--amplification", type=float, default=1.0, metavar="A")
+    parser.add_argument("--active-arms", type=float, default=1.0, metavar="N", help="1 quarter, 2 half bridge")
+    parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
+    parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
+    parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
+    parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
+    parser.add_argument(
+        "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and figures here")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+
+
+def _value(text: str, dimension: str, option: str) -> float:
+    try:
+        return parse_value(text.strip(), dimension)
+    except UnitError as error:
+        raise UsageError(f"{option}: {error}") from None
+
+
+def _window(text: str | None) -> tuple[float | None, float | None]:
+    if text is None:
+        return None, None
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise UsageError(f'--window takes begin and end, such as "100 us,420 us", found {text!r}')
+    begin, end = (_value(part, "time", "--window") for part in parts)
+    return begin, end
+
+
+def command_records(chosen: argparse.Namespace) -> int:
+    """The pulse of a record, or forces, stiffness and the end of the elastic contact of a test."""
+    from uqsphere.records.mending import Wiring, make_record, set_baseline, turn_sign
+    from uqsphere.records.reading import RecordError, read_table
+    from uqsphere.study import load_study
+
+    for name in ("gauge_factor", "amplification", "active_arms"):
+        if not 0.0 < getattr(chosen, name) < math.inf:
+            raise UsageError(f"--{name.replace('_', '-')} must be above zero, found {getattr(chosen, name)}")
+    if not 0.0 <= chosen.gain_sd < 1.0:
+        raise UsageError(f"--gain-sd must lie from 0 to below 1, found {chosen.gain_sd}")
+    study = None if chosen.study is None else load_study(chosen.study, chosen.overrides)
+    if study is not None and study.black_box:
+        raise UsageError("records need a scene with sphere and bars; this study is a black box")
+    wiring = Wiring(unit=chosen.unit, gauge_factor=chosen.gauge_factor, excitation=chosen.excitation,
+                    amplification=chosen.amplification, active_arms=chosen.active_arms,
+                    time_unit=chosen.time_unit)  # fmt: skip
+    columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
+    try:
+        read = read_table(chosen.record)
+        signals = (len(columns) or len(read.names)) - 1
+        if signals > 1 and study is None:
+            raise UsageError(
+                f"{chosen.record.name} has {signals} signals: name the study with sphere and bars by --study, or the "
+                "one that is the pulse by --columns TIME,SIGNAL"
+            )
+        record = set_baseline(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns))
+        record = turn_sign(record, 0)
+        if signals > 1:
+            record = turn_sign(record, record.strain.shape[1] - 1)
+        content, text = (_pulse if signals < 2 else _test)(chosen, record, study)
+    except RecordError as error:
+        said = str(error).removeprefix(f"{chosen.record.name}: ")
+        raise UsageError(f"{chosen.record}: {said}") from None
+    if chosen.json:
+        print(json.dumps(content, indent=2, allow_nan=False))
+    else:
+        for note in content["notes"]:
+            print(f"note: {plain(note)}", file=sys.stderr)
+        print(text)
+    return 0
+
+
+def _numbers(study: Study) -> dict[str, float]:
+    from uqsphere.model import scene_of
+
+    return {name: float(column[0]) for name, column in scene_of(study, {}, 1).columns.items()}
+
+
+def _bar(columns: dict[str, float]) -> Any:
+    from uqsphere.records.pulse import Bar
+    from uqsphere.records.reading import RecordError
+
+    if not 0.0 <= columns["bars.nu"] < 0.5:
+        raise RecordError("the dispersion of bars is known for Poisson ratios from 0 to below 0.5")
+    return Bar(radius=0.5 * columns["bars.diameter"], nu=columns["bars.nu"],
+               wave_speed=math.sqrt(columns["bars.E"] / columns["bars.density"]))  # fmt: skip
+
+
+def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> tuple[dict[str, Any], str]:
+    from uqsphere.records.pulse import cut_pulse, fit_pulse
+
+    begin, end = _window(chosen.window)
+    distance = _value(chosen.incident_gauge, "length", "--incident-gauge")
+    bar = None
+    if chosen.correct_dispersion:
+        if study is None or not distance > 0.0:
+            raise UsageError("--correct-dispersion needs --study with the bars, and --incident-gauge")
+        bar = _bar(_numbers(study))
+    cut = cut_pulse(record, bar=bar, distance=distance if bar else 0.0, begin=begin, end=end)
+    pulse = fit_pulse(cut, chosen.record.name, hashlib.sha256(chosen.record.read_bytes()).hexdigest())
+    content: dict[str, Any] = {
+        "kind": "pulse", "file": chosen.record.name, "peak_strain": pulse.peak, "duration": pulse.duration,
+        "rise": pulse.rise, "begin": cut.begin, "step": record.step, "noise": float(record.noise[0]),
+        "noise_modes": pulse.noise, "band_share": cut.inside, "pieces": len(pulse.breaks) - 1, "striker_speed": None,
+        "notes": list(pulse.notes),
+    }  # fmt: skip
+    rows = [
+        ("peak strain", f"{pulse.peak * 1e6:.5g} microstrain"),
+        ("duration", f"{pulse.duration * 1e6:.5g} us, from {cut.begin * 1e6:.5g} us on"),
+        ("rise, 10 to 90 %", f"{pulse.rise * 1e6:.4g} us"),
+        (
+            "noise of a sample",
+            f"{record.noise[0] * 1e6:.3g} microstrain, correlated over {record.memory[0]:.2g} samples",
+        ),
+        ("noise of each mode of the pulse", f"{pulse.noise:.2g} of its peak"),
+    ]
+    if study is not None:
+        columns = _numbers(study)
+        content["striker_speed"] = 2.0 * math.sqrt(columns["bars.E"] / columns["bars.density"]) * pulse.peak
+        rows.append(("striker speed that it stands for", format_value(content["striker_speed"], "striker.speed")))
+    written = []
+    if chosen.out is not None:
+        from uqsphere.report.records_figure import pulse_figure
+        from uqsphere.store import write_atomically
+
+        path = chosen.out / "record.svg"
+        write_atomically(path, pulse_figure(record, cut, pulse))
+        written = [str(path)]
+    content["written"] = written
+    return content, "\n".join([table(("what", "value"), rows), *(f"wrote {path}" for path in written)])
+
+
+def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tuple[dict[str, Any], str]:
+    from uqsphere.records.faces import Rig, at_faces
+    from uqsphere.records.inverse import invert
+
+    assert study is not None
+    columns = _numbers(study)
+    infinite = bool(study.options["bars.infinite"])
+
+    def length(bar: str) -> float:
+        # an end that sends nothing back leaves the record undisturbed
+        silent = columns.get(f"bars.{bar}_end", 1.0) == 0.0
+        return math.inf if infinite or silent else columns.get(f"bars.{bar}_length", math.inf)
+
+    rig = Rig(
+        bar=_bar(columns), incident_gauge=_value(chosen.incident_gauge, "length", "--incident-gauge"),
+        receiving_gauge=_value(chosen.receiving_gauge, "length", "--receiving-gauge"),
+        incident_length=length("incident"), receiving_length=length("receiving"),
+        correct_dispersion=chosen.correct_dispersion,
+    )  # fmt: skip
+    begin, end = _window(chosen.window)
+    faces = at_faces(record, rig, begin=begin, end=end)
+    found = invert(faces, columns, gain_sd=chosen.gain_sd)
+    content, rows = _answers(chosen, faces, found, columns)
+    written = []
+    if chosen.out is not None:
+        from uqsphere.report.records_figure import forces_figure, pulse_figure
+        from uqsphere.runner.tables import csv_text
+        from uqsphere.store import write_atomically
+
+        force = found.forces
+        limits = [limit for face in "AB" for limit in force.interval(face)]
+        head = ["time [s]", "force_a [N]", "force_b [N]", "force_a_low [N]", "force_a_high [N]", "force_b_low [N]",
+                "force_b_high [N]", "model_a [N]", "model_b [N]"]  # fmt: skip
+        courses = [force.time, force.force_a, force.force_b, *limits, found.fitted_a, found.fitted_b]
+        lines = [[float(course[k]) for course in courses] for k in range(len(force.time))]
+        for name, content_of in (("forces.csv", csv_text(head, lines)), ("forces.svg", forces_figure(faces, found)),
+                                 ("record.svg", pulse_figure(record, faces.pulse, found.pulse))):  # fmt: skip
+            write_atomically(chosen.out / name, content_of)
+            written.append(str(chosen.out / name))
+    content["written"] = written
+    return content, "\n".join([table(("what", "value", "95 % interval"), rows), *(f"wrote {path}" for path in written)])
+
+
+def _answers(chosen: argparse.Namespace, faces: Faces, found: Inverse,
+             columns: dict[str, float]) -> tuple[dict[str, Any], list[tuple[str, str, str]]]:  # fmt: skip
+    """The JSON document and the rows of the table."""
+    stiff, forces, rows = found.stiffness, found.forces, []
+    largest: dict[str, Any] = {}
+    for face, fitted, measured in (("A", found.fitted_a, forces.force_a), ("B", found.fitted_b, forces.force_b)):
+        at = int(abs(fitted).argmax() if found.held else measured.argmax())
+        low, high = forces.interval(face)
+        largest[face] = {"time": float(forces.time[at]), "value": float(measured[at]), "low": float(low[at]),
+                         "high": float(high[at])}  # fmt: skip
+        rows.append((f"largest force at {face}, at {forces.time[at] * 1e6:.4g} us", f"{measured[at] / 1e3:.4g} kN",
+                     f"{low[at] / 1e3:.4g} to {high[at] / 1e3:.4g} kN"))  # fmt: skip
+    rows.append(
+        ("reduced modulus E*", f"{stiff.modulus / 1e9:.4g} GPa", f"{stiff.low / 1e9:.4g} to {stiff.high / 1e9:.4g} GPa")
+    )
+    bar = (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"]
+    young = [1.0 / value - bar for value in (stiff.modulus, stiff.high, stiff.low)]
+    share = 1.0 - columns["sphere.nu"] ** 2
+    modulus: dict[str, float] | None = None
+    if min(young) > 0.0:
+        middle, below, above = share / young[0], share / young[2], share / young[1]
+        modulus = {"value": middle, "low": below, "high": above}
+        rows.append(
+            ("E of the sphere that gives it", f"{middle / 1e9:.4g} GPa", f"{below / 1e9:.4g} to {above / 1e9:.4g} GPa")
+        )
+    rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
+    end = found.departure
+    if end is None:
+        rows.append(("elastic contact", "held to the end of the record", ""))
+    else:
+        rows.append(
+            (
+                "elastic contact ends",
+                f"{end.time * 1e6:.4g} us",
+                f"{end.earliest * 1e6:.4g} to {end.latest * 1e6:.4g} us",
+            )
+        )
+        for face, force in (("A", end.force_a), ("B", end.force_b)):
+            rows.append((f"force at {face} there, candidate for fracture", f"{force[0] / 1e3:.4g} kN",
+                         f"{force[1] / 1e3:.4g} to {force[2] / 1e3:.4g} kN"))  # fmt: skip
+    content = {
+        "kind": "test", "file": chosen.record.name, "samples": len(forces.time), "step": faces.step,
+        "end": float(forces.time[-1]), "largest_force": largest,
+        "reduced_modulus": {"value": stiff.modulus, "low": stiff.low, "high": stiff.high, "std_error": stiff.std_error},
+        "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
+        "misfit": stiff.misfit, "elastic_throughout": found.held,
+        "departure": None if end is None else {
+            "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
+            "force_a": dict(zip(("value", "low", "high"), end.force_a, strict=True)),
+            "force_b": dict(zip(("value", "low", "high"), end.force_b, strict=True))},
+        "notes": list(found.notes),
+    }  # fmt: skip
+    return content, rows

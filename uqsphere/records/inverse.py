@@ -1,0 +1,426 @@
+"""What a test says: forces at both faces with intervals, the contact stiffness that fits, and where Hertz's law ends.
+
+Forces follow from the waves alone, P_A = -E_b F_0 (eps_i + eps_r) and P_B = -E_b F_0 eps_t, with no model in between.
+The stiffness is the reduced modulus E* with which the model of theory (3), driven by the measured incident wave, shows
+the reflected and transmitted waves that were measured: weighted least squares over E*, the gains, small shifts of
+time and the noise of the incident wave, each but E* with its prior, so that the interval of E* has all of them.
+Blocks of the residuals say whether one E* serves from first touch to the end; if not, the blocks are taken in one by
+one, and the first that the fit to those before it does not foresee holds the point of departure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.dynamics import Motion, motion
+from uqsphere.mechanics.history import waves_at
+from uqsphere.mechanics.measured import NOISE_MODES, MeasuredPulse, noise_names
+from uqsphere.mechanics.pulses import pulse_value
+from uqsphere.mechanics.scene import Scene
+from uqsphere.records.faces import Faces
+from uqsphere.records.pulse import fit_pulse
+from uqsphere.records.reading import RecordError
+
+__all__ = ["Departure", "Forces", "Inverse", "Stiffness", "forces_of", "invert"]
+
+Array = npt.NDArray[np.float64]
+
+#: two-sided 95 % of a normal
+_Z: Final = 1.959963984540054
+#: blocks of a record, and the residual of a block over its standard deviation that no chance explains
+_BLOCKS, _ODD = 24, 4.5
+#: blocks that one fit has to foresee
+_AHEAD: Final = 3
+#: share of the largest force above which a departure is looked for, and samples of a block at the least
+_LOADED, _FEWEST = 0.1, 8
+#: what the model and the cubics of the pulse leave of a record without noise, over its peak
+_FLOOR: Final = 2e-4
+#: samples over which that lasts
+_LASTING: Final = 25.0
+_TURNS: Final = 25
+_TOLERANCE: Final = 1e-7
+# parameters: log E*, log gains of both gauges, shifts of the reflected and the transmitted wave, noise of the pulse,
+# baselines of the three waves
+_MODULUS, _GAIN_A, _GAIN_B, _SHIFT_A, _SHIFT_B, _NOISE = range(6)
+_BASE: Final = _NOISE + NOISE_MODES
+_COUNT: Final = _BASE + 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forces:
+    """Forces at the faces from the waves alone [N], (n,), with the standard deviations of noise, baseline and gain."""
+
+    time: Array
+    force_a: Array
+    force_b: Array
+    sd_a: Array
+    sd_b: Array
+
+    def interval(self, face: str) -> tuple[Array, Array]:
+        """Limits that hold the true force with 95 % at every instant, (n,), (n,) [N]."""
+        force, sd = {"A": (self.force_a, self.sd_a), "B": (self.force_b, self.sd_b)}[face]
+        return force - _Z * sd, force + _Z * sd
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffness:
+    """E* [Pa] with its 95 % interval; gains that the fit prefers; misfit over noise, 1 if the noise explains it all."""
+
+    modulus: float
+    low: float
+    high: float
+    std_error: float
+    gain_a: float
+    gain_b: float
+    misfit: float
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Departure:
+    """Where the elastic contact ends: time and the blocks it lies in [s], forces with 95 % intervals [N]."""
+
+    time: float
+    earliest: float
+    latest: float
+    force_a: tuple[float, float, float]
+    force_b: tuple[float, float, float]
+    excess: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse:
+    """The answer of one test.
+
+    `fitted_a`, `fitted_b` (n,) [N]: forces of the model at the stiffness that fits, on to the end of the record.
+    `departure` is None where the elastic law held throughout.
+    """
+
+    forces: Forces
+    stiffness: Stiffness
+    fitted_a: Array
+    fitted_b: Array
+    departure: Departure | None
+    pulse: MeasuredPulse
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def held(self) -> bool:
+        """Whether the elastic contact law explains the record from first touch to its end."""
+        return self.departure is None
+
+
+def _stiffness_of_bar(columns: Mapping[str, float]) -> float:
+    return float(columns["bars.E"] * bars.section(columns["bars.diameter"]))
+
+
+def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0) -> Forces:
+    """Forces at the faces by two waves at A and one at B.
+
+    Parameters
+    ----------
+    faces : Faces
+    columns : mapping of str to float
+        Numbers of the scene, SI; the bars are needed.
+    gain_sd : float
+        Relative standard deviation of the gain of each gauge, which is taken as 1.
+    """
+    scale = _stiffness_of_bar(columns)
+    force_a = -scale * (faces.incident + faces.reflected)
+    force_b = -scale * faces.transmitted
+    base_a = (faces.offset[0] + faces.offset[1]) if faces.shared else math.hypot(faces.offset[0], faces.offset[1])
+    # where the incident wave is taken as over there is no noise of it
+    there = np.arange(len(force_a)) < faces.known
+    noise_a = np.square(faces.noise[1]) + np.where(there, np.square(faces.noise[0]), 0.0)
+    rest_a = np.where(there, np.square(base_a), np.square(faces.offset[1]))
+    if faces.shared:
+        gained = np.square(gain_sd * force_a)
+    else:
+        gained = np.square(gain_sd * scale) * (np.square(faces.incident) + np.square(faces.reflected))
+    sd_a = np.sqrt(np.square(scale) * (noise_a + rest_a) + gained)
+    sd_b = np.sqrt(np.square(scale) * (np.square(faces.noise[2]) + np.square(faces.offset[2]))
+                   + np.square(gain_sd * force_b))  # fmt: skip
+    return Forces(time=faces.time, force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b)
+
+
+class _Fit:
+    """The model of one test over its parameters; motions are kept, for shifts and gauge gains need no new one."""
+
+    def __init__(self, faces: Faces, columns: Mapping[str, float], gain_sd: float, shift_sd: float) -> None:
+        self.faces, self.columns = faces, dict(columns)
+        self.pulse = fit_pulse(faces.pulse)
+        self.speed = float(bars.wave_speed(columns["bars.E"], columns["bars.density"]))
+        cut, curve = faces.pulse, self.pulse.pulse(1, {})
+        places = np.asarray(cut.step * np.arange(len(cut.strain)), dtype=float)
+        misfit = np.square(cut.strain - self.pulse.peak * pulse_value(curve, 0, places))
+        # what the cubics miss of the pulse is no noise: it comes back in many samples at once
+        missed = _LASTING * (max(float(misfit.mean()) - cut.noise**2, 0.0) + (_FLOOR * self.pulse.peak) ** 2)
+        # the sums of correlated noise scatter by its memory more
+        self.sd = np.sqrt(np.square(faces.noise[1:]) * np.maximum(faces.memory[1:], 1e-3) + missed)
+        self.prior = np.full(_COUNT, np.inf)
+        self.prior[[_GAIN_A, _GAIN_B]] = max(gain_sd, 1e-9)
+        self.prior[[_SHIFT_A, _SHIFT_B]] = max(shift_sd, 1e-12)
+        self.prior[_NOISE:] = 1.0
+        self.start = np.zeros(_COUNT)
+        self.start[_MODULUS] = math.log(float(contact.reduced_modulus(
+            columns["sphere.E"], columns["sphere.nu"], columns["bars.E"], columns["bars.nu"])))  # fmt: skip
+        self.kept: dict[bytes, tuple[Scene, Motion]] = {}
+
+    def motion(self, parameters: Array) -> tuple[Scene, Motion]:
+        # what the baseline is off by lies under the whole pulse: a box, by its share of each mode of the noise
+        scale = self.pulse.noise * self.pulse.peak
+        box = parameters[_BASE] * self.faces.offset[0] / scale if scale > 0.0 else 0.0
+        modes = [
+            float(parameters[_NOISE + j - 1]) + (box * 2.0 * math.sqrt(2.0) / (j * math.pi) if j % 2 else 0.0)
+            for j in range(1, NOISE_MODES + 1)
+        ]
+        key = np.array([parameters[_MODULUS], parameters[_GAIN_A], *modes]).tobytes()
+        if key not in self.kept:
+            modulus, gain = math.exp(parameters[_MODULUS]), math.exp(parameters[_GAIN_A])
+            columns = {name: np.array([value]) for name, value in self.columns.items()}
+            # E* itself is the parameter: 1/E* = (1 - nu²)/E between bars that do not yield
+            columns["sphere.E"] = np.array([modulus * (1.0 - self.columns["sphere.nu"] ** 2)])
+            columns["striker.speed"] = np.array([2.0 * self.speed * self.pulse.peak * gain])
+            for name, mode in zip(noise_names(), modes, strict=True):
+                columns[name] = np.array([mode])
+            end = self.faces.step * len(self.faces.incident) + 1e-5
+            scene = Scene(columns=columns, shape="measured", record=self.pulse, infinite=True, rigid_contact=True,
+                          horizon=end)  # fmt: skip
+            try:
+                self.kept[key] = (scene, motion(scene, 0, tolerance=_TOLERANCE))
+            except ValueError as error:
+                raise RecordError(f"the model cannot follow the incident wave of the record: {error}") from None
+            if len(self.kept) > 200:
+                self.kept.pop(next(iter(self.kept)))
+        return self.kept[key]
+
+    def waves(self, parameters: Array) -> tuple[Array, Array]:
+        """Strains that the gauges would show of the reflected and the transmitted wave at the faces."""
+        scene, found = self.motion(parameters)
+        last = scene.record_end[0]
+        times = [np.clip(self.faces.time + parameters[shift], 0.0, last) for shift in (_SHIFT_A, _SHIFT_B)]
+        reflected = waves_at(scene, 0, found, times[0]).leaving_a / self.speed
+        transmitted = -waves_at(scene, 0, found, times[1]).leaving_b / self.speed
+        offset = self.faces.offset
+        base = parameters[_BASE] * offset[0] if self.faces.shared else parameters[_BASE + 1] * offset[1]
+        return (
+            reflected * math.exp(-parameters[_GAIN_A]) + base,
+            transmitted * math.exp(-parameters[_GAIN_B]) + parameters[_BASE + 2] * offset[2],
+        )
+
+    def residual(self, parameters: Array, count: int) -> Array:
+        """Measured less modelled over the standard deviation, first `count` samples of both waves, (2 count,)."""
+        reflected, transmitted = self.waves(parameters)
+        return np.concatenate([
+            (self.faces.reflected[:count] - reflected[:count]) / self.sd[0],
+            (self.faces.transmitted[:count] - transmitted[:count]) / self.sd[1],
+        ])  # fmt: skip
+
+    def slopes(self, parameters: Array, count: int) -> Array:
+        """Derivatives of the residual, (2 count, parameters), by differences; of noise and baseline to one side."""
+        steps = np.full(_COUNT, 1e-3)
+        steps[[_SHIFT_A, _SHIFT_B]] = 0.25 * self.faces.step
+        steps[_NOISE:] = 0.3 if self.pulse.noise > 0.0 else 0.0
+        if self.faces.shared:
+            steps[_BASE + 1] = 0.0
+        columns = []
+        here = self.residual(parameters, count)
+        for k, step in enumerate(steps):
+            if step == 0.0:
+                columns.append(np.zeros(2 * count))
+                continue
+            move = np.zeros(_COUNT)
+            move[k] = step
+            above = self.residual(parameters + move, count)
+            if k >= _NOISE:
+                columns.append((above - here) / step)
+            else:
+                columns.append((above - self.residual(parameters - move, count)) / (2.0 * step))
+        return np.stack(columns, axis=1)
+
+    def loss(self, parameters: Array, count: int) -> float:
+        prior = np.where(np.isfinite(self.prior), parameters / self.prior, 0.0)
+        return float(np.square(self.residual(parameters, count)).sum() + np.square(prior).sum())
+
+    def solve(self, count: int, start: Array) -> tuple[Array, Array]:
+        """Parameters of least loss and their covariance: Gauss and Newton, steps halved until they gain."""
+        parameters, loss = start.copy(), self.loss(start, count)
+        weight = np.where(np.isfinite(self.prior), 1.0 / np.square(self.prior), 0.0)
+        information = np.diag(weight)
+        for _ in range(_TURNS):
+            slopes = self.slopes(parameters, count)
+            information = slopes.T @ slopes + np.diag(weight)
+            centred = np.where(np.isfinite(self.prior), parameters, 0.0)
+            downhill = slopes.T @ self.residual(parameters, count) + weight * centred
+            step = -np.linalg.lstsq(information, downhill, rcond=1e-14)[0]
+            step[_MODULUS] = float(np.clip(step[_MODULUS], -0.7, 0.7))
+            share = 1.0
+            while share > 1e-3:
+                trial = parameters + share * step
+                tried = self.loss(trial, count)
+                if tried <= loss * (1.0 + 1e-12):
+                    break
+                share *= 0.5
+            else:
+                break
+            gained, parameters, loss = loss - tried, trial, tried
+            if gained < 1e-4 + 1e-9 * loss:
+                break
+        scaled = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        covariance = np.linalg.pinv(information / np.outer(scaled, scaled), rcond=1e-13) / np.outer(scaled, scaled)
+        return parameters, covariance
+
+    def scan(self, count: int) -> Array:
+        """The best of E* from an eighth to eight times that of the study, all else at its prior."""
+        trials = []
+        for factor in np.linspace(-math.log(8.0), math.log(8.0), 13):
+            trial = self.start.copy()
+            trial[_MODULUS] += factor
+            trials.append((self.loss(trial, count), trial))
+        return min(trials, key=lambda pair: pair[0])[1]
+
+
+def _blocks(length: int, loaded: int) -> npt.NDArray[np.int64]:
+    """Borders of blocks from `loaded` to the end."""
+    width = max(_FEWEST, (length - loaded) // _BLOCKS)
+    return np.arange(loaded, length - width + 1, width, dtype=np.int64)
+
+
+def _unforeseen(
+    fit: _Fit, parameters: Array, covariance: Array, borders: npt.NDArray[np.int64], width: int
+) -> list[float]:
+    """Mean residuals of blocks behind the fit over their standard deviations, the larger of both waves."""
+    count = len(fit.faces.incident)
+    residual, slopes = fit.residual(parameters, count), fit.slopes(parameters, count)
+    found = []
+    for first in borders:
+        worst = 0.0
+        for wave in range(2):
+            part = slice(wave * count + int(first), wave * count + min(int(first) + width, count))
+            lean = slopes[part].mean(axis=0)
+            spread = 1.0 / (part.stop - part.start) + float(lean @ covariance @ lean)
+            worst = max(worst, abs(float(residual[part].mean())) / math.sqrt(spread))
+        found.append(worst)
+    return found
+
+
+def _all_blocks(fit: _Fit, parameters: Array, borders: npt.NDArray[np.int64], width: int) -> float:
+    """The largest mean residual of a block over the scatter of its noise, fitted to all of them."""
+    count = len(fit.faces.incident)
+    residual = fit.residual(parameters, count).reshape(2, count)
+    means = [np.abs(residual[:, first : first + width].mean(axis=1)).max() for first in borders]
+    return float(max(means) * math.sqrt(width))
+
+
+def _departure(fit: _Fit, forces: Forces, borders: npt.NDArray[np.int64],
+               width: int) -> tuple[Departure | None, Array, Array, int]:  # fmt: skip
+    """The first block that the fit to those before does not foresee, and that fit."""
+    length = len(forces.time)
+    start = fit.scan(int(borders[0]) + 4 * width)
+    parameters, covariance = start, np.zeros((_COUNT, _COUNT))
+    for k in range(3, len(borders), _AHEAD):
+        ahead = borders[k : k + _AHEAD]
+        parameters, covariance = fit.solve(int(ahead[0]), parameters)
+        excesses = _unforeseen(fit, parameters, covariance, ahead, width)
+        odd = next((n for n, excess in enumerate(excesses) if excess > _ODD), None)
+        if odd is None:
+            continue
+        first, excess = int(ahead[odd]), excesses[odd]
+        # where the residual begins to grow: the best corner of a broken line over this block and the one before
+        low, high = max(first - width, 0), min(first + width, length)
+        residual = fit.residual(parameters, length).reshape(2, length)[:, low:high]
+        place = np.arange(high - low, dtype=float)
+        losses = []
+        for corner in range(2, high - low - 2):
+            ramp = np.maximum(place - corner, 0.0)
+            slope = residual @ ramp / np.square(ramp).sum()
+            losses.append(float(np.square(residual - slope[:, None] * ramp).sum()))
+        at = low + 2 + int(np.argmin(losses))
+        limits = [forces.interval(face) for face in "AB"]
+        a, b = float(forces.force_a[at]), float(forces.force_b[at])
+        found = Departure(
+            time=float(forces.time[at]), earliest=float(forces.time[low]), latest=float(forces.time[high - 1]),
+            force_a=(a, float(limits[0][0][at]), float(limits[0][1][at])),
+            force_b=(b, float(limits[1][0][at]), float(limits[1][1][at])), excess=excess,
+        )  # fmt: skip
+        before = min(first, at) if min(first, at) > int(borders[1]) else first
+        parameters, covariance = fit.solve(before, parameters)
+        return found, parameters, covariance, before
+    return None, parameters, covariance, length
+
+
+def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01, shift_sd: float | None = None,
+           departure: bool = True) -> Inverse:  # fmt: skip
+    """Forces, contact stiffness and the end of the elastic contact of one test.
+
+    Parameters
+    ----------
+    faces : Faces
+    columns : mapping of str to float
+        Numbers of the scene by dotted path, SI; those of sphere and bars are needed.  `sphere.E` is where the search
+        begins, from an eighth to eight times its E*.
+    gain_sd : float
+        Relative standard deviation of the gain of each gauge.
+    shift_sd : float, optional
+        Standard deviation of the times of the reflected and the transmitted wave [s]; a sample if not given.
+    departure : bool
+        Look for the end of the elastic contact.
+
+    Raises
+    ------
+    RecordError
+        Where the model cannot follow the record or no force rises above its noise.
+    """
+    needed = [f"sphere.{key}" for key in ("E", "nu", "radius", "density")]
+    needed += [f"bars.{key}" for key in ("E", "nu", "density", "diameter")]
+    scene = {name: float(columns[name]) for name in needed}
+    if "bars.end_radius" in columns:
+        scene["bars.end_radius"] = float(columns["bars.end_radius"])
+    forces = forces_of(faces, scene, gain_sd)
+    fit = _Fit(faces, scene, gain_sd, faces.step if shift_sd is None else shift_sd)
+    length = len(forces.time)
+    largest = float(forces.force_b.max())
+    noisy = _Z * float(forces.sd_b[0])
+    if not largest > 3.0 * noisy:
+        raise RecordError("no force at the receiving face rises above the noise of the record")
+    loaded = int(np.argmax(forces.force_b > _LOADED * largest))
+    borders = _blocks(length, loaded)
+    width = int(borders[1] - borders[0]) if len(borders) > 1 else 0
+    parameters, covariance = fit.solve(length, fit.scan(length))
+    found, used = None, length
+    notes = [*faces.notes, *fit.pulse.notes[len(faces.pulse.notes) :]]
+    if departure and len(borders) > 6 and _all_blocks(fit, parameters, borders, width) > _ODD:
+        end, before, spread, used = _departure(fit, forces, borders, width)
+        if end is None:
+            notes.append("the model does not explain the record to its noise, yet no single moment stands out")
+        else:
+            found, parameters, covariance = end, before, spread
+    residual = fit.residual(parameters, length).reshape(2, length)[:, :used]
+    misfit = math.sqrt(float(np.square(residual * fit.sd[:, None] / faces.noise[1:, None]).mean())) if (
+        faces.noise[1:] > 0.0).all() else math.sqrt(float(np.square(residual).mean()))  # fmt: skip
+    spread_of_log = math.sqrt(max(float(covariance[_MODULUS, _MODULUS]), 0.0))
+    modulus = math.exp(parameters[_MODULUS])
+    if misfit > 1.3 and found is None:
+        notes.append(f"the misfit is {misfit:.3g} times the noise: the interval of E* is too narrow by as much")
+    reflected, transmitted = fit.waves(parameters)
+    scale = _stiffness_of_bar(scene)
+    incident = np.zeros(length)
+    shown, moved = fit.motion(parameters)
+    within = np.minimum(faces.time, shown.record_end[0])
+    incident = -waves_at(shown, 0, moved, within).incident / fit.speed
+    return Inverse(
+        forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes),
+        stiffness=Stiffness(
+            modulus=modulus, low=modulus * math.exp(-_Z * spread_of_log), high=modulus * math.exp(_Z * spread_of_log),
+            std_error=modulus * spread_of_log, gain_a=math.exp(parameters[_GAIN_A]),
+            gain_b=math.exp(parameters[_GAIN_B]), misfit=misfit, samples=used),
+        fitted_a=-scale * (incident + reflected * math.exp(parameters[_GAIN_A])),
+        fitted_b=-scale * transmitted * math.exp(parameters[_GAIN_B]),
+    )  # fmt: skip

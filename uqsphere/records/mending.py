@@ -1,0 +1,404 @@
+"""From the columns of a table to strain over even time: units, gaps, missing numbers, uneven steps, clipping, baseline.
+
+Whatever is changed is said in a note; what cannot be changed without inventing a record is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.quantities import UNITS
+from uqsphere.records.reading import RecordError, Table
+
+__all__ = ["SIGNAL_UNITS", "Onset", "Record", "Wiring", "find_onset", "make_record", "set_baseline", "turn_sign"]
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+#: unit of a signal -> factor to strain, or to volts where the second entry says so
+SIGNAL_UNITS: Final[dict[str, tuple[float, bool]]] = {
+    "strain": (1.0, False), "m/m": (1.0, False), "mm/mm": (1.0, False), "-": (1.0, False), "1": (1.0, False),
+    "microstrain": (1e-6, False), "ustrain": (1e-6, False), "ue": (1e-6, False), "µε": (1e-6, False),
+    "με": (1e-6, False), "um/m": (1e-6, False), "µm/m": (1e-6, False), "%": (1e-2, False),
+    "V": (1.0, True), "mV": (1e-3, True), "uV": (1e-6, True), "µV": (1e-6, True),
+}  # fmt: skip
+#: missing samples in a row that are filled from their neighbours
+_SHORT_GAP: Final = 10
+#: samples beyond which a record is thinned, and about how many are left
+_LARGE: Final = 1_000_000
+_LEFT: Final = 400_000
+#: more strain than this, and a longer record [s], is no record of a bar: the unit is wrong
+_MOST_STRAIN: Final = 0.05
+_LONGEST: Final = 10.0
+#: equal samples in a row at the largest value that make a clipped record
+_FLAT: Final = 8
+#: samples that make a baseline
+_BASELINE: Final = 20
+#: share of the peak, and multiple of the noise, at which a wave begins
+_ONSET_SHARE, _ONSET_NOISE = 0.03, 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiring:
+    """How a signal becomes a strain: eps = 4 U/(k N U_0 A) for a Wheatstone bridge, N active arms.
+
+    Attributes
+    ----------
+    unit : str
+        One of `SIGNAL_UNITS`; empty: what the file says, else strain.
+    gauge_factor, excitation, amplification, active_arms : float
+        k [-], bridge supply U_0 [V] (0: not given), A of the amplifier, N: 1 quarter, 2 half bridge.
+    time_unit : str
+        Unit of the time; empty: what the file says, else s.
+    """
+
+    unit: str = ""
+    gauge_factor: float = 2.0
+    excitation: float = 0.0
+    amplification: float = 1.0
+    active_arms: float = 1.0
+    time_unit: str = ""
+
+    def factor(self, written: str, name: str) -> float:
+        """Strain per unit of the column `name`, whose heading says `written`."""
+        unit = self.unit or written or "strain"
+        if unit not in SIGNAL_UNITS:
+            raise RecordError(f"the unit {unit!r} of {name} is not known; allowed: {', '.join(SIGNAL_UNITS)}")
+        factor, volts = SIGNAL_UNITS[unit]
+        if not volts:
+            return factor
+        if not self.excitation > 0.0:
+            raise RecordError(f"{name} is in {unit}: the supply of the bridge is needed too, such as excitation = 5.0")
+        return factor * 4.0 / (self.gauge_factor * self.active_arms * self.excitation * self.amplification)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Strains over even time.
+
+    Attributes
+    ----------
+    start, step : float
+        Time of the first sample and between samples [s].
+    strain : (n, k) array
+        One column per signal, tension positive.
+    held : (n,) array of bool
+        Samples inside gaps too long to be filled with any right.
+    noise : (k,) array
+        Standard deviation of a sample at rest; 0 where there is no baseline to tell it from.
+    memory : (k,) array
+        Samples over which the noise is correlated, at least 1.
+    offset : (k,) array
+        Standard deviation of the baseline that was taken off.
+    names, notes : tuples of str
+    """
+
+    start: float
+    step: float
+    strain: Array
+    held: Flags
+    noise: Array
+    memory: Array
+    offset: Array
+    names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def time(self) -> Array:
+        """Instants of the samples, (n,) [s]."""
+        return np.asarray(self.start + self.step * np.arange(len(self.strain)), dtype=float)
+
+
+def _pick(table: Table, signals: int, columns: Sequence[str]) -> list[int]:
+    """Places of time and signals among the columns."""
+    count = len(table.names)
+    if columns:
+        if len(columns) != signals + 1:
+            raise RecordError(f"{len(columns)} columns are named, {signals + 1} are due: time and {signals} of strain")
+        for name in columns:
+            if table.names.count(name) != 1:
+                said = "more than once" if name in table.names else "not"
+                raise RecordError(f"the column {name!r} is {said} in the file, which has {', '.join(table.names)}")
+        return [table.names.index(name) for name in columns]
+    if count != signals + 1:
+        what = "too few" if count < signals + 1 else "too many"
+        raise RecordError(
+            f"found {count} columns ({', '.join(table.names)}), {what}: time and {signals} of strain or volts are due; "
+            "name those that count with columns"
+        )
+    return list(range(count))
+
+
+def make_record(table: Table, signals: int = 1, *, wiring: Wiring | None = None,
+                columns: Sequence[str] = ()) -> Record:  # fmt: skip
+    """Strains of a table over even time, as they were recorded: baseline and sign are untouched.
+
+    Parameters
+    ----------
+    table : Table
+    signals : int
+        Columns of strain that are due beside the time.
+    wiring : Wiring, optional
+    columns : sequence of str
+        Names of the time's and the signals' columns; all in their order if empty.
+
+    Raises
+    ------
+    RecordError
+        For a wrong number of columns, an unknown unit, time that runs backwards, a clipped signal, numbers that no bar
+        can have, fewer than 20 samples.
+    """
+    wiring = Wiring() if wiring is None else wiring
+    at = _pick(table, signals, columns)
+    notes = list(table.notes)
+    unit = wiring.time_unit or table.units[at[0]] or "s"
+    if unit not in UNITS["time"]:
+        raise RecordError(f"the unit {unit!r} of the time is not known; allowed: {', '.join(UNITS['time'])}")
+    time = table.values[:, at[0]] * UNITS["time"][unit]
+    factors = [wiring.factor(table.units[place], table.names[place]) for place in at[1:]]
+    raw = table.values[:, at[1:]] * np.array(factors)
+    names = tuple(table.names[place] for place in at[1:])
+    there = np.isfinite(time)
+    if not there.all():
+        notes.append(f"{int((~there).sum())} rows without a time are left out")
+        time, raw = time[there], raw[there]
+    if len(time) < _BASELINE:
+        raise RecordError(f"found {len(time)} samples, a record has {_BASELINE} at least")
+    time = _ascending(time, notes)
+    if time[-1] - time[0] > _LONGEST:
+        raise RecordError(
+            f"the record lasts {time[-1] - time[0]:.4g} s, more than any test: is its time in another unit? "
+            'Say so, as in time_unit = "us"'
+        )
+    for column, name in zip(raw.T, names, strict=True):
+        _refuse_nonsense(column, name)
+        _refuse_clipped(time, column, name)
+    start, step, strain, held = _even(time, raw, notes)
+    if len(strain) > _LARGE:
+        start, step, strain, held = _thinned(start, step, strain, held, notes)
+    unknown, memory = np.zeros(signals), np.ones(signals)
+    return Record(start=start, step=step, strain=strain, held=held, noise=unknown, memory=memory,
+                  offset=unknown.copy(), names=names, notes=tuple(notes))  # fmt: skip
+
+
+def _ascending(time: Array, notes: list[str]) -> Array:
+    """Times that grow; a time written with too few digits is built anew."""
+    steps = np.diff(time)
+    if (steps < 0.0).any():
+        at = int(np.argmax(steps < 0.0)) + 2
+        raise RecordError(
+            f"time runs backwards at sample {at}: {time[at - 2]:.9g} s, then {time[at - 1]:.9g} s; "
+            "are there several records in the file?"
+        )
+    if not (steps == 0.0).any():
+        return time
+    even = np.linspace(time[0], time[-1], len(time))
+    digit = float(steps.max())
+    if digit == 0.0 or np.abs(even - time).max() > 1.01 * digit:
+        raise RecordError(f"the same time stands twice, first at sample {int(np.argmax(steps == 0.0)) + 2}")
+    # the last time is rounded like the others: the mean step comes from a fit
+    slope = np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0]
+    notes.append("the time has too few digits to tell its samples apart: even steps are assumed")
+    return np.asarray(time[0] + slope * np.arange(len(time)))
+
+
+def _refuse_nonsense(column: Array, name: str) -> None:
+    good = column[np.isfinite(column)]
+    if len(good) < max(_BASELINE, len(column) // 2):
+        raise RecordError(f"{name}: {len(column) - len(good)} of {len(column)} samples are no numbers")
+    size = float(np.abs(good - np.median(good)).max())
+    if size == 0.0:
+        raise RecordError(f"{name}: every sample is the same: there is no wave in it")
+    if size > _MOST_STRAIN:
+        raise RecordError(
+            f"{name}: reaches {size:.3g}, which is no strain of an elastic bar: is it in microstrain or volts? "
+            'Say so, as in unit = "microstrain"'
+        )
+
+
+def _longest_run(same: Flags) -> tuple[int, int]:
+    """Length and first place of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    if len(edges) == 0:
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    best = int(np.argmax(lengths))
+    return int(lengths[best]), int(edges[2 * best])
+
+
+def _refuse_clipped(time: Array, column: Array, name: str) -> None:
+    """A recorder at the end of its range writes one number again and again, where elsewhere it writes noise."""
+    good = np.isfinite(column)
+    values, at = column[good], time[good]
+    head = values[: max(len(values) // 20, _BASELINE)]
+    if np.ptp(head) == 0.0:  # without noise a flat top may be one
+        return
+    quiet, _ = _longest_run(np.concatenate([[False], np.diff(head) == 0.0]))
+    for extreme in (values.max(), values.min()):
+        run, first = _longest_run(values == extreme)
+        if run >= _FLAT and run > 2 * (quiet + 1):
+            raise RecordError(
+                f"{name} is clipped at {extreme:.6g}: {run} samples from {at[first] * 1e6:.6g} us on are the same; "
+                "its peak is not in the record: record again with a wider range"
+            )
+
+
+def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Array, Flags]:
+    """Even steps and no missing numbers; `held` marks what lies in long gaps."""
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    uneven = bool(np.abs(steps - step).max() > 0.01 * step)
+    if not uneven:
+        step = float((time[-1] - time[0]) / (len(time) - 1))
+    missing = np.isnan(raw)
+    if not uneven and not missing.any():
+        return float(time[0]), step, raw, np.zeros(len(raw), dtype=bool)
+    count = round((time[-1] - time[0]) / step) + 1
+    if count > 4 * len(time) + 1000:
+        raise RecordError("the steps of time differ too much: most of the record is missing")
+    grid = time[0] + step * np.arange(count)
+    strain, held = np.empty((count, raw.shape[1])), np.zeros(count, dtype=bool)
+    filled = 0
+    for k in range(raw.shape[1]):
+        good = ~missing[:, k]
+        own = time[good]
+        strain[:, k] = np.interp(grid, own, raw[good, k])
+        after = np.clip(np.searchsorted(own, grid), 1, len(own) - 1)
+        wide = own[after] - own[after - 1]
+        inside = (grid > own[after - 1] + 1e-6 * step) & (grid < own[after] - 1e-6 * step)
+        inside |= (grid < own[0]) | (grid > own[-1])
+        filled += int((inside & (wide > 1.5 * step)).sum())
+        held |= inside & (wide > (_SHORT_GAP + 1.5) * step)
+    jitter = uneven and bool(np.abs(steps[steps < 1.5 * step] - step).max(initial=0.0) > 0.01 * step)
+    if jitter:
+        notes.append(
+            f"the steps of time are uneven: brought to even ones of {step * 1e6:.6g} us by lines between samples"
+        )
+    if filled:
+        notes.append(f"{filled} missing samples are filled by lines between their neighbours")
+    if held.any():
+        notes.append(f"{int(held.sum())} samples lie in gaps of more than {_SHORT_GAP}: no wave may stand there")
+    return float(time[0]), step, strain, held
+
+
+def _thinned(start: float, step: float, strain: Array, held: Flags,
+             notes: list[str]) -> tuple[float, float, Array, Flags]:  # fmt: skip
+    """Means of blocks of samples."""
+    block = -(-len(strain) // _LEFT)
+    whole = len(strain) // block * block
+    notes.append(f"{len(strain):,} samples are thinned to {whole // block:,}, the means of {block} each")
+    means = strain[:whole].reshape(-1, block, strain.shape[1]).mean(axis=1)
+    lost = np.asarray(held[:whole].reshape(-1, block).any(axis=1))
+    return start + 0.5 * (block - 1) * step, step * block, np.asarray(means, dtype=float), lost
+
+
+@dataclass(frozen=True, kw_only=True)
+class Onset:
+    """Where a wave begins: sample, level that it exceeds there, largest value against rest."""
+
+    sample: int
+    level: float
+    peak: float
+
+
+def find_onset(values: Array, noise: float = 0.0) -> Onset:
+    """The first sample that leaves the rest before the wave for good, on values about zero."""
+    peak = float(np.abs(values).max())
+    level = max(_ONSET_SHARE * peak, _ONSET_NOISE * noise)
+    if not level < peak:
+        raise RecordError("no wave rises above the noise of the record")
+    above = np.abs(values) > level
+    # one spike is no wave: three samples in a row
+    sure = above[:-2] & above[1:-1] & above[2:]
+    if not sure.any():
+        raise RecordError("no wave of three samples or more rises above the noise of the record")
+    return Onset(sample=int(np.argmax(sure)), level=level, peak=peak)
+
+
+def _rest(values: Array) -> tuple[float, float]:
+    """Middle of the first samples, and the scatter of neighbours, both robust."""
+    some = values[: max(_BASELINE, len(values) // 50)]
+    return float(np.median(some)), 1.4826 * float(np.median(np.abs(np.diff(values)))) / np.sqrt(2.0)
+
+
+def set_baseline(record: Record) -> Record:
+    """Every signal about its own rest, with the noise that was found there.
+
+    Raises
+    ------
+    RecordError
+        Where a signal is nowhere at rest.
+    """
+    strain, notes = record.strain.copy(), list(record.notes)
+    noise, memory, unsure = record.noise.copy(), record.memory.copy(), record.offset.copy()
+    for k, name in enumerate(record.names):
+        values = strain[:, k]
+        middle, scatter = _rest(values)
+        try:
+            onset = find_onset(values - middle, scatter)
+        except RecordError as error:
+            raise RecordError(f"{name}: {error}") from None
+        count = onset.sample - max(3, onset.sample // 20)
+        quiet = values[: max(count, 0)]
+        if count < _BASELINE or abs(quiet.mean() - middle) > 0.05 * onset.peak:
+            quiet = _rest_behind(values, name, onset.peak)
+            notes.append(f"{name}: no baseline before the wave, taken from the end of the record")
+        offset = float(quiet.mean())
+        if abs(offset) > 0.005 * onset.peak:
+            notes.append(f"{name}: a baseline of {offset * 1e6:.4g} microstrain is taken off")
+        noise[k], memory[k], drift = _scatter(quiet)
+        unsure[k] = noise[k] * np.sqrt(min(1.0, memory[k] / len(quiet)))
+        if drift > 0.02 * onset.peak:
+            notes.append(f"{name}: the baseline drifts by {drift * 1e6:.3g} microstrain, which is left in")
+        strain[:, k] = values - offset
+    return replace(record, strain=strain, noise=noise, memory=memory, offset=unsure, notes=tuple(notes))
+
+
+def _rest_behind(values: Array, name: str, peak: float) -> Array:
+    last = values[-max(_BASELINE, len(values) // 20) :]
+    begins = float(np.median(values[:5]))
+    if np.ptp(last) > 0.1 * peak:
+        raise RecordError(f"{name}: the signal is at rest neither before the wave nor at the end: there is no baseline")
+    if abs(begins - last.mean()) > 0.1 * np.abs(values - last.mean()).max():
+        raise RecordError(f"{name}: the record begins inside the wave: its beginning is missing")
+    return last
+
+
+def _scatter(quiet: Array) -> tuple[float, float, float]:
+    """Standard deviation about a line, samples over which it is correlated, drift along the baseline."""
+    place = np.linspace(-0.5, 0.5, len(quiet))
+    slope = float((place * (quiet - quiet.mean())).sum() / np.square(place).sum())
+    left = quiet - quiet.mean() - slope * place
+    sd = float(left.std(ddof=2))
+    unsure = sd / np.sqrt(len(quiet) / 12.0)
+    drift = abs(slope) if abs(slope) > 4.0 * unsure else 0.0
+    if sd <= 1e-12 * float(np.abs(quiet).max()):  # rounding is no noise
+        return 0.0, 1.0, drift
+    memory = 1.0
+    for lag in range(1, min(len(left) // 4, 200)):
+        alike = float((left[lag:] * left[:-lag]).mean() / sd**2)
+        if alike < 2.0 / np.sqrt(len(left)):
+            break
+        memory += 2.0 * alike
+    return sd, memory, drift
+
+
+def turn_sign(record: Record, signal: int) -> Record:
+    """The first wave of a signal made compression, below zero, if it is not."""
+    values = record.strain[:, signal]
+    onset = find_onset(values, float(record.noise[signal]))
+    first = values[onset.sample :]
+    over = np.flatnonzero(np.abs(first) > 0.5 * onset.peak)
+    if first[over[0]] < 0.0:
+        return record
+    strain = record.strain.copy()
+    strain[:, signal] = -values
+    said = (
+        f"{record.names[signal]}: its first wave was positive; a wave that presses is negative here, the sign is turned"
+    )
+    return replace(record, strain=strain, notes=(*record.notes, said))

@@ -1,0 +1,257 @@
+"""The incident pulse of a record: found, cut out, corrected for dispersion, and put into few smooth cubics."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics.dispersion import correct, first_mode
+from uqsphere.mechanics.measured import MeasuredPulse
+from uqsphere.records.mending import Record, Wiring, find_onset, make_record, set_baseline, turn_sign
+from uqsphere.records.reading import RecordError, read_table
+
+__all__ = ["Bar", "CutPulse", "cut_pulse", "fit_pulse", "measured_pulse"]
+
+Array = npt.NDArray[np.float64]
+
+#: samples of a pulse, at the least
+_FEWEST: Final = 30
+#: cubics, at the most, and samples of each, at the least
+_MOST_PIECES, _SAMPLES = 64, 5
+#: misfit over the peak that is not worth a further cubic where there is no noise
+_FINE: Final = 2e-4
+#: what is taken in before the foot of the rise and behind that of the fall, over the way from there to half the peak
+_FEET: Final = 0.2
+#: share of the peak below which a pulse is over
+_OVER: Final = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """What the dispersion of a bar depends on: radius [m], wave speed c0 [m/s], Poisson's ratio."""
+
+    radius: float
+    wave_speed: float
+    nu: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutPulse:
+    """The pulse as samples.
+
+    Attributes
+    ----------
+    step : float
+        Time between samples [s].
+    strain : (n,) array
+        Compression above zero, from rest to rest.
+    begin : float
+        Time of the first sample in the record [s].
+    noise, memory : float
+        Standard deviation of a sample, and samples over which it is correlated.
+    corrected : float
+        Distance over which the dispersion was corrected [m], 0 for not at all.
+    inside : float
+        Share of the energy inside the band in which the correction holds, 1 without one.
+    """
+
+    step: float
+    strain: Array
+    begin: float
+    noise: float
+    memory: float
+    notes: tuple[str, ...]
+    corrected: float = 0.0
+    inside: float = 1.0
+
+
+def _smooth(values: Array, samples: int) -> Array:
+    if samples < 2:
+        return values
+    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
+
+
+def _window(values: Array, step: float, noise: float) -> tuple[int, int]:
+    """First and last sample of the first wave of `values`, compression above zero."""
+    onset = find_onset(values, noise)
+    # the peak of the first wave, not of a later one: up to where it first falls back
+    width = max(1, round(2e-6 / step))
+    high = np.flatnonzero(_smooth(values, width)[onset.sample :] > 0.5 * onset.peak)
+    if len(high) == 0:
+        raise RecordError("the first wave of the record does not press: there is no incident pulse")
+    half = onset.sample + int(high[0])
+    # means over a part of the rise see its foot and the end of the fall through the noise
+    width = max(width, (half - onset.sample) // 5 + 1)
+    calm = _smooth(values, width)
+    level = max(0.01 * onset.peak, 4.0 * noise / np.sqrt(width))
+    before = np.flatnonzero(calm[:half] < level)
+    foot = int(before[-1]) + 1 if len(before) else 0
+    below = np.flatnonzero(calm[half:] < max(_OVER * onset.peak, level))
+    if len(below) == 0:
+        raise RecordError("the record begins or ends inside the pulse: its end is not at the level of its beginning")
+    end = half + int(below[0])
+    falling = end - int(np.flatnonzero(calm[: end + 1] > 0.5 * onset.peak)[-1])
+    lead, tail = (max(2, round(_FEET * length)) for length in (half - foot, falling))
+    return max(foot - lead, 0), min(end + tail, len(values) - 2)
+
+
+def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, begin: float | None = None,
+              end: float | None = None, signal: int = 0) -> CutPulse:  # fmt: skip
+    """The incident pulse of a record that has its baseline and sign.
+
+    Parameters
+    ----------
+    record : Record
+    bar, distance : Bar, float
+        With a bar: dispersion is corrected from the gauge, on the surface, to the face a `distance` [m] away.
+    begin, end : float, optional
+        Times of the record [s] between which the pulse stands; found by itself if not given.
+
+    Raises
+    ------
+    RecordError
+        Where no pulse is found, a part of it is missing, or it has fewer than 30 samples.
+    """
+    values, noise = -record.strain[:, signal], float(record.noise[signal])
+    notes, memory = list(record.notes), float(record.memory[signal])
+    time = record.time
+    first, last = (0, 0) if begin is not None and end is not None else _window(values, record.step, noise)
+    if begin is not None:
+        first = int(np.searchsorted(time, begin))
+    if end is not None:
+        last = int(np.searchsorted(time, end, side="right")) - 1
+    if not 0 <= first < last < len(values):
+        raise RecordError("the window of the pulse lies outside the record, or is empty")
+    if record.held[first : last + 1].any():
+        raise RecordError("samples are missing inside the pulse, more than can be filled")
+    if last - first + 1 < _FEWEST:
+        raise RecordError(f"the pulse has {last - first + 1} samples, {_FEWEST} at least are needed")
+    inside = 1.0
+    if bar is not None and distance > 0.0:
+        values, first, last, inside = _corrected(values, first, last, record.step, bar, distance, notes)
+        # of white noise the band holds this share
+        share = min(1.0, 1.8 * first_mode(bar.nu).limit(bar.radius, bar.wave_speed) * record.step * memory)
+        noise, memory = noise * np.sqrt(share), memory / share
+    strain = values[first : last + 1].copy()
+    return CutPulse(step=record.step, strain=strain, begin=float(time[0] + first * record.step), noise=float(noise),
+                    memory=memory, notes=tuple(notes),
+                    corrected=distance if bar is not None else 0.0, inside=inside)  # fmt: skip
+
+
+def _corrected(values: Array, first: int, last: int, step: float, bar: Bar, distance: float,
+               notes: list[str]) -> tuple[Array, int, int, float]:  # fmt: skip
+    """The wave at the face: the window alone is carried there, with room for what dispersion moves."""
+    room = max(64, round(4.0 * bar.radius / bar.wave_speed / step * (1.0 + distance / bar.radius / 20.0)))
+    # the tail that dispersion has drawn out belongs to the wave, the next wave does not
+    other = np.flatnonzero(np.abs(values[last + 1 : last + 1 + room]) > 0.25 * np.abs(values[first : last + 1]).max())
+    first, last = max(first - room, 0), min(last + (int(other[0]) // 2 if len(other) else room), len(values) - 1)
+    wave = np.zeros(3 * (last - first + 1) + 4 * room)
+    place = slice(2 * room, 2 * room + last - first + 1)
+    wave[place] = values[first : last + 1]
+    # a wave cut off its record begins and ends at rest
+    ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(room // 4) + 0.5) / (room // 4))
+    wave[place.start : place.start + len(ramp)] *= ramp
+    wave[place.stop - len(ramp) : place.stop] *= ramp[::-1]
+    there = correct(wave, step, distance, radius=bar.radius, wave_speed=bar.wave_speed, nu=bar.nu)
+    limit = first_mode(bar.nu).limit(bar.radius, bar.wave_speed)
+    energy, frequency = np.square(np.abs(np.fft.rfft(wave))), np.fft.rfftfreq(len(wave), step)
+    inside = float(energy[frequency <= limit].sum() / energy.sum())
+    # what lies beyond the band is noise with an unknown lag, and the factor of the surface is at its largest there
+    kept = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency / limit - 0.8) / 0.2, 0.0, 1.0))
+    there = np.fft.irfft(np.fft.rfft(there) * kept, len(wave))
+    notes.append(
+        f"dispersion over {distance:.4g} m is corrected up to {limit / 1e3:.4g} kHz, where {inside:.4%} of the energy "
+        "is; what is above is left out"
+    )
+    moved = values.copy()
+    moved[first : last + 1] = there[place]
+    peak = float(np.abs(there[place]).max())
+    above = np.flatnonzero(np.abs(there[place]) > _OVER * peak)
+    high = np.flatnonzero(there[place] > 0.5 * peak)
+    # what is below that share on the way up and down belongs to the wave as well
+    lead, tail = max(2, int(high[0] - above[0])), max(2, int(above[-1] - high[-1]))
+    return moved, first + max(int(above[0]) - lead, 0), first + min(int(above[-1]) + tail, last - first), inside
+
+
+def fit_pulse(cut: CutPulse, source: str = "", digest: str = "") -> MeasuredPulse:
+    """Least-squares cubics, as few as leave the noise alone: where the misfit is largest a piece is halved.
+
+    The curve has continuous slope and curvature, and is zero at both ends.
+
+    Raises
+    ------
+    RecordError
+        Where the curve does not rise above zero.
+    """
+    from scipy.interpolate import PPoly, make_lsq_spline
+
+    place = cut.step * np.arange(len(cut.strain))
+    length, size = float(place[-1]), float(np.abs(cut.strain).max())
+    strain = cut.strain.copy()
+    strain[[0, -1]] = 0.0
+    weight = np.ones(len(strain))
+    weight[[0, -1]] = 1e3
+    joints = np.linspace(0.0, length, 5)
+    allowed = max(1.05 * cut.noise, _FINE * size)
+    while True:
+        knots = np.concatenate([[0.0] * 3, joints, [length] * 3])
+        spline = make_lsq_spline(place, strain, knots, 3, weight)
+        misfit = np.square(strain - spline(place))
+        piece = np.clip(np.searchsorted(joints, place, side="right") - 1, 0, len(joints) - 2)
+        loss, count = np.bincount(piece, misfit), np.bincount(piece)
+        # a piece with less than its noise needs no further joint
+        gain = np.where((count >= 2 * _SAMPLES) & (loss / count > np.square(allowed)), loss, 0.0)
+        if len(joints) > _MOST_PIECES or not (gain > 0.0).any():
+            break
+        worst = int(np.argmax(gain))
+        joints = np.insert(joints, worst + 1, 0.5 * (joints[worst] + joints[worst + 1]))
+    left = float(np.sqrt(misfit[1:-1].mean()))
+    curve = PPoly.from_spline((spline.t, spline.c, 3))
+    fine = np.linspace(0.0, length, 20 * len(joints) + 1)
+    level = spline(fine)
+    peak = float(level.max())
+    if not peak > 0.0:
+        raise RecordError("the pulse does not press: its compression is nowhere above zero")
+    ascending = curve.c[::-1].T[3:-3] / peak  # the pieces of no length at both ends
+    ascending[0, 0] = 0.0
+    high, low = np.argmax(level >= 0.9 * peak), np.argmax(level >= 0.1 * peak)
+    notes = [*cut.notes, f"{len(joints) - 1} cubics follow the record to {left / peak:.2g} of its peak"]
+    if left > 1.5 * allowed:
+        notes.append("the record moves faster than its cubics can: its sharpest edges are rounded")
+    return MeasuredPulse(
+        breaks=tuple(float(joint) for joint in joints),
+        coefficients=tuple(tuple(float(c) for c in row) for row in ascending), peak=peak,
+        noise=float(cut.noise * np.sqrt(cut.memory * cut.step / length) / peak), rise=float(fine[high] - fine[low]),
+        source=source, digest=digest, notes=tuple(notes),
+    )  # fmt: skip
+
+
+def measured_pulse(path: str | Path, *, wiring: Wiring | None = None, columns: Sequence[str] = (),
+                   bar: Bar | None = None, distance: float = 0.0, begin: float | None = None,
+                   end: float | None = None, polarity: str = "auto") -> MeasuredPulse:  # fmt: skip
+    """The pulse of a file with time and one signal: read, mended, cut, corrected and fitted.
+
+    `polarity`: ``auto`` takes the first wave as compression, ``tension`` a record that is positive in tension,
+    ``compression`` one that is positive in compression.
+
+    Raises
+    ------
+    RecordError
+        See `read_table`, `make_record`, `set_baseline`, `cut_pulse` and `fit_pulse`.
+    """
+    path = Path(path)
+    record = set_baseline(make_record(read_table(path), 1, wiring=wiring, columns=columns))
+    if polarity == "auto":
+        record = turn_sign(record, 0)
+    elif polarity == "compression":
+        record = replace(record, strain=-record.strain)
+    elif polarity != "tension":
+        raise RecordError(f"polarity {polarity!r} is not known; allowed: auto, tension, compression")
+    cut = cut_pulse(record, bar=bar, distance=distance, begin=begin, end=end)
+    return fit_pulse(cut, path.name, hashlib.sha256(path.read_bytes()).hexdigest())
