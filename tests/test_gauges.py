@@ -97,7 +97,7 @@ def test_without_a_sphere_the_pulse_runs_to_and_fro(end):
     expected = sum(
         end**k * (pulse(times - d / C0 - k * trip) - pulse(times + d / C0 - k * trip)) / C0 for k in range(9)
     )
-    np.testing.assert_allclose(gauge_strain(history, "incident", d, times), expected, atol=5e-5 / C0)
+    np.testing.assert_allclose(gauge_strain(history, "incident", d, times), expected, atol=2e-4 / C0)
 
 
 def test_a_short_striker_leaves_clean_records(granite):

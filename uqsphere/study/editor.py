@@ -11,7 +11,9 @@ from typing import Any, Final, get_args
 
 from uqsphere.materials import material_names
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.quantities import INPUTS, OUTPUTS, Quantity, units_of
+from uqsphere.study.gauges import GAUGE_BARS, MOST_GAUGES
 from uqsphere.study.nouns import Accuracy, Budget
 from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.study.requests import METHODS
@@ -45,18 +47,23 @@ def build_schema() -> Node:
             infinite=_FLAG | {"description": "no reflections from the far ends"},
             rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
         ),
-        "striker": _section("striker", required=("speed",)),
-        "pulse": _section("pulse", shape=_words(PULSE_KEYS, "shape of the incident pulse")),
+        "striker": _section("striker", required=("speed",), material=_material("bars")),
+        "pulse": _section(
+            "pulse",
+            shape=_words(PULSE_KEYS, "shape of the incident pulse"),
+            preset=_words(PRESETS, "a pulse of the paper's Fig. 2, in place of shape"),
+        ),
         "model": _model(),
         "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
         "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),
         "limits": _named(_limit(), "strengths that quantities are held against"),
         "dependence": {"type": "array", "items": _dependence()},
+        "gauges": {"type": "array", "items": _gauge(), "maxItems": MOST_GAUGES},
         "analysis": _analysis(),
         "margins": _margins(),
     }
     scene = {"required": ["sphere", "bars", "striker"], "not": {"anyOf": _present("inputs", "outputs")}}
-    parts = _present("sphere", "bars", "striker", "pulse", "model")
+    parts = _present("sphere", "bars", "striker", "pulse", "model", "gauges")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "uqsphere study",
@@ -191,6 +198,11 @@ def _limit() -> Node:
         ("strength",),
     )
     return node | {"oneOf": _present("quantity", "criterion")}
+
+
+def _gauge() -> Node:
+    position = {"$ref": "#/$defs/length", "description": "distance of the gauge from the sphere"}
+    return _table({"bar": _words(GAUGE_BARS, "which bar"), "position": position}, ("bar", "position"))
 
 
 def _dependence() -> Node:

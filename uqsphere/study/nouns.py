@@ -21,6 +21,7 @@ __all__ = [
     "Analysis",
     "Budget",
     "Dependence",
+    "Gauge",
     "Limit",
     "Margins",
     "ModelChoice",
@@ -132,6 +133,14 @@ class Dependence:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Gauge:
+    """A strain gauge: bar `incident` or `receiving`, and its distance from the sphere [m]."""
+
+    bar: str
+    position: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Source:
     """Where a default came from, and whether that source was seen."""
 
@@ -158,6 +167,8 @@ class Study:
         What a user should know and what does not stop the study.
     overrides : tuple of str
         What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
+    gauges : tuple of Gauge
+        Where `uqsphere history` puts gauges; no answer of a run depends on them.
     """
 
     title: str
@@ -179,11 +190,12 @@ class Study:
     outputs: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
+    gauges: tuple[Gauge, ...] = ()
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the meaning: the same for two files that differ in title, comments or layout alone."""
-        meaning = {key: value for key, value in self.resolved().items() if key != "title"}
+        """SHA-256 of the meaning: the same for two files that differ in title, gauges, comments or layout alone."""
+        meaning = {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
         text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -232,6 +244,7 @@ class Study:
             "analysis": _lists(asdict(self.analysis)),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
+            **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
         }
 
 

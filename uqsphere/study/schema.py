@@ -22,6 +22,7 @@ __all__ = [
     "BudgetTable",
     "DependenceTable",
     "Document",
+    "GaugeTable",
     "LimitTable",
     "MarginsTable",
     "ModelTable",
@@ -36,7 +37,7 @@ __all__ = [
 #: A number of the scene as the file has it: a number, a text with a unit, or the table of a distribution.
 Number = Any
 
-PulseShape = Literal["rectangular", "trapezoid", "half_sine", "two_peak", "step", "measured"]
+PulseShape = Literal["rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured"]
 Fidelity = Literal["auto", "massless", "linear", "full"]
 Aim = Literal["survive", "break"]
 OnFailure = Literal["abort", "bound", "drop"]
@@ -73,11 +74,16 @@ class BarsTable(Table):
 
 
 class StrikerTable(Table):
+    material: str | None = None
+    E: Number = None
+    density: Number = None
+    diameter: Number = None
     speed: Number = None
     length: Number = None
 
 
 class PulseTable(Table):
+    preset: str | None = None
     shape: PulseShape = "rectangular"
     duration: Number = None
     rise: Number = None
@@ -121,6 +127,11 @@ class DependenceTable(Table):
     spearman: float | None = None
     kendall: float | None = None
     dof: float | None = None
+
+
+class GaugeTable(Table):
+    bar: Any = None
+    position: Any = None
 
 
 class AccuracyTable(Table):
@@ -176,6 +187,7 @@ class Document(Table):
     outputs: OutputsTable | None = None
     limits: dict[str, LimitTable] = Field(default_factory=dict)
     dependence: list[DependenceTable] = Field(default_factory=list)
+    gauges: list[GaugeTable] = Field(default_factory=list)
     analysis: AnalysisTable = Field(default_factory=AnalysisTable)
     margins: MarginsTable | None = None
 
@@ -189,6 +201,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "outputs": OutputsTable,
     "limits": LimitTable,
     "dependence": DependenceTable,
+    "gauges": GaugeTable,
     "analysis": AnalysisTable,
     "margins": MarginsTable,
     "accuracy": AccuracyTable,
@@ -237,8 +250,8 @@ def known_keys(place: Place) -> list[str]:
     """The keys that the table at `place` can hold."""
     if not place:
         return list(Document.model_fields)
-    # A limit goes by a name of the user's, a dependence by its number: the table above says what they are.
-    named = place[0] if place[0] in ("limits", "dependence") else place[-1]
+    # A limit goes by a name of the user's, dependence and gauges by number: the table above says what they are.
+    named = place[0] if place[0] in ("limits", "dependence", "gauges") else place[-1]
     table = _TABLES.get(str(named))
     return list(table.model_fields) if table else []
 
@@ -275,7 +288,7 @@ def _take_out(data: Any, place: Place) -> None:
         child = _child(node, part)
         if isinstance(child, list) and depth + 2 == len(place):
             index = place[-1]
-            if part == "dependence" and isinstance(index, int):
+            if part in ("dependence", "gauges") and isinstance(index, int):
                 child[index] = {}
             elif isinstance(node, dict):
                 node.pop(part, None)
