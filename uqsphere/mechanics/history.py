@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.dynamics import Motion, motion
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.waves import Solution, Waves, force_at, pressure_at, states_at, waves_at
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.gauges import GaugeRecord
 
 __all__ = [
     "ContactChange",
@@ -95,6 +98,8 @@ class History:
     fidelity : str
     solution : Solution
         The integrated scene itself: `uqsphere.mechanics.gauges` and `field` read any place and instant off it.
+    gauges : tuple of GaugeRecord
+        Signals of the gauges of a study, or of one half-way along each bar; none from `trace` itself.
     """
 
     time: Array
@@ -121,6 +126,7 @@ class History:
     hertz_constant: float
     fidelity: str
     solution: Solution = field(repr=False, compare=False)
+    gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in _COURSES}
