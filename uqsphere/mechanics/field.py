@@ -116,7 +116,7 @@ def last_time(solution: Solution, bar: str, position: Any) -> Any:
     """The last instant [s] at which the motion up to the horizon decides what a place of a bar sees."""
     number = BARS.index(bar)
     delay = np.asarray(position, dtype=float) / solution.wave_speed
-    if solution.reflection(number) == 0.0:
+    if not solution.echoes(number):
         return solution.horizon + delay
     return solution.horizon + np.minimum(delay, solution.round_trip(number) - delay)
 
@@ -217,7 +217,7 @@ def _nodes(history: History, number: int, horizon: float) -> Array:
     solution = history.solution
     breaks = solution.scene.pulse.breaks[solution.row]
     kinks = breaks[np.isfinite(breaks)]
-    if solution.reflection(number) != 0.0:
+    if solution.echoes(number):
         kinks = np.concatenate([kinks, kinks + solution.round_trip(number), [solution.round_trip(number)]])
     near = min(horizon, 4.0 * solution.round_trip(number), 20.0 * solution.pulse_end)
     grid = np.concatenate([np.linspace(0.0, horizon, _COARSE), np.linspace(0.0, near, _COARSE), kinks])

@@ -218,7 +218,7 @@ def _jumps(solution: Solution, number: int) -> Array:
     """When a wave of a bar jumps or bends at the face: the pulse, and what has come back of it."""
     breaks = solution.scene.pulse.breaks[solution.row]
     breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
-    if solution.reflection(number) == 0.0:
+    if not solution.echoes(number):
         return np.asarray(breaks)
     trips = np.arange(1 + int(min(solution.horizon / solution.round_trip(number), 16.0)))
     return np.asarray((breaks[:, None] + trips * solution.round_trip(number)).ravel())
@@ -254,7 +254,7 @@ def overlaps(history: History, bar: str, position: float) -> tuple[Overlap, ...]
 
 def _clean_until(solution: Solution, number: int, delay: float) -> float:
     """Time at the face [s] up to which the wave that leaves it passes a gauge before it has come back there."""
-    return np.inf if solution.reflection(number) == 0.0 else solution.round_trip(number) - 2.0 * delay
+    return np.inf if not solution.echoes(number) else solution.round_trip(number) - 2.0 * delay
 
 
 # --- forces -------------------------------------------------------------------------------------------
@@ -396,7 +396,7 @@ def wave_energies(history: History, time: float) -> Energies:
     cuts = [starts, np.array([0.0, time])]
     for number in (0, 1):
         cuts.append(_jumps(solution, 0))
-        if solution.reflection(number) != 0.0:
+        if solution.echoes(number):
             trips = np.arange(1, 2 + int(min(time / solution.round_trip(number), 64.0)))
             # the waves have the kinks of the forces of earlier round trips besides those of the present
             cuts.append((starts[:, None] + trips * solution.round_trip(number)).ravel())

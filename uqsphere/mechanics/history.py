@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.damper import Damper, solve_with_damper
 from uqsphere.mechanics.dynamics import Motion, motion
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.waves import Solution, Waves, force_at, pressure_at, states_at, waves_at
+from uqsphere.mechanics.waves import Solution, Waves, all_waves, force_at, pressure_at, states_at, waves_at
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.gauges import GaugeRecord
@@ -152,7 +153,7 @@ class History:
 
 
 def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: float = 1e-8,
-          points: int = 2000) -> History:  # fmt: skip
+          points: int = 2000, damper: Damper | None = None) -> History:  # fmt: skip
     """One scene from first touch to the horizon.
 
     Parameters
@@ -166,6 +167,8 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         Relative error of the integration.
     points : int
         Instants of the uniform grid, at least 2; those of the events come on top.
+    damper : Damper, optional
+        The receiving bar's far end against frequency, in place of its number: `full` only, to about 1e-7.
 
     Returns
     -------
@@ -179,7 +182,14 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     if points < 2:
         raise ValueError(f"a history needs at least 2 points, found {points}")
     row = range(len(scene))[row]
-    found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+    if damper is None:
+        found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+        solution = Solution(scene=scene, row=row, motion=found, fidelity=fidelity)
+    elif fidelity == "full":
+        solution = solve_with_damper(scene, row, damper)
+        found = solution.motion
+    else:
+        raise ValueError(f"a damper against frequency goes with the full model, found {fidelity}")
     unit = float(scene.scales.time[row])
     horizon = found.end * unit
     changes = find_changes(scene, row, found, tolerance=tolerance)
@@ -189,7 +199,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     events = [event.time for event in (*changes, first, later) if event is not None]
     times, sides = _instants(scene, row, horizon, points, events)
     states = states_at(scene, row, found, times)
-    waves = waves_at(scene, row, found, times, fidelity=fidelity, sides=sides)
+    waves = all_waves(solution, times, sides=sides)
     forces = [force_at(scene, row, states[:, face], fidelity) for face in (0, 1)]
     pressures = [pressure_at(scene, row, force) for force in forces]
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
@@ -203,7 +213,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
         hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity,
-        solution=Solution(scene=scene, row=row, motion=found, fidelity=fidelity),
+        solution=solution,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ to say about the bar (`uqsphere.mechanics.gauges`, `uqsphere.mechanics.field`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ __all__ = [
     "BARS",
     "Solution",
     "Waves",
+    "all_waves",
     "arriving",
     "force_at",
     "leaving",
@@ -61,12 +63,15 @@ class Solution:
         Polynomials of the steps.
     fidelity : str
         `full`, `linear` or `massless`.
+    returning : function of (m,) times [s] to (m,) velocities [m/s], optional
+        The wave that comes back to face B, where the end is more than a number (`uqsphere.mechanics.damper`).
     """
 
     scene: Scene
     row: int
     motion: Motion
     fidelity: str = "full"
+    returning: Callable[[Array], Array] | None = None
 
     @property
     def wave_speed(self) -> float:
@@ -98,8 +103,12 @@ class Solution:
         """Round trip of a bar (0 incident, 1 receiving) [s]; infinite where it has no length."""
         return float(self.scene.round_trips[self.row, bar])
 
+    def echoes(self, bar: int) -> bool:
+        """Whether anything comes back from a bar's far end."""
+        return self.reflection(bar) != 0.0 or (bar == 1 and self.returning is not None)
+
     def reflection(self, bar: int) -> float:
-        """Velocity reflection coefficient of a bar's far end."""
+        """Velocity reflection coefficient of a bar's far end, where it is a number."""
         return float(self.scene.reflections[self.row, bar])
 
 
@@ -140,6 +149,10 @@ def leaving(solution: Solution, bar: int, times: Array, *, sides: Array | None =
     sides : (m,) array, optional
         -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
     """
+    if bar == 1 and solution.returning is not None:
+        approach = states_at(solution.scene, solution.row, solution.motion, times)[:, 1]
+        force = force_at(solution.scene, solution.row, approach, solution.fidelity)
+        return np.asarray(force / solution.impedance + solution.returning(times))
     return _echoes(solution, bar, times, _sided(solution, times, sides), first=0)
 
 
@@ -147,6 +160,8 @@ def arriving(solution: Solution, bar: int, times: Array, *, sides: Array | None 
     """The wave that arrives at a face at `times` [s], (m,) [m/s]: f = f_in + R_1 g_A(t - T_1) in the incident bar (0),
     h = R_3 k_B(t - T_3) in the receiving bar (1).
     """  # fmt: skip
+    if bar == 1 and solution.returning is not None:
+        return solution.returning(times)
     nudge = _sided(solution, times, sides)
     echo = _echoes(solution, bar, times, nudge, first=1)
     return _pulse(solution.scene, solution.row, times + nudge) + echo if bar == 0 else echo
@@ -180,7 +195,11 @@ def _echoes(solution: Solution, bar: int, times: Array, nudge: Array, *, first: 
 def waves_at(scene: Scene, row: int, found: Motion, times: Array, *, fidelity: str = "full",
              sides: Array | None = None) -> Waves:  # fmt: skip
     """All four waves at the faces at `times` [s]; `sides` as of `leaving`."""
-    solution = Solution(scene=scene, row=row, motion=found, fidelity=fidelity)
+    return all_waves(Solution(scene=scene, row=row, motion=found, fidelity=fidelity), times, sides=sides)
+
+
+def all_waves(solution: Solution, times: Array, *, sides: Array | None = None) -> Waves:
+    """The same of a solution, whatever its ends."""
     return Waves(
         incident=arriving(solution, 0, times, sides=sides), returning=arriving(solution, 1, times, sides=sides),
         leaving_a=leaving(solution, 0, times, sides=sides), leaving_b=leaving(solution, 1, times, sides=sides),

@@ -101,7 +101,7 @@ def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, e
     delay, trip = record.position / solution.wave_speed, solution.round_trip(number)
     marks = [(-delay, "incident")] if number == 0 else []
     marks.append((delay, "reflected" if number == 0 else "transmitted"))
-    if solution.reflection(number) != 0.0:
+    if solution.echoes(number):
         marks.append((trip - delay, "its return"))
     before, line = -math.inf, 0
     for time, word in marks:
@@ -220,7 +220,7 @@ def _shown(history: History) -> float:
     """How far the pictures go in time [s]: the record, at least one round trip where something comes back."""
     solution = history.solution
     trips = [solution.round_trip(bar) for bar in (0, 1)]
-    echoes = [trip for bar, trip in enumerate(trips) if solution.reflection(bar) != 0.0]
+    echoes = [trip for bar, trip in enumerate(trips) if solution.echoes(bar)]
     last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0))
     if not echoes and math.isfinite(solution.pulse_end):
         last = min(last, 6.0 * solution.pulse_end)
@@ -230,7 +230,7 @@ def _shown(history: History) -> float:
 def extent(history: History) -> tuple[tuple[float, float], float]:
     """What a picture of the bars shows: length of each bar [m], as far as it goes, and the last instant [s]."""
     solution, last = history.solution, _shown(history)
-    trips = [solution.round_trip(bar) for bar in (0, 1) if solution.reflection(bar) != 0.0]
+    trips = [solution.round_trip(bar) for bar in (0, 1) if solution.echoes(bar)]
     # the regions can be told apart up to the second return; what comes later is in xt.svg
     last = min(last, 2.2 * max(trips, default=math.inf))
     speed = solution.wave_speed
@@ -286,7 +286,7 @@ def _fronts(axes: Axes, history: History, reach: tuple[float, float], begin: flo
             if bar == 0:
                 axes.plot(ends, (delay - out) * 1e6, **style)
             axes.plot(ends, (delay + out) * 1e6, **style)
-            if solution.reflection(bar) != 0.0:
+            if solution.echoes(bar):
                 axes.plot(ends, (delay + solution.round_trip(bar) - out) * 1e6, **style)
 
 
@@ -296,7 +296,7 @@ def _names(axes: Axes, history: History, places: Array, times: Array) -> None:
     x, t = np.meshgrid(places, times)
     d = np.abs(x) / solution.wave_speed
     u, w, pulse = t - d, t + d, solution.pulse_end
-    trips = [solution.round_trip(bar) if solution.reflection(bar) != 0.0 else math.inf for bar in (0, 1)]
+    trips = [solution.round_trip(bar) if solution.echoes(bar) else math.inf for bar in (0, 1)]
     struck, there = (x < 0.0) & (w < trips[0]), (x > 0.0) & (w < trips[1])
     regions = {
         "incident": struck & (w > 0.0) & (w < pulse) & (u < 0.0),

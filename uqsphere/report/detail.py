@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.mechanics.stress.tables import outside
-from uqsphere.model import scene_of
 from uqsphere.report import bar_figures, canvas
 from uqsphere.report.stress_figure import stress_figure
 from uqsphere.report.timelines import history_figure, xt_figure
@@ -44,7 +43,7 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
     history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
     gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
     """
-    scene = scene_of(study, {}, 1)
+    scene = found.solution.scene
     columns = [getattr(found, field) for field in _COLUMNS.values()]
     rows = np.stack(columns, axis=1).tolist()
     contents = {

@@ -14,7 +14,9 @@ from uqsphere.quantities import format_value
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
+    from uqsphere.mechanics.damper import Damper
     from uqsphere.mechanics.history import History
+    from uqsphere.mechanics.scene import Scene
 
 __all__ = ["history_of", "history_summary"]
 
@@ -35,17 +37,36 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
 
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
-    scene = scene_of(study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1)
+    given = {name: np.array([float(value)]) for name, value in (values or {}).items()}
+    scene = scene_of(study, given, 1, over_frequency=True)
+    scene, damper = _with_damper(study, scene)
     status = int(scene.status[0])
     if status:
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
     fidelity = "full" if study.model.fidelity == "auto" else study.model.fidelity
-    found = trace(scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points)
-    places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found)
+    tolerance = min(study.model.tolerance, 1e-8)
     try:
+        found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
+        places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found)
         return replace(found, gauges=tuple(gauge_record(found, bar, position) for bar, position in places))
     except ValueError as error:
         raise UsageError(str(error)) from None
+
+
+def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:
+    """The damper of a study, and the scene with its reflection at the lowest frequency in the end's place."""
+    from uqsphere.mechanics.damper import damper_from_impedance
+
+    table = study.receiving_damper
+    if table is None:
+        return scene, None
+    impedance = np.array(table.real) + 1j * np.array(table.imaginary)
+    try:
+        damper = damper_from_impedance(np.array(table.frequency), impedance, float(scene.scales.impedance[0]))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    columns = {**scene.columns, "bars.receiving_end": damper.coefficient[:1].real}
+    return replace(scene, columns=columns), damper
 
 
 def history_summary(found: History) -> dict[str, Any]:

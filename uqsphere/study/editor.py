@@ -44,6 +44,7 @@ def build_schema() -> Node:
             "bars",
             required=("diameter",),
             material=_material("bars"),
+            receiving_damper=_text("CSV of the receiving bar's far end: frequency, impedance_real, impedance_imag"),
             infinite=_FLAG | {"description": "no reflections from the far ends"},
             rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
         ),

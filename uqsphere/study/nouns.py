@@ -21,6 +21,7 @@ __all__ = [
     "Analysis",
     "Budget",
     "Dependence",
+    "EndImpedance",
     "Gauge",
     "Limit",
     "Margins",
@@ -133,6 +134,15 @@ class Dependence:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EndImpedance:
+    """Impedance of a bar's far end [kg/s], real and imaginary part, over ascending frequencies [Hz]."""
+
+    frequency: tuple[float, ...]
+    real: tuple[float, ...]
+    imaginary: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Gauge:
     """A strain gauge: bar `incident` or `receiving`, and its distance from the sphere [m]."""
 
@@ -169,6 +179,8 @@ class Study:
         What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
     gauges : tuple of Gauge
         Where `uqsphere history` puts gauges; no answer of a run depends on them.
+    receiving_damper : EndImpedance or None
+        The receiving bar's far end against frequency, which `uqsphere history` alone can follow.
     """
 
     title: str
@@ -191,6 +203,7 @@ class Study:
     warnings: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
     gauges: tuple[Gauge, ...] = ()
+    receiving_damper: EndImpedance | None = None
 
     @property
     def hash(self) -> str:
@@ -244,6 +257,7 @@ class Study:
             "analysis": _lists(asdict(self.analysis)),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
+            **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
             **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
         }
 

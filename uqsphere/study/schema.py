@@ -68,6 +68,7 @@ class BarsTable(Table):
     receiving_length: Number = None
     incident_end: Number = None
     receiving_end: Number = None
+    receiving_damper: Any = None
     end_radius: Number = None
     infinite: bool = False
     rigid_contact: bool = False
