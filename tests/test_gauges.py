@@ -136,6 +136,14 @@ def test_overlap_is_found_where_the_pulse_is_longer_than_twice_the_way(granite):
     assert (gauge_strain(granite, "incident", 0.25, inside) > pulse).all()
 
 
+def test_a_step_overlaps_to_the_end():
+    history = history_with("step", infinite=True, horizon=5e-4)
+    (found,) = overlaps(history, "incident", 0.75)
+    assert found.end == pytest.approx(5e-4 + 0.75 / C0)
+    with pytest.raises(ValueError, match="a step never ends"):
+        bar_forces(history, 0.75, 0.6)
+
+
 def test_the_return_of_a_wave_is_an_overlap(granite):
     far = overlaps(granite, "receiving", 1.15)
     assert len(far) == 1

@@ -241,7 +241,9 @@ def overlaps(history: History, bar: str, position: float) -> tuple[Overlap, ...]
     names = ("reflected", "its return from the struck end") if number == 0 else ("transmitted", "its return")
     found = []
     if number == 0 and solution.pulse_end > 2.0 * delay:
-        found.append(Overlap(first="incident", second="reflected", begin=delay, end=solution.pulse_end - delay))
+        # a step overlaps to the end of what is known
+        end = min(solution.pulse_end - delay, float(last_time(solution, bar, position)))
+        found.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
     back = _clean_until(solution, number, delay)
     if back < min(solution.round_trip(number), solution.horizon):
         looks = np.linspace(0.0, min(solution.round_trip(number), solution.horizon), _LOOKS)
@@ -289,6 +291,8 @@ def bar_forces(history: History, incident_position: float, receiving_position: f
     check_position(solution, "incident", incident_position)
     check_position(solution, "receiving", receiving_position)
     delays = [position / solution.wave_speed for position in (incident_position, receiving_position)]
+    if not np.isfinite(solution.pulse_end):
+        raise ValueError("a step never ends, so that incident and reflected wave overlap at any gauge")
     if solution.pulse_end > 2.0 * delays[0] * (1.0 + 1e-12):
         raise ValueError(
             f"the pulse of {solution.pulse_end * 1e6:.6g} us overlaps with its reflection at {incident_position:g} m "
