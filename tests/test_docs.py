@@ -124,6 +124,7 @@ TABLES: dict[str, Any] = {
     "## [sphere]": schema.SphereTable,
     "## [bars]": schema.BarsTable,
     "## [striker]": schema.StrikerTable,
+    "## [[gauges]]": schema.GaugeTable,
     "## [model]": schema.ModelTable,
     "## [limits.NAME]": schema.LimitTable,
     "## [[dependence]]": schema.DependenceTable,

@@ -37,7 +37,8 @@ def run(command: str, folder: Path) -> str:
         ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode in (0, 2, 3), done.stderr
-    messages = [line for line in done.stderr.splitlines() if not re.match(r"\w+: [\d,]+ of [\d,]+ evaluations", line)]
+    progress = re.compile(r"[\w-]+: [\d,]+ of [\d,]+ evaluations")
+    messages = [line for line in done.stderr.splitlines() if not progress.match(line)]
     return "\n".join([*messages, done.stdout])
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ANSWERED",
     "FIDELITIES",
+    "NO_DAMPER",
     "STATUS_NOT_FINITE",
     "Answered",
     "BlackBox",
@@ -49,6 +50,11 @@ FIDELITIES = ("massless", "linear", "full")
 STATUS_NOT_FINITE = 6
 #: status of a row whose contact may be lost at either of two times: it carries the likelier one
 STATUS_UNDECIDED = 7
+#: why only one scene over time can have a damper against frequency
+NO_DAMPER = (
+    "bars.receiving_damper, an impedance against frequency, is followed by history alone: for a run, give the end as a "
+    "number, receiving_end"
+)
 #: a row with one of these has numbers
 ANSWERED = frozenset({0, STATUS_UNDECIDED})
 #: how a row was answered: by the fidelity asked for, by `full` in its place, or by `full` after it had failed
@@ -85,9 +91,17 @@ class Answered:
         return np.zeros(len(self.status), dtype=np.int64) if self.route is None else self.route
 
 
-def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
-    """The scenes of a study with `values` (dotted path -> (n,) SI) in place, the rest at its mean."""
+def scene_of(
+    study: Study, values: Mapping[str, Array], rows: int | None = None, *, over_frequency: bool = False
+) -> Scene:
+    """The scenes of a study with `values` (dotted path -> (n,) SI) in place, the rest at its mean.
+
+    A damper against frequency is refused, unless `over_frequency` says that the caller sees to it.
+    """
     from uqsphere.mechanics.scene import Scene
+
+    if study.receiving_damper is not None and not over_frequency:
+        raise UsageError(NO_DAMPER)
 
     unknown = [name for name in values if name not in INPUTS]
     if unknown:

@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
 from uqsphere.mechanics.dynamics import motion, solve
 from uqsphere.mechanics.history import states_at
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 
 __all__ = [
     "DURATION_FACTOR",
@@ -134,7 +134,11 @@ def compare(scene: Scene, row: int = 0, *, tolerance: float = 1e-8) -> list[Comp
 
 def _idealised(scene: Scene) -> Scene:
     """The scene in infinite bars under a rectangular pulse of the same length, or under the same step."""
-    columns = {name: column for name, column in scene.columns.items() if not name.startswith("pulse.")}
+    columns = {
+        name: column
+        for name, column in scene.columns.items()
+        if not name.startswith("pulse.") and name not in STRIKER_COLUMNS
+    }
     if scene.shape == "step":
         horizon = scene.horizon or float(scene.record_end[0])
         return replace(scene, columns=columns, infinite=True, first_loading_only=False, horizon=horizon)

@@ -214,7 +214,8 @@ def closed_form_applies(scene: Scene, fidelity: str) -> bool:
 
     The `linear` contact has its history in closed form, but its peaks are roots of transcendental equations.
     """
-    return fidelity == "massless" and scene.infinite and scene.shape in ("rectangular", "step")
+    plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
+    return fidelity == "massless" and scene.infinite and plain
 
 
 def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collection[str] | None = None) -> Answers:

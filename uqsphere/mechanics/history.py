@@ -1,22 +1,26 @@
 """One scene over time: forces, pressures, approaches, waves, contacts lost and found, on to the horizon.
 
 Everything is read off the polynomials that the integrator leaves, so that the instants asked for cost
-nothing in accuracy.  Waves follow theory (4) and (5), unrolled into a sum over the echoes.
+nothing in accuracy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.damper import Damper, solve_with_damper
 from uqsphere.mechanics.dynamics import Motion, motion
-from uqsphere.mechanics.pulses import pulse_value
 from uqsphere.mechanics.scene import Scene
+from uqsphere.mechanics.waves import Solution, Waves, all_waves, force_at, pressure_at, states_at, waves_at
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.gauges import GaugeRecord
 
 __all__ = [
     "ContactChange",
@@ -40,8 +44,6 @@ _SCAN: Final = 16
 _HALVINGS: Final = 52
 #: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the integrator
 _TOUCH: Final = 5.0
-#: echoes weaker than this are left out of the waves
-_FAINT: Final = 1e-18
 #: what a History keeps per instant
 _COURSES: Final = (
     "time", "approach_a", "approach_b", "force_a", "force_b", "pressure_a", "pressure_b",
@@ -66,16 +68,6 @@ class Peak:
     face: str
     pressure: float
     force: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Waves:
-    """Particle velocities at the faces [m/s], (m,): towards the sphere (f, h) and away from it (g_A, k_B)."""
-
-    incident: Array
-    returning: Array
-    leaving_a: Array
-    leaving_b: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +97,10 @@ class History:
     modulus, effective_radius, hertz_constant : float
         What `pressure_over_contact` needs [Pa, m, N/m^1.5].
     fidelity : str
+    solution : Solution
+        The integrated scene itself: `uqsphere.mechanics.gauges` and `field` read any place and instant off it.
+    gauges : tuple of GaugeRecord
+        Signals of the gauges of a study, or of one half-way along each bar; none from `trace` itself.
     """
 
     time: Array
@@ -130,6 +126,8 @@ class History:
     effective_radius: float
     hertz_constant: float
     fidelity: str
+    solution: Solution = field(repr=False, compare=False)
+    gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in _COURSES}
@@ -155,7 +153,7 @@ class History:
 
 
 def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: float = 1e-8,
-          points: int = 2000) -> History:  # fmt: skip
+          points: int = 2000, damper: Damper | None = None) -> History:  # fmt: skip
     """One scene from first touch to the horizon.
 
     Parameters
@@ -169,6 +167,8 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         Relative error of the integration.
     points : int
         Instants of the uniform grid, at least 2; those of the events come on top.
+    damper : Damper, optional
+        The receiving bar's far end against frequency, in place of its number: `full` only, to about 1e-7.
 
     Returns
     -------
@@ -182,7 +182,14 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     if points < 2:
         raise ValueError(f"a history needs at least 2 points, found {points}")
     row = range(len(scene))[row]
-    found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+    if damper is None:
+        found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+        solution = Solution(scene=scene, row=row, motion=found, fidelity=fidelity)
+    elif fidelity == "full":
+        solution = solve_with_damper(scene, row, damper)
+        found = solution.motion
+    else:
+        raise ValueError(f"a damper against frequency goes with the full model, found {fidelity}")
     unit = float(scene.scales.time[row])
     horizon = found.end * unit
     changes = find_changes(scene, row, found, tolerance=tolerance)
@@ -192,9 +199,9 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     events = [event.time for event in (*changes, first, later) if event is not None]
     times, sides = _instants(scene, row, horizon, points, events)
     states = states_at(scene, row, found, times)
-    waves = waves_at(scene, row, found, times, fidelity=fidelity, sides=sides)
-    forces = [_force(scene, row, states[:, face], fidelity) for face in (0, 1)]
-    pressures = [_pressure(scene, row, force) for force in forces]
+    waves = all_waves(solution, times, sides=sides)
+    forces = [force_at(scene, row, states[:, face], fidelity) for face in (0, 1)]
+    pressures = [pressure_at(scene, row, force) for force in forces]
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
@@ -206,6 +213,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
         hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity,
+        solution=solution,
     )  # fmt: skip
 
 
@@ -225,71 +233,6 @@ def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[
     sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
     order = np.lexsort((sides, times))
     return times[order], sides[order]
-
-
-def states_at(scene: Scene, row: int, found: Motion, times: Array) -> Array:
-    """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
-    scales = scene.scales
-    s = times / scales.time[row]
-    n = np.clip(np.searchsorted(found.start, s, side="right") - 1, 0, len(found.start) - 1)
-    share = ((s - found.start[n]) / found.length[n])[:, None]
-    coefficients = found.states[n]
-    total = coefficients[:, :, -1]
-    for k in range(coefficients.shape[2] - 2, -1, -1):
-        total = total * share + coefficients[:, :, k]
-    units = np.array([scales.approach[row], scales.approach[row], 0.5 * scene.columns["striker.speed"][row]])
-    return np.where((s >= 0.0)[:, None], total * units, 0.0)
-
-
-def _force(scene: Scene, row: int, approach: Array, fidelity: str) -> Array:
-    """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
-    scales = scene.scales
-    if fidelity == "linear":
-        return np.asarray(scales.force[row] / scales.approach[row] * np.maximum(approach, 0.0))
-    return np.asarray(contact.hertz_force(approach, scales.hertz_constant[row]))
-
-
-def _pressure(scene: Scene, row: int, force: Any) -> Any:
-    return contact.pressure_at_force(force, scene.scales.modulus[row], scene.scales.effective_radius[row])
-
-
-def waves_at(scene: Scene, row: int, found: Motion, times: Array, *, fidelity: str = "full",
-             sides: Array | None = None) -> Waves:  # fmt: skip
-    """The waves at the faces at `times` [s], by theory (4) and (5) unrolled over the round trips:
-
-    g_A(t) = sum_k R_1^k [f_in(t - k T_1) - P_A(t - k T_1)/Z],   k_B(t) = sum_k R_3^k P_B(t - k T_3)/Z.
-
-    Parameters
-    ----------
-    sides : (m,) array, optional
-        -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
-    """
-    impedance = float(scene.scales.impedance[row])
-    sides = np.ones_like(times) if sides is None else sides
-    last = float(times.max(initial=0.0)) * (1.0 + 1e-12)
-    # jumps come out on the asked side although t - k T is rounded
-    nudge = 1e-12 * (np.abs(times) + float(scene.scales.time[row])) * sides
-    leaving: list[Array] = [np.zeros_like(times) for _ in range(2)]
-    arriving: list[Array] = [np.zeros_like(times) for _ in range(2)]
-    for bar in (0, 1):
-        end, trip = float(scene.reflections[row, bar]), float(scene.round_trips[row, bar])
-        if bar == 0:
-            arriving[0] = _pulse(scene, row, times + nudge)
-        k, strength = 0, 1.0
-        while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
-            earlier = times - k * trip if k else times
-            part = _force(scene, row, states_at(scene, row, found, earlier)[:, bar], fidelity) / impedance
-            if bar == 0:
-                part = _pulse(scene, row, earlier + nudge) - part
-            leaving[bar] += strength * part
-            if k:
-                arriving[bar] += strength * part
-            k, strength = k + 1, strength * end
-    return Waves(incident=arriving[0], returning=arriving[1], leaving_a=leaving[0], leaving_b=leaving[1])
-
-
-def _pulse(scene: Scene, row: int, times: Array) -> Array:
-    return 0.5 * float(scene.columns["striker.speed"][row]) * pulse_value(scene.pulse, row, times)
 
 
 def _nodes(scene: Scene, row: int, found: Motion, begin: float, end: float) -> Array:
@@ -352,9 +295,9 @@ def largest(scene: Scene, row: int, found: Motion, begin: float, end: float, *, 
         time = _golden(approach, nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)])
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
-        force = float(_force(scene, row, approach(np.array([time])), fidelity)[0])
+        force = float(force_at(scene, row, approach(np.array([time])), fidelity)[0])
         if force > 0.0 and (best is None or force > best.force):
-            pressure = float(_pressure(scene, row, force))
+            pressure = float(pressure_at(scene, row, force))
             best = Peak(time=float(time), face=name, pressure=pressure, force=force)
     return best
 

@@ -14,12 +14,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PARAMETERS", "SHAPES", "Pulse", "build_pulse", "pulse_value"]
+__all__ = ["PARAMETERS", "PRESETS", "SHAPES", "STRIKER_SHAPES", "Pulse", "build_pulse", "pulse_value", "striker_steps"]
 
 Array = npt.NDArray[np.float64]
 
 #: relative depth of the dip of a two-peak pulse whose study does not give it
 DEFAULT_VALLEY: Final = 0.75
+#: steps of a striker stiffer than its bar: those below this share of the first are left out, and there are no more
+#: than this many
+_FAINT_STEP: Final = 1e-3
+_MOST_STEPS: Final = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +66,63 @@ def _line(length: Array, left: Array, right: Array) -> Array:
     return np.stack([left + zero, (right - left) / safe, zero, zero], axis=1)
 
 
+def striker_steps(ratio: Any) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """The steps that a striker of another impedance sends, docs/theory.md, section 7.
+
+    A striker whose impedance is `ratio` times the bar's moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each
+    round trip of its own wave, 2 l_0/c_s, leaves (ratio - 1)/(ratio + 1) of that.  A striker softer than the bar is
+    thrown back after the first.
+
+    Parameters
+    ----------
+    ratio : (n,) array
+        Z_s/Z, above 0.
+
+    Returns
+    -------
+    levels : (n, m) array
+        Level of each step over v0/2, 0 for those left out: below 1e-3 of the first.
+    complete : (n,) array of bool
+        Whether that is all of them: at most 32 steps are made, enough up to a ratio of 9.
+
+    >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
+    [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
+    """
+    ratio = np.atleast_1d(np.asarray(ratio, dtype=float))[:, None]
+    with np.errstate(all="ignore"):
+        left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
+        shares = np.where(np.arange(_MOST_STEPS) == 0, 1.0, left ** np.arange(_MOST_STEPS))
+        shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
+        complete = left[:, 0] ** _MOST_STEPS < _FAINT_STEP
+        levels = 2.0 * ratio / (1.0 + ratio) * shares
+    used = max(int((shares > 0.0).sum(axis=1).max(initial=0)), 1)
+    return levels[:, :used], complete
+
+
+def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
+    """Steps of one width, the first rising over `rise`, each later change over `fall`, centred on its instant."""
+    levels, complete = striker_steps(ratio)
+    count = (levels > 0.0).sum(axis=1)
+    middle = 0.5 * rise
+    end = middle + count * duration + 0.5 * fall
+    breaks, pieces = [np.zeros_like(duration), rise], [_line(rise, np.zeros_like(duration), levels[:, 0])]
+    following = np.concatenate([levels[:, 1:], np.zeros_like(levels[:, :1])], axis=1)
+    for k in range(levels.shape[1]):
+        change = middle + (k + 1) * duration
+        breaks += [np.minimum(change - 0.5 * fall, end), np.minimum(change + 0.5 * fall, end)]
+        pieces += [_line(duration, levels[:, k], levels[:, k]), _line(fall, levels[:, k], following[:, k])]
+    plateau = duration - 0.5 * (rise + fall)
+    roomy = (plateau >= -1e-12 * duration) & (duration - fall >= -1e-12 * duration)
+    valid = complete & roomy & (rise >= 0.0) & (fall >= 0.0) & (duration > 0.0)
+    return Pulse(
+        breaks=np.maximum.accumulate(np.stack(breaks, axis=1), axis=1), coefficients=np.stack(pieces, axis=1),
+        frequency=np.zeros_like(duration), valid=valid,
+    )  # fmt: skip
+
+
 def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+    if "striker_ratio" in numbers:
+        return _stepped(duration, np.zeros_like(duration), np.zeros_like(duration), numbers["striker_ratio"])
     zero, one = np.zeros_like(duration), np.ones_like(duration)
     return Pulse(breaks=np.stack([zero, duration], axis=1), coefficients=_line(duration, one, one)[:, None, :],
                  frequency=zero, valid=duration > 0.0)  # fmt: skip
@@ -74,6 +134,8 @@ def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     rise, fall = numbers["rise"], numbers["fall"]
+    if "striker_ratio" in numbers:
+        return _stepped(duration, rise, fall, numbers["striker_ratio"])
     plateau = duration - 0.5 * (rise + fall)
     zero, one = np.zeros_like(duration), np.ones_like(duration)
     breaks = np.stack([zero, rise, rise + plateau, rise + plateau + fall], axis=1)
@@ -82,6 +144,10 @@ def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
     valid = (rise >= 0.0) & (fall >= 0.0) & (plateau >= -1e-12 * duration) & (duration > 0.0)
     breaks = np.maximum.accumulate(breaks, axis=1)
     return Pulse(breaks=breaks, coefficients=np.stack(pieces, axis=1), frequency=zero, valid=valid)
+
+
+def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+    return _trapezoid(duration, {**numbers, "fall": np.zeros_like(duration)})
 
 
 def _half_sine(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -107,6 +173,7 @@ def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
     "rectangular": _rectangular,
     "trapezoid": _trapezoid,
+    "ramp": _ramp,
     "half_sine": _half_sine,
     "two_peak": _two_peak,
     "step": _step,
@@ -116,9 +183,24 @@ SHAPES: Final[dict[str, Callable[[Array, Mapping[str, Array]], Pulse]]] = {
 PARAMETERS: Final[dict[str, tuple[str, ...]]] = {
     "rectangular": (),
     "trapezoid": ("rise", "fall"),
+    "ramp": ("rise",),
     "half_sine": (),
     "two_peak": ("t1", "level1", "t2", "level2"),
     "step": (),
+}
+
+#: shapes that follow from the striker's impedance where it is not the bars'
+STRIKER_SHAPES: Final = ("rectangular", "trapezoid", "ramp")
+
+#: The three kinds of pulse of the paper's Fig. 2: shape and numbers [s, over v0/2].  The durations, and that the first
+#: has a second maximum at about 19 us, are in the paper's text; levels, rises and the other times are ours.
+PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
+    "very_short": (
+        "two_peak",
+        {"duration": 24.8e-6, "t1": 7e-6, "level1": 1.0, "t2": 19e-6, "level2": 0.6},
+    ),
+    "short": ("two_peak", {"duration": 60e-6, "t1": 16e-6, "level1": 1.0, "t2": 40e-6, "level2": 0.8}),
+    "long": ("trapezoid", {"duration": 400e-6, "rise": 40e-6, "fall": 40e-6}),
 }
 
 
@@ -131,9 +213,10 @@ def build_pulse(shape: str, duration: Any, numbers: Mapping[str, Any] | None = N
         One of `SHAPES`.
     duration : (n,) array
         Width t_i [s]: full base of a rectangle or half sine, width at half height of a trapezoid, end of a
-        two-peak pulse; not used by a step.
+        two-peak pulse; not used by a step.  Width of one step where the striker's impedance is not the bars'.
     numbers : mapping of str to (n,) array
-        What `PARAMETERS` names for the shape (times in s, levels over v0/2), and `valley` for two peaks.
+        What `PARAMETERS` names for the shape (times in s, levels over v0/2), `valley` for two peaks, and
+        `striker_ratio`, Z_s/Z, for the shapes of `STRIKER_SHAPES`.
 
     >>> pulse = build_pulse("trapezoid", [100e-6], {"rise": [20e-6], "fall": [20e-6]})
     >>> (pulse.breaks * 1e6).round(9).tolist()

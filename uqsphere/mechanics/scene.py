@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.measured import MeasuredPulse
-from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, Pulse, build_pulse
+from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, Pulse, build_pulse
 from uqsphere.quantities import INPUTS
 
-__all__ = ["STATUS", "UNDECIDED", "Scales", "Scene", "answered"]
+__all__ = ["STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
 
 Array = npt.NDArray[np.float64]
 Codes = npt.NDArray[np.int64]
@@ -54,6 +54,10 @@ _NEEDED = (
     "bars.diameter",
     "striker.speed",
 )
+
+
+#: what makes a striker another bar than the others
+STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +131,8 @@ class Scene:
         needed += [f"pulse.{name}" for name in PARAMETERS.get(self.shape, ())]
         if self.shape not in ("step", "measured") and "pulse.duration" not in self.columns:
             needed.append("striker.length")
+        if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
+            raise ValueError(f"a {self.shape} pulse does not follow from the striker's material or diameter")
         missing = [name for name in needed if name not in self.columns]
         if missing:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
@@ -159,7 +165,27 @@ class Scene:
             for name, column in self.columns.items()
             if name.startswith("pulse.") and name != "pulse.duration"
         }
+        if (ratio := self.striker_ratio) is not None:
+            numbers["striker_ratio"] = ratio
         return build_pulse(self.shape, self.scales.duration, numbers)
+
+    @cached_property
+    def striker_ratio(self) -> Array | None:
+        """Impedance of the striker over that of the bars, (n,); None for a striker like the bars."""
+        if STRIKER_COLUMNS.isdisjoint(self.columns):
+            return None
+        with np.errstate(all="ignore"):
+            return np.asarray(bars.impedance(*self._striker, self._striker_diameter) / self.scales.impedance)
+
+    @property
+    def _striker(self) -> tuple[Array, Array]:
+        """E and density of the striker, (n,) each: the bars' where it has none of its own."""
+        own = [self.columns.get(f"striker.{key}", self.columns[f"bars.{key}"]) for key in ("E", "density")]
+        return own[0], own[1]
+
+    @property
+    def _striker_diameter(self) -> Array:
+        return self.columns.get("striker.diameter", self.columns["bars.diameter"])
 
     @cached_property
     def round_trips(self) -> Array:
@@ -213,7 +239,7 @@ class Scene:
             elif self.record is not None:
                 duration = np.full(len(self), self.record.duration)
             else:
-                wave_speed = bars.wave_speed(c["bars.E"], c["bars.density"])
+                wave_speed = bars.wave_speed(*self._striker)
                 duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
             return Scales(
                 modulus=modulus,

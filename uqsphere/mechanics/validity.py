@@ -122,6 +122,8 @@ def _pulse_over_yield(scene: Scene, answers: Answers) -> Array | str:
     level = np.ones(len(scene))
     if scene.shape == "two_peak":
         level = np.maximum(c["pulse.level1"], c["pulse.level2"])
+    if scene.striker_ratio is not None:
+        level = 2.0 * scene.striker_ratio / (1.0 + scene.striker_ratio)
     stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
     return np.asarray(stress / strength)
 
@@ -153,6 +155,8 @@ def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
             rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
         elif scene.record is not None:
             rise = np.full(len(scene), scene.record.rise / 0.8)
+        elif scene.shape == "ramp":
+            rise = c["pulse.rise"]
         elif scene.shape == "two_peak":
             rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
         else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.mechanics.stress.tables import outside
-from uqsphere.model import scene_of
+from uqsphere.report import bar_figures, canvas
 from uqsphere.report.stress_figure import stress_figure
 from uqsphere.report.timelines import history_figure, xt_figure
 from uqsphere.runner.tables import csv_text
@@ -38,8 +38,12 @@ _COLUMNS = {
 
 
 def write_history(found: History, study: Study, folder: Path) -> list[Path]:
-    """history.csv, history.svg, xt.svg and, within the range of its tables, stress.svg in `folder`; the paths."""
-    scene = scene_of(study, {}, 1)
+    """Table and pictures of a history in `folder`; the paths.
+
+    history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
+    gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
+    """
+    scene = found.solution.scene
     columns = [getattr(found, field) for field in _COLUMNS.values()]
     rows = np.stack(columns, axis=1).tolist()
     contents = {
@@ -47,6 +51,7 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
         "history.svg": history_figure(found),
         "xt.svg": xt_figure(scene, found),
     }
+    contents |= _bars(found)
     pressure = float(max(found.pressure_a.max(), found.pressure_b.max()))
     radius, nu = (float(scene.columns[name][0]) for name in ("sphere.radius", "sphere.nu"))
     # Hertz: p_0 = (2/pi) E* a/r_eff, theory (15)
@@ -57,3 +62,16 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
     for name, text in contents.items():
         write_atomically(folder / name, text)
     return [folder / name for name in contents]
+
+
+def _bars(found: History) -> dict[str, str]:
+    """What the bars see, by file name."""
+    contents = {"field.csv": csv_text(*bar_figures.field_rows(found))}
+    pictures = [bar_figures.draw_field(found), bar_figures.draw_forces(found)]
+    if found.gauges:
+        contents["gauges.csv"] = csv_text(*bar_figures.gauge_rows(found))
+        pictures.append(bar_figures.draw_gauges(found))
+    forces = bar_figures.force_rows(found)
+    if forces is not None:
+        contents["bar_forces.csv"] = csv_text(*forces)
+    return contents | {f"{picture.name}.svg": canvas.render(picture) for picture in pictures}

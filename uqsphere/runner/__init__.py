@@ -126,7 +126,11 @@ def run(
     """
     from threadpoolctl import threadpool_limits
 
+    from uqsphere.model import NO_DAMPER
     from uqsphere.runner.work import Ledger, Work
+
+    if study.receiving_damper is not None:
+        raise UsageError(NO_DAMPER)
 
     if study.black_box and model is None:
         raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")

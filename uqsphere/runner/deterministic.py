@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from uqsphere.quantities import format_value
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
+    from uqsphere.mechanics.damper import Damper
     from uqsphere.mechanics.history import History
+    from uqsphere.mechanics.scene import Scene
 
 __all__ = ["history_of", "history_summary"]
 
@@ -21,22 +24,49 @@ __all__ = ["history_of", "history_summary"]
 def history_of(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
     """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give it.
 
+    With the signals of the study's gauges, or of one half-way along each bar that has a length.
+
     Raises
     ------
     UsageError
         For a scene outside the model's domain, or a number that a scene does not have.
     """
+    from uqsphere.mechanics.gauges import default_positions, gauge_record
     from uqsphere.mechanics.history import trace
     from uqsphere.mechanics.scene import STATUS
 
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
-    scene = scene_of(study, {name: np.array([float(value)]) for name, value in (values or {}).items()}, 1)
+    given = {name: np.array([float(value)]) for name, value in (values or {}).items()}
+    scene = scene_of(study, given, 1, over_frequency=True)
+    scene, damper = _with_damper(study, scene)
     status = int(scene.status[0])
     if status:
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
     fidelity = "full" if study.model.fidelity == "auto" else study.model.fidelity
-    return trace(scene, 0, fidelity=fidelity, tolerance=min(study.model.tolerance, 1e-8), points=points)
+    tolerance = min(study.model.tolerance, 1e-8)
+    try:
+        found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
+        places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found)
+        return replace(found, gauges=tuple(gauge_record(found, bar, position) for bar, position in places))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:
+    """The damper of a study, and the scene with its reflection at the lowest frequency in the end's place."""
+    from uqsphere.mechanics.damper import damper_from_impedance
+
+    table = study.receiving_damper
+    if table is None:
+        return scene, None
+    impedance = np.array(table.real) + 1j * np.array(table.imaginary)
+    try:
+        damper = damper_from_impedance(np.array(table.frequency), impedance, float(scene.scales.impedance[0]))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    columns = {**scene.columns, "bars.receiving_end": damper.coefficient[:1].real}
+    return replace(scene, columns=columns), damper
 
 
 def history_summary(found: History) -> dict[str, Any]:
@@ -59,6 +89,8 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(
             ("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact")
         )
+    bars = _bars(found)
+    lines += bars.pop("lines")
     lines.append(("end of the record of the quantities", f"{found.record_end * 1e6:.6g} us"))
     lines.append(("end of this history", f"{found.horizon * 1e6:.6g} us"))
     return {
@@ -66,5 +98,41 @@ def history_summary(found: History) -> dict[str, Any]:
         "theta": found.pulse_number if np.isfinite(found.pulse_number) else None,
         "record_end": found.record_end,
         "later_peak_is_larger": found.later_peak_is_larger,
+        **bars,
         "lines": [list(line) for line in lines],
     }
+
+
+def _bars(found: History) -> dict[str, Any]:
+    """What the bars see: equilibrium of the forces, first tension, and waves that overlap at a gauge."""
+    from uqsphere.mechanics.field import first_tension
+    from uqsphere.mechanics.gauges import equilibrium
+    from uqsphere.mechanics.waves import BARS
+
+    balance = equilibrium(found)
+    level = f"{balance.level:.0%}"
+    lines = [
+        (f"forces first within {level} of their mean", _when(balance.first)),
+        ("  for good, up to the first loading's largest", _when(balance.lasting)),
+    ]
+    tensions = {}
+    for bar in BARS:
+        tension = first_tension(found, bar)
+        tensions[bar] = None if tension is None else {"time": tension.time, "position": tension.position}
+        text = "none" if tension is None else f"{tension.time * 1e6:.4g} us, {tension.position:.4g} m from the sphere"
+        lines.append((f"first tension in the {bar} bar", text))
+    gauges = []
+    for record in found.gauges:
+        overlaps = [
+            {"first": one.first, "second": one.second, "begin": one.begin, "end": one.end} for one in record.overlaps
+        ]
+        gauges.append({"bar": record.bar, "position": record.position, "overlaps": overlaps})
+        for one in record.overlaps:
+            text = f"{one.first} wave and {one.second}, {one.begin * 1e6:.4g} to {one.end * 1e6:.4g} us"
+            lines.append((f"overlap at the gauge {record.name}", text))
+    equilibria = {"level": balance.level, "first": balance.first, "lasting": balance.lasting, "until": balance.until}
+    return {"lines": lines, "equilibrium": equilibria, "first_tension": tensions, "gauges": gauges}
+
+
+def _when(time: float | None) -> str:
+    return "never" if time is None else f"{time * 1e6:.4g} us"

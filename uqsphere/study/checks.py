@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.quantities import format_value
 from uqsphere.study.findings import Findings
 from uqsphere.study.nouns import ModelChoice
@@ -34,12 +35,29 @@ def pulse_duration(scene: Scene) -> float | None:
         return scene.record.duration
     if (own := scene.mean("pulse.duration")) is not None:
         return own
-    length, speed = scene.mean("striker.length"), _wave_speed(scene)
+    length, speed = scene.mean("striker.length"), _wave_speed(scene, "striker")
     return None if length is None or speed is None else 2.0 * length / speed
 
 
-def _wave_speed(scene: Scene) -> float | None:
-    stiffness, density = scene.mean("bars.E"), scene.mean("bars.density")
+def striker_ratio(scene: Scene) -> float | None:
+    """Impedance of the striker over that of the bars; None where it is a piece of the bars, or a number is missing."""
+    if all(f"striker.{key}" not in scene.readings for key in ("E", "density", "diameter")):
+        return None
+    product = 1.0
+    for key, power in (("E", 0.5), ("density", 0.5), ("diameter", 2.0)):
+        bars = scene.mean(f"bars.{key}")
+        own = scene.mean(f"striker.{key}") if f"striker.{key}" in scene.readings else bars
+        if own is None or bars is None:
+            return None
+        product *= (own / bars) ** power
+    return product
+
+
+def _wave_speed(scene: Scene, part: str = "bars") -> float | None:
+    def own(key: str) -> float | None:
+        return scene.mean(f"{part}.{key}") if f"{part}.{key}" in scene.readings else scene.mean(f"bars.{key}")
+
+    stiffness, density = own("E"), own("density")
     return None if stiffness is None or density is None else math.sqrt(stiffness / density)
 
 
@@ -55,7 +73,9 @@ def _check_size(scene: Scene, findings: Findings) -> None:
 
 def _check_trapezoid(scene: Scene, findings: Findings) -> None:
     rise, fall, width = scene.mean("pulse.rise"), scene.mean("pulse.fall"), pulse_duration(scene)
-    if scene.options.get("pulse.shape") != "trapezoid" or rise is None or fall is None or width is None:
+    if scene.options.get("pulse.shape") == "ramp":
+        fall = 0.0
+    if scene.options.get("pulse.shape") not in ("trapezoid", "ramp") or rise is None or fall is None or width is None:
         return
     if 0.5 * (rise + fall) > width * _ROUNDING:
         findings.add(
@@ -98,7 +118,15 @@ def _check_round_trip(scene: Scene, findings: Findings) -> None:
         return
     if not findings.clean(("pulse",)):
         return
-    if scene.options.get("pulse.shape") == "trapezoid":
+    ratio = striker_ratio(scene)
+    if ratio is not None:
+        levels, complete = striker_steps(ratio)
+        if not complete[0]:
+            found = f"the striker's impedance is {ratio:.3g} times that of the bars, at most 9 is allowed"
+            findings.add(("striker",), f"{found}: take a thinner or lighter striker")
+            return
+        width *= levels.shape[1]
+    if scene.options.get("pulse.shape") in ("trapezoid", "ramp"):
         width += 0.5 * ((scene.mean("pulse.rise") or 0.0) + (scene.mean("pulse.fall") or 0.0))
     trip = 2.0 * length / speed
     if width > trip * _ROUNDING:

@@ -12,8 +12,10 @@ from typing import Any, Final, get_args
 from uqsphere.materials import material_names
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.measured import noise_names
+from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, Quantity, units_of
 from uqsphere.records.mending import SIGNAL_UNITS
+from uqsphere.study.gauges import GAUGE_BARS, MOST_GAUGES
 from uqsphere.study.nouns import Accuracy, Budget
 from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.study.requests import METHODS
@@ -44,23 +46,31 @@ def build_schema() -> Node:
             "bars",
             required=("diameter",),
             material=_material("bars"),
+            receiving_damper=_text("CSV of the receiving bar's far end: frequency, impedance_real, impedance_imag"),
             infinite=_FLAG | {"description": "no reflections from the far ends"},
             rigid_contact=_FLAG | {"description": "the bars do not yield in the contact"},
         ),
-        "striker": _section("striker", required=("speed",)),
-        "pulse": _section("pulse", (), shape=_words(PULSE_KEYS, "shape of the incident pulse"), **_record()),
+        "striker": _section("striker", required=("speed",), material=_material("bars")),
+        "pulse": _section(
+            "pulse",
+            (),
+            shape=_words(PULSE_KEYS, "shape of the incident pulse"),
+            preset=_words(PRESETS, "a pulse of the paper's Fig. 2, in place of shape"),
+            **_record(),
+        ),
         "model": _model(),
         "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
         "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),
         "limits": _named(_limit(), "strengths that quantities are held against"),
         "dependence": {"type": "array", "items": _dependence()},
+        "gauges": {"type": "array", "items": _gauge(), "maxItems": MOST_GAUGES},
         "analysis": _analysis(),
         "margins": _margins(),
     }
     measured = {"pulse": {"properties": {"shape": {"const": "measured"}}, "required": ["shape"]}}
     driven = [{"required": ["striker"]}, {"properties": measured, "required": ["pulse"]}]
     scene = {"required": ["sphere", "bars"], "anyOf": driven, "not": {"anyOf": _present("inputs", "outputs")}}
-    parts = _present("sphere", "bars", "striker", "pulse", "model")
+    parts = _present("sphere", "bars", "striker", "pulse", "model", "gauges")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "uqsphere study",
@@ -215,6 +225,11 @@ def _limit() -> Node:
         ("strength",),
     )
     return node | {"oneOf": _present("quantity", "criterion")}
+
+
+def _gauge() -> Node:
+    position = {"$ref": "#/$defs/length", "description": "distance of the gauge from the sphere"}
+    return _table({"bar": _words(GAUGE_BARS, "which bar"), "position": position}, ("bar", "position"))
 
 
 def _dependence() -> Node:

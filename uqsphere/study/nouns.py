@@ -22,6 +22,8 @@ __all__ = [
     "Analysis",
     "Budget",
     "Dependence",
+    "EndImpedance",
+    "Gauge",
     "Limit",
     "Margins",
     "ModelChoice",
@@ -133,6 +135,23 @@ class Dependence:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EndImpedance:
+    """Impedance of a bar's far end [kg/s], real and imaginary part, over ascending frequencies [Hz]."""
+
+    frequency: tuple[float, ...]
+    real: tuple[float, ...]
+    imaginary: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gauge:
+    """A strain gauge: bar `incident` or `receiving`, and its distance from the sphere [m]."""
+
+    bar: str
+    position: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Source:
     """Where a default came from, and whether that source was seen."""
 
@@ -161,6 +180,10 @@ class Study:
         The pulse of a measured record; `striker.speed` then follows from it and is none of the numbers.
     overrides : tuple of str
         What was set from outside the file, as PATH=VALUE; its effect is in the other attributes.
+    gauges : tuple of Gauge
+        Where `uqsphere history` puts gauges; no answer of a run depends on them.
+    receiving_damper : EndImpedance or None
+        The receiving bar's far end against frequency, which `uqsphere history` alone can follow.
     """
 
     title: str
@@ -183,11 +206,13 @@ class Study:
     warnings: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
     record: MeasuredPulse | None = None
+    gauges: tuple[Gauge, ...] = ()
+    receiving_damper: EndImpedance | None = None
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the meaning: the same for two files that differ in title, comments or layout alone."""
-        meaning = {key: value for key, value in self.resolved().items() if key != "title"}
+        """SHA-256 of the meaning: the same for two files that differ in title, gauges, comments or layout alone."""
+        meaning = {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
         text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -237,6 +262,8 @@ class Study:
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
             **({} if self.record is None else {"record": _lists(asdict(self.record))}),
+            **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
+            **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
         }
 
 

@@ -11,10 +11,12 @@ from typing import Any, Final
 from uqsphere.errors import StudyError
 from uqsphere.quantities import INPUTS
 from uqsphere.study.checks import check_scene
+from uqsphere.study.damper import read_damper
 from uqsphere.study.dependence import read_dependence
 from uqsphere.study.findings import Findings, Place, shown
+from uqsphere.study.gauges import read_gauges
 from uqsphere.study.margins import check_moved_mean, read_margins
-from uqsphere.study.nouns import Dependence, ModelChoice, Study
+from uqsphere.study.nouns import Dependence, EndImpedance, Gauge, ModelChoice, Study
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.overrides import apply_overrides
 from uqsphere.study.positions import locate
@@ -68,6 +70,8 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
     black_box = _kind(data, findings)
     folder = path.parent
     scene, outputs, model = Scene(), None, ModelChoice()
+    gauges: tuple[Gauge, ...] = ()
+    damper: EndImpedance | None = None
     if black_box:
         outputs = _read_outputs(document, findings)
         _read_inputs(document, scene, findings, folder)
@@ -75,6 +79,8 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         model = read_model(document.model or ModelTable(), findings)
         scene = read_scene(document, data, findings, folder)
         check_scene(scene, model, findings)
+        damper = read_damper(document.bars, findings, folder)
+        gauges = read_gauges(document.gauges, scene, findings)
     if document.seed < 0:
         findings.add(("seed",), f"found {document.seed}, a whole number from 0 upwards is due")
     limits = read_limits(document.limits, outputs, findings, folder)
@@ -114,6 +120,8 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         outputs=tuple(outputs or ()),
         warnings=tuple(findings.warnings),
         record=scene.record,
+        gauges=gauges,
+        receiving_damper=damper,
     )
     check_moved_mean(study, findings)
     return None if findings.faults else study
@@ -121,7 +129,7 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
 
 def _kind(data: Mapping[str, Any], findings: Findings) -> bool | None:
     """Whether this is a black-box study; None where that cannot be said."""
-    parts = [name for name in (*SECTIONS, "model") if name in data]
+    parts = [name for name in (*SECTIONS, "model", "gauges") if name in data]
     black = [name for name in ("inputs", "outputs") if name in data]
     if not black:
         if not any(name in SECTIONS for name in data):

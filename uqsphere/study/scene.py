@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from uqsphere.materials import KINDS, library
 from uqsphere.mechanics.measured import MeasuredPulse
+from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Source
@@ -25,6 +26,7 @@ SECTIONS: Final = ("sphere", "bars", "striker", "pulse")
 PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "rectangular": ((), ("duration",)),
     "trapezoid": (("rise", "fall"), ("duration",)),
+    "ramp": (("rise",), ("duration",)),
     "half_sine": ((), ("duration",)),
     "two_peak": (("t1", "level1", "t2", "level2"), ("duration", "valley")),
     "step": ((), ()),
@@ -71,6 +73,7 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
         if getattr(document, section) is None and not measured and not findings.touched((section,)):
             findings.add((section,), f"the table [{section}] is missing")
     _fill_from_library(document, scene, findings)
+    _fill_striker(document, scene, findings)
     _read_bars(document, scene, findings)
     _read_pulse(document.pulse or PulseTable(), scene, findings, folder)
     if document.sphere is not None:
@@ -140,6 +143,24 @@ def _fill_from_library(document: Document, scene: Scene, findings: Findings) -> 
                 scene.sources[path] = Source(text=found.source, seen=found.seen)
 
 
+def _fill_striker(document: Document, scene: Scene, findings: Findings) -> None:
+    """A striker of a material of its own; what it lacks is that of the bars."""
+    name = None if document.striker is None else document.striker.material
+    if name is None:
+        return
+    known = library()["bars"]
+    if name not in known:
+        found = f"unknown material {shown(name)}, known for bars: {one_of(known)}{suggestion(name, known)}"
+        findings.add(("striker", "material"), found)
+        return
+    scene.materials["striker"] = name
+    for key in ("E", "density"):
+        path, value = f"striker.{key}", known[name].properties[key]
+        if path not in scene.readings and findings.clean(("striker", key)):
+            scene.readings[path] = Reading(value=value.value)
+            scene.sources[path] = Source(text=value.source, seen=value.seen)
+
+
 _EXAMPLES: Final = {
     "sphere": {"E": '"52 GPa"', "nu": "0.25", "density": '"2650 kg/m3"'},
     "bars": {"E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"'},
@@ -163,14 +184,29 @@ def _read_bars(document: Document, scene: Scene, findings: Findings) -> None:
 
 
 def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> None:
-    shape = pulse.shape
+    shape: str = pulse.shape
     if not findings.clean(("pulse", "shape")):
         return
+    if pulse.preset is not None:
+        if pulse.preset not in PRESETS:
+            near = suggestion(pulse.preset, PRESETS)
+            findings.add(("pulse", "preset"), f"found {shown(pulse.preset)}, allowed: {one_of(PRESETS)}{near}")
+            return
+        named, numbers = PRESETS[pulse.preset]
+        if "shape" in pulse.model_fields_set and shape != named:
+            findings.add(
+                ("pulse", "shape"), f'the preset "{pulse.preset}" is a {named} pulse: leave shape or preset out'
+            )
+            return
+        shape = named
+        for key, value in numbers.items():
+            if findings.clean(("pulse", key)):
+                scene.readings.setdefault(f"pulse.{key}", Reading(value=value))
     scene.options["pulse.shape"] = shape
     needed, optional = PULSE_KEYS[shape]
     takes = one_of([*needed, *optional]) if needed or optional else "no further key"
     for key in PulseTable.model_fields:
-        given = getattr(pulse, key) is not None and key != "shape"
+        given = getattr(pulse, key) is not None and key not in ("shape", "preset")
         if given and key not in (*needed, *optional):
             findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
             scene.readings.pop(f"pulse.{key}", None)
@@ -179,6 +215,10 @@ def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pat
     if shape == "measured":
         scene.record = read_record(pulse, scene, findings, folder)
         return
+    own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in scene.readings), None)
+    if own is not None and shape not in STRIKER_SHAPES:
+        why = f"a {shape} pulse does not follow from the striker's material or diameter"
+        findings.add(("striker", own), f"{why}: leave them out, or take shape = {one_of(STRIKER_SHAPES)}")
     levels = [scene.readings.get(f"pulse.{key}") for key in ("level1", "level2")]
     # Where a level scatters, the valley follows it sample by sample and is no number of its own.
     fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]

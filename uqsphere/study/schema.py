@@ -22,6 +22,7 @@ __all__ = [
     "BudgetTable",
     "DependenceTable",
     "Document",
+    "GaugeTable",
     "LimitTable",
     "MarginsTable",
     "ModelTable",
@@ -36,7 +37,7 @@ __all__ = [
 #: A number of the scene as the file has it: a number, a text with a unit, or the table of a distribution.
 Number = Any
 
-PulseShape = Literal["rectangular", "trapezoid", "half_sine", "two_peak", "step", "measured"]
+PulseShape = Literal["rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured"]
 Fidelity = Literal["auto", "massless", "linear", "full"]
 Aim = Literal["survive", "break"]
 OnFailure = Literal["abort", "bound", "drop"]
@@ -67,17 +68,23 @@ class BarsTable(Table):
     receiving_length: Number = None
     incident_end: Number = None
     receiving_end: Number = None
+    receiving_damper: Any = None
     end_radius: Number = None
     infinite: bool = False
     rigid_contact: bool = False
 
 
 class StrikerTable(Table):
+    material: str | None = None
+    E: Number = None
+    density: Number = None
+    diameter: Number = None
     speed: Number = None
     length: Number = None
 
 
 class PulseTable(Table):
+    preset: str | None = None
     shape: PulseShape = "rectangular"
     duration: Number = None
     rise: Number = None
@@ -134,6 +141,11 @@ class DependenceTable(Table):
     dof: float | None = None
 
 
+class GaugeTable(Table):
+    bar: Any = None
+    position: Any = None
+
+
 class AccuracyTable(Table):
     mean: float = 0.002
     quantile: float = 0.01
@@ -187,6 +199,7 @@ class Document(Table):
     outputs: OutputsTable | None = None
     limits: dict[str, LimitTable] = Field(default_factory=dict)
     dependence: list[DependenceTable] = Field(default_factory=list)
+    gauges: list[GaugeTable] = Field(default_factory=list)
     analysis: AnalysisTable = Field(default_factory=AnalysisTable)
     margins: MarginsTable | None = None
 
@@ -200,6 +213,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "outputs": OutputsTable,
     "limits": LimitTable,
     "dependence": DependenceTable,
+    "gauges": GaugeTable,
     "analysis": AnalysisTable,
     "margins": MarginsTable,
     "accuracy": AccuracyTable,
@@ -248,8 +262,8 @@ def known_keys(place: Place) -> list[str]:
     """The keys that the table at `place` can hold."""
     if not place:
         return list(Document.model_fields)
-    # A limit goes by a name of the user's, a dependence by its number: the table above says what they are.
-    named = place[0] if place[0] in ("limits", "dependence") else place[-1]
+    # A limit goes by a name of the user's, dependence and gauges by number: the table above says what they are.
+    named = place[0] if place[0] in ("limits", "dependence", "gauges") else place[-1]
     table = _TABLES.get(str(named))
     return list(table.model_fields) if table else []
 
@@ -286,7 +300,7 @@ def _take_out(data: Any, place: Place) -> None:
         child = _child(node, part)
         if isinstance(child, list) and depth + 2 == len(place):
             index = place[-1]
-            if part == "dependence" and isinstance(index, int):
+            if part in ("dependence", "gauges") and isinstance(index, int):
                 child[index] = {}
             elif isinstance(node, dict):
                 node.pop(part, None)
