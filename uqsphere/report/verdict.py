@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,6 @@ from uqsphere.model import status_text
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report import canvas
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import margin_finding
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
     absent_reason,
@@ -22,7 +22,6 @@ from uqsphere.report.wording import (
     plain_percent,
     probability_range,
     probability_text,
-    rounded,
     symbol,
     value_text,
 )
@@ -79,19 +78,41 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     factor = contents.resolved["limits"][name]["model_factor"]
     demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
     note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
-    opened = limit.get("ignorance")
-    if opened is None:
-        note += " Its interval covers the computation; the laws of the inputs and the strength are taken as given."
-    else:
-        note += " Its interval covers the computation alone. " + ignorance_text(contents, limit)
-    if word == "undecided":
-        note += " The interval reaches across the target: more evaluations would decide it."
     return Verdict(
         word=word,
         heading=canvas.shorten(name, 80),
         note=note,
-        lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)),
+        lines=(answer, _uncertainty(contents, limit, word), _hangs_on(contents, limit)),
     )
+
+
+def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
+    """How far the probability is known: by the computation, against the target, and what the tests leave open."""
+    low, high, target = limit["miss"]["low"], limit["miss"]["high"], limit["target"]
+    text = "Its uncertainty: "
+    if low is None or high is None or not contents.resolved["random"]:
+        text += "the computation adds none."
+    else:
+        text += f"the computation leaves {_ends(low, high)} (95 %)"
+        if word == "undecided":
+            text += "; the interval reaches across the target: more evaluations would decide it"
+        elif target and word == "met" and 0.0 < high < target:
+            text += f", at least {_times(target / high)} times below the target"
+        elif target and word == "not met" and low > target:
+            text += f", at least {_times(low / target)} times the target"
+        text += "."
+    opened = ignorance_text(contents, limit)
+    return f"{text} {opened or 'The laws of the inputs and the strength are taken as given.'}"
+
+
+def _ends(low: float, high: float) -> str:
+    return f"at most {plain_percent(float(f'{high:.2g}'))}" if low <= 0.0 else probability_range(low, high)
+
+
+def _times(ratio: float) -> str:
+    """A ratio of at least 1, never rounded up."""
+    digits = 1 if ratio < 10.0 else 0
+    return f"{math.floor(ratio * 10**digits) / 10**digits:,.{digits}f}".replace(",", "\u202f")
 
 
 def ignorance_text(contents: Contents, limit: Mapping[str, Any]) -> str:
@@ -126,25 +147,6 @@ def _strength(contents: Contents, name: str) -> str:
     if found == "random":
         return "the strength"
     return value_text(float(found), contents.results["limits"][name]["quantity"])
-
-
-def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str:
-    text = margin_finding(name, limit["margin"]).partition(": ")[2] or margin_finding(name, limit["margin"])
-    text = "Margin: " + text
-    values = contents.results["margins"].get(name)
-    if values:
-        # the value that the target allows if it was asked for, else the smallest probability asked for
-        known = {float(p): e for p, e in values["values"].items() if e["value"] is not None}
-        accepted = (
-            limit["target"] if limit["aim"] == "survive" else (1.0 - limit["target"] if limit["target"] else None)
-        )
-        if known:
-            p = min(known, key=lambda q: abs(q - accepted)) if accepted is not None else min(known)
-            text += (
-                f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
-                f"{rounded(known[p], values['solve'])}."
-            )
-    return text
 
 
 def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:

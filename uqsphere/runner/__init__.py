@@ -169,6 +169,7 @@ def run(
 
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.courses import save_courses
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.index_control import IndexControl
@@ -223,6 +224,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         paper=compare_with_paper(work.study),
     )
     save_points(work, store, sampled)
+    save_courses(work, store, sampled)
     results = build_results(work, found)
     manifest = build_manifest(work, ledger, found.seconds)
     write_results(store, results, manifest)
