@@ -73,8 +73,13 @@ def _decided(contents: Contents) -> list[str]:
     """Quantities whose distribution is the figure of the decision: where no fragility was asked for."""
     if contents.results["margins"]:
         return []
-    limits = [limit["quantity"] for limit in contents.results["limits"].values()]
-    return list(dict.fromkeys(limits)) or list(contents.results["quantities"])[:1]
+    return _of_limits(contents) or list(contents.results["quantities"])[:1]
+
+
+def _of_limits(contents: Contents) -> list[str]:
+    """Quantities that have a limit, each once."""
+    found = dict.fromkeys(limit["quantity"] for limit in contents.results["limits"].values())
+    return [name for name in found if name in contents.results["quantities"]]
 
 
 def decision_chapter(contents: Contents) -> Chapter:
@@ -98,6 +103,8 @@ def margins_chapter(contents: Contents) -> Chapter:
                 files=("tables/limits.csv",),
             )
         )
+    shown = _decided(contents)
+    blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
     for name in limits:
         heading = f"The likeliest way to miss the aim of {limit_name(name)}"
         blocks += [
@@ -176,6 +183,7 @@ def _beyond_indices(contents: Contents, name: str) -> list[Block]:
         ),
         Block(
             heading=f"{symbol(name)} beyond its variance",
+            finding=drivers.distances_finding(contents, name),
             table=drivers.distances_table(contents, name),
             appendix=True,
             files=("tables/drivers.csv",),
@@ -197,9 +205,8 @@ def drivers_chapter(contents: Contents) -> Chapter:
                     files=("tables/drivers.csv",),
                 )
             )
-    decided = [limit["quantity"] for limit in contents.results["limits"].values()]
     for name in dict.fromkeys(
-        [*(q for q in decided if q in contents.results["sensitivity"]), *contents.results["sensitivity"]]
+        [*(q for q in _of_limits(contents) if q in contents.results["sensitivity"]), *contents.results["sensitivity"]]
     ):
         blocks += [_indices(contents, name), *_beyond_indices(contents, name)]
     return Chapter(
@@ -231,6 +238,7 @@ def measure_chapter(contents: Contents) -> Chapter:
                         heading=f"What to measure first for {words}",
                         finding=drivers.measure_finding(first),
                         table=table,
+                        remarks=(str(first["method"]),),
                         files=("tables/drivers.csv",),
                     )
                 )
@@ -248,7 +256,7 @@ def measure_chapter(contents: Contents) -> Chapter:
 
 def quantities_chapter(contents: Contents) -> Chapter:
     """Distributions that were not shown above, and the force over time."""
-    shown = _decided(contents)
+    shown = {*_decided(contents), *_of_limits(contents)}
     blocks = [_distribution(contents, name) for name in contents.results["quantities"] if name not in shown]
     blocks.append(
         Block(
@@ -286,7 +294,12 @@ def computed_chapter(contents: Contents) -> Chapter:
             kind="notes",
             files=("tables/paper.csv",),
         ),
-        Block(heading="Model chosen", table=method.model_table(contents)),
+        Block(
+            heading="Model chosen",
+            finding=f"The model is {contents.results['model']['chosen']}: {contents.results['model']['why']}.",
+            table=method.model_table(contents),
+            appendix=True,
+        ),
         Block(heading="Methods", table=method.methods_table(contents), kind="notes"),
         Block(
             heading="What was asked, what was reached",

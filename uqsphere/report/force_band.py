@@ -77,10 +77,10 @@ def force_band_finding(contents: Contents) -> str:
     hardest = max(max(courses["hardest"][f]) for f, _, _ in _FACES)
     letter = face[-1].upper()
     return (
-        f"The median force is largest at face {letter}, {value_text(float(medians[face][k]), 'P_max', 3)} after "
-        f"{value_text(float(seconds[k]), 'contact_time', 3)}; nine in ten scenes lie between "
-        f"{value_text(low, 'P_max', 3)} and {value_text(high, 'P_max', 3)} at that instant. The hardest of "
-        f"{courses['scenes']} scenes reaches {value_text(hardest, 'P_max', 3)}."
+        f"The median force is largest at face {letter}, {value_text(float(medians[face][k]), 'P_max', 4)} after "
+        f"{value_text(float(seconds[k]), 'contact_time', 4)}; nine in ten scenes lie between "
+        f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. The hardest of "
+        f"{courses['scenes']} scenes reaches {value_text(hardest, 'P_max', 4)}."
     )
 
 

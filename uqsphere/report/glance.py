@@ -8,6 +8,7 @@ from typing import Any
 
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding
+from uqsphere.report.drivers import measure_finding
 from uqsphere.report.figures import sensitivity_finding
 from uqsphere.report.verdict import check_name
 from uqsphere.report.wording import (
@@ -17,6 +18,7 @@ from uqsphere.report.wording import (
     limit_name,
     listed,
     plain_percent,
+    symbol,
 )
 
 __all__ = ["Glance", "allowed_value", "glances"]
@@ -40,7 +42,8 @@ def glances(contents: Contents) -> list[Glance]:
         if name in contents.results["margins"]:
             solve = contents.results["margins"][name]["solve"]
             word = "Least" if limit["aim"] == "break" else "Largest"
-            question = f"{word} {input_name(solve)}{own}"
+            mean = "mean " if solve in contents.resolved["random"] else ""
+            question = f"{word} {mean}{input_name(solve)}{own}"
             found.append(Glance(question=question, answer=allowed_value(contents, name), anchor="decision"))
         text = margin_finding(name, limit["margin"])
         answer = capital(text.partition(": ")[2] if ": the " in text else text)
@@ -55,7 +58,7 @@ def glances(contents: Contents) -> list[Glance]:
                 break
     quantities = dict.fromkeys(limit["quantity"] for limit in limits.values())
     for name in [q for q in quantities if q in contents.results["sensitivity"]]:
-        found.append(Glance(question="Main driver", answer=sensitivity_finding(contents, name), anchor="drivers"))
+        found.append(Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers"))
     if contents.results["validity"]:
         found.append(Glance(question="Model valid?", answer=_valid(contents), anchor="computed"))
     kept = [glance for glance in found if glance.answer]
@@ -88,18 +91,30 @@ def allowed_value(contents: Contents, name: str) -> str:
     return text + "."
 
 
+def _driver(contents: Contents, quantity: str) -> str:
+    """What drives the probability of the limits of a quantity, and the quantity itself."""
+    parts = []
+    for name, limit in contents.results["limits"].items():
+        shares = limit.get("governing_inputs") or {}
+        if limit["quantity"] == quantity and shares:
+            first = max(shares, key=lambda n: float(shares[n]))
+            parts.append(
+                f"Of {limit_name(name)}: {input_name(first)} ({100.0 * float(shares[first]):.0f} % of its scatter)."
+            )
+    return " ".join(
+        [
+            *parts,
+            f"Of {symbol(quantity)} itself: {sensitivity_finding(contents, quantity).partition(';')[0].rstrip('.')}.",
+        ]
+    )
+
+
 def _measure(entry: Mapping[str, Any] | None) -> str:
     """Which input first, and how many specimens it takes."""
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    first = rows[0]
-    tests = f"{first['tests']:,}".replace(",", " ")
-    what = "the probability" if entry["of"] == "probability" else "the variance"
-    return (
-        f"{capital(input_name(first['input']))}: {tests} specimens make its part in {what} known to "
-        f"{100.0 * entry['wanted']:g} %."
-    )
+    return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
 
 
 def _valid(contents: Contents) -> str:

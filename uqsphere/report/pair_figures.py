@@ -106,7 +106,7 @@ def pair_finding(contents: Contents, quantity: str) -> str:
     seen = {p: e for p, e in pairs.items() if (e["low"] or 0.0) > 0.0 and e["value"] > _LEAST}
     if (a, b) not in seen:
         widest = max(float(e["high"]) for e in pairs.values() if e["high"] is not None)
-        return f"No pair of inputs is seen to act together: each carries at most {100.0 * max(widest, 0.0):.2g} %."
+        return f"No pair of inputs matters: each carries at most {100.0 * max(widest, 0.0):.2g} %."
     words = f"{begin(a, short_input(a))} and {short_input(b)} together carry {share_text(largest)} of the variance"
     text = f"{words} of {symbol(quantity)} beyond what each does alone"
     others = len(seen) - 1

@@ -108,10 +108,10 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
         figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(shown))
         ends = [v * factor for s in shown for v in (*s.at_low, *s.at_high)]
         left, right = min(*ends, middle), max(*ends, middle)
-        margin = 0.16 * (right - left)
+        margin = 0.2 * (right - left)
         axes.set_xlim(left - margin, right + margin)
         for row, s in enumerate(shown):
-            _swing_bar(axes, row, s, middle, factor)
+            _swing_bar(axes, row, s, middle, quantity)
         axes.axvline(middle, color=INK, linewidth=0.9)
         axes.set_yticks(range(len(shown)), [canvas.wrap(short_input(s.name), 24) for s in shown])
         axes.set_ylim(len(shown) - 0.4, -0.6)
@@ -140,7 +140,8 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
     )
 
 
-def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, factor: float) -> None:
+def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str) -> None:
+    factor = display_unit(quantity)[1]
     for (value, low, high), colour, hatch in ((swing.at_low, BLUE, ""), (swing.at_high, ORANGE, "///")):
         x = value * factor
         axes.barh(
@@ -151,7 +152,7 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, factor: float)
     ends = sorted((swing.at_low, swing.at_high))
     for (value, low, high), side in zip(ends, ("right", "left"), strict=True):
         axes.annotate(
-            f"{value * factor:.3g}",
+            value_text(value, quantity, 4).split()[0],
             ((low if side == "right" else high) * factor, row),
             xytext=(-4 if side == "right" else 4, 0),
             ha=side,
@@ -180,7 +181,7 @@ def tornado_finding(contents: Contents, quantity: str) -> str:
     s = found[0]
     text = (
         f"{begin(s.name, short_input(s.name))} moves the median of {symbol(quantity)} furthest: from "
-        f"{value_text(s.at_low[0], quantity, 3)} in its lowest tenth to {value_text(s.at_high[0], quantity, 3)} in its "
+        f"{value_text(s.at_low[0], quantity, 4)} in its lowest tenth to {value_text(s.at_high[0], quantity, 4)} in its "
         "highest."
     )
     idle = len(swings(contents, quantity)) - len(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -93,7 +94,7 @@ def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str
     if low is None or high is None or not contents.resolved["random"]:
         text += "the computation adds none."
     else:
-        text += f"the computation leaves {_ends(low, high)} (95 %)"
+        text += f"the computation leaves {_ends(limit['miss'])} (95 %)"
         if word == "undecided":
             text += "; the interval reaches across the target: more evaluations would decide it"
         elif target and word == "met" and 0.0 < high < target:
@@ -105,8 +106,11 @@ def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str
     return f"{text} {opened or 'The laws of the inputs and the strength are taken as given.'}"
 
 
-def _ends(low: float, high: float) -> str:
-    return f"at most {plain_percent(float(f'{high:.2g}'))}" if low <= 0.0 else probability_range(low, high)
+def _ends(miss: Mapping[str, Any]) -> str:
+    """The ends of an interval, as the answer above has them."""
+    text = probability_text(miss)
+    inside = re.search(r"\((.*)\)(.*)$", text)
+    return text if inside is None else inside[1] + inside[2]
 
 
 def _times(ratio: float) -> str:
@@ -161,7 +165,7 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         text += ", by their shares in the direction of the failures. "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
-    return text + sensitivity_finding(contents, limit["quantity"])
+    return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()
 
 
 def _quantity_verdict(contents: Contents, name: str) -> Verdict:
