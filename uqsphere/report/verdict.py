@@ -208,7 +208,9 @@ def cautions(contents: Contents) -> list[str]:
                 f"{most} samples of {symbol(name)} outlast their record: they are lower bounds, and mean and standard "
                 "deviation are those restricted to the record."
             )
-    if contents.manifest.get("stopped_by_time"):
+    if contents.manifest.get("interrupted"):
+        found.append("The run was interrupted: these are the answers up to there, and the same command goes on.")
+    elif contents.manifest.get("stopped_by_time"):
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
     elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
         found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")

@@ -96,6 +96,8 @@ def run(
     seconds: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    reached: Callable[[list[dict[str, Any]]], None] | None = None,
 ) -> Run:
     """Run a study and write its result folder.
 
@@ -118,15 +120,22 @@ def run(
     progress : callable(stage, done, total), optional
     notice : callable(text), optional
         Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
+    stop : callable() -> bool, optional
+        Asked before and after every chunk; once it is true the run ends with what is there, and its manifest says
+        `interrupted`.  The same study in the same folder goes on from there.
+    reached : callable(rows), optional
+        Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
 
     Raises
     ------
     UqsphereError
         One of its family: see `uqsphere.errors`.
+    KeyboardInterrupt
+        When `stop` ends the run before there is anything to report.
     """
     from threadpoolctl import threadpool_limits
 
-    from uqsphere.runner.work import Ledger, Work
+    from uqsphere.runner.work import Ledger, OutOfBudget, Work
 
     if study.black_box and model is None:
         raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
@@ -159,10 +168,14 @@ def run(
             executor=executor,
             progress=progress,
             seconds=study.analysis.budget.time if seconds is None else seconds,
+            stop=stop,
+            reached=reached,
         )
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
         with threadpool_limits(limits=1, user_api="blas"):
             return _run(work, store, notice)
+    except OutOfBudget as nothing:
+        raise KeyboardInterrupt from nothing
     finally:
         store.close()
 
