@@ -98,8 +98,8 @@ def _varies(contents: Contents, name: str) -> bool:
 
 def _tie(x: Array, y: Array) -> float:
     """Rank correlation, without its sign."""
-    ranks = [np.argsort(np.argsort(v)) for v in (x, y)]
-    return abs(float(np.corrcoef(*ranks)[0, 1]))
+    ranks = np.array([np.argsort(np.argsort(v)) for v in (x, y)], dtype=float)
+    return abs(float(np.corrcoef(ranks)[0, 1]))
 
 
 def _levels(contents: Contents, limit: str, n: int) -> Array | None:

@@ -253,7 +253,7 @@ def methods_table(contents: Contents) -> Table:
         if what not in found:
             found.append(what)
     rows = []
-    for method, what in used.items():
+    for method, answered in used.items():
         meaning = "; ".join(text for word, text in _MEANING if word.lower() in method.lower())
-        rows.append((method, meaning or ABSENT, listed(what[:6]) + (" and others" if len(what) > 6 else "")))
+        rows.append((method, meaning or ABSENT, listed(answered[:6]) + (" and others" if len(answered) > 6 else "")))
     return Table(caption="Methods", header=("method", "what it does", "used for"), rows=tuple(rows))
