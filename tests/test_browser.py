@@ -209,8 +209,8 @@ def test_a_missing_typesetter_is_told_with_what_to_install(monkeypatch: pytest.M
 def test_the_probe_sees_what_is_wrong(plain: Path, tmp_path: Path) -> None:
     flaws = (
         '<p style="white-space:nowrap">' + "W" * 300 + '</p><p style="color:#bbb">pale</p><a href="#nowhere">x</a>'
-        '<svg role="img"><text x="5" y="9">one</text><text x="6" y="9">two</text></svg><table><tr><th>t</th></tr></table>'
-        '<p id="verdict"></p><script>1</script></main>'
+        '<svg role="img"><text x="5" y="9">one</text><text x="6" y="9">two</text></svg>'
+        '<table><tr><th>t</th></tr></table><p id="verdict"></p><script>1</script></main>'
     )
     page = tmp_path / "flawed.html"
     page.write_text(plain.read_text(encoding="utf-8").replace("</main>", flaws, 1), encoding="utf-8")
