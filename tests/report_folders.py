@@ -76,6 +76,25 @@ def _sensitivity(inputs: list[str], scatter: bool) -> dict[str, Any]:
     }
 
 
+def with_pairs(folder: Path) -> Path:
+    """The same folder with indices of pairs and of groups, and with a band of forces."""
+    path = folder / "results.json"
+    results = json.loads(path.read_text(encoding="utf-8"))
+    for entry in results["sensitivity"].values():
+        names = list(entry["first"])
+        pairs = [(a, b) for k, a in enumerate(names) for b in names[k + 1 :]]
+        entry["second"] = {f"{a}|{b}": estimate(0.04 / (1 + k)) for k, (a, b) in enumerate(pairs)}
+        entry["groups"] = {"first": {"all": estimate(0.9)}, "total": {"all": estimate(0.95)}}
+    path.write_text(json.dumps(results), encoding="utf-8")
+    time = np.linspace(0.0, 1e-3, 50)
+    middle = 5e3 * np.sin(np.pi * time / 1e-3)
+    face = {"0.05": (0.9 * middle).tolist(), "0.5": middle.tolist(), "0.95": (1.1 * middle).tolist()}
+    hardest = {"inputs": {"striker.speed": 0.52}, "force_a": (1.2 * middle).tolist(), "force_b": middle.tolist()}
+    courses = {"time": time.tolist(), "force_a": face, "force_b": face, "hardest": hardest, "scenes": 64}
+    (folder / "courses.json").write_text(json.dumps(courses), encoding="utf-8")
+    return folder
+
+
 def limit(
     miss: float,
     target: float | None,

@@ -367,7 +367,14 @@ def test_signals_keep_what_is_done(place: Path, number: int, code: int) -> None:
         assert running.stderr.readline() == "a word\n"  # it is at work
         running.send_signal(number)
         out, err = running.communicate(timeout=60)
-    assert (running.returncode, out) == (code, "")
+    assert running.returncode == code
+    if number == signal.SIGINT:  # once: what is there is told
+        assert "2,048 black box; failed: 0" in out
+        assert "Ctrl-C again stops at once" in err
+        assert json.loads((place / "r" / "manifest.json").read_text())["interrupted"] is True
+        assert "The run was interrupted" in (place / "r" / "report.html").read_text(encoding="utf-8")
+    else:
+        assert out == ""
     assert "uqsphere run box.toml --model model.py:f --out r" in err
     assert "Traceback" not in err
     assert not list((place / "r").glob(".*json*"))

@@ -13,9 +13,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.text import Text
-from report_folders import estimate, limit, write_folder
+from report_folders import estimate, limit, with_pairs, write_folder
 
-from uqsphere.report import canvas, decision, figures, history_figure, progress, xt_figure
+from uqsphere.report import (
+    canvas,
+    decision,
+    figures,
+    force_band,
+    history_figure,
+    limit_surface,
+    pair_figures,
+    progress,
+    swings,
+    xt_figure,
+)
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import read_contents
 
@@ -31,6 +42,12 @@ DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
     "fragility": lambda c: decision.fragility_figure(c, next(iter(c.results["limits"]))),
     "convergence": progress.convergence_figure,
     "speed": progress.speed_figure,
+    "pairs": lambda c: pair_figures.pair_figure(c, next(iter(c.results["quantities"]))),
+    "groups": lambda c: pair_figures.group_figure(c, next(iter(c.results["quantities"]))),
+    "tornado": lambda c: swings.tornado_figure(c, next(iter(c.results["quantities"]))),
+    "waterfall": lambda c: swings.waterfall_figure(c, next(iter(c.results["limits"]))),
+    "surface": lambda c: limit_surface.surface_figure(c, next(iter(c.results["limits"]))),
+    "force band": force_band.force_band_figure,
 }
 
 
@@ -93,7 +110,9 @@ def test_labels_stand_apart_and_inside_at_any_length(
     inputs = ("striker.speed", *(f"{word} {k}" for k in range(19)))
     names = (f"{word}q", f"{word}r", f"{word}s")
     limits = {f"{word}{k}": limit(0.0075, 0.01, True, quantity=names[0]) for k in range(3)}
-    contents = read_contents(write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=0.2))
+    censored = 0.0 if kind in ("tornado", "surface") else 0.2
+    folder = write_folder(tmp_path, quantities=names, inputs=inputs, limits=limits, censored=censored)
+    contents = read_contents(with_pairs(folder))
     picture = DRAWINGS[kind](contents)
     assert picture is not None
     boxes = drawn(picture)
@@ -134,14 +153,13 @@ def test_margin_keeps_its_labels_apart(
 
 def test_dollars_and_markup_are_drawn_as_they_stand(tmp_path: Path) -> None:
     name = "<b>$\\frac{1}{$ & \x00"
-    contents = read_contents(
-        write_folder(tmp_path, quantities=(name,), limits={name: limit(0.01, 0.02, True, quantity=name)})
-    )
-    for draw in DRAWINGS.values():
+    folder = write_folder(tmp_path, quantities=(name,), limits={name: limit(0.01, 0.02, True, quantity=name)})
+    contents = read_contents(with_pairs(folder))
+    for kind, draw in DRAWINGS.items():
         picture = draw(contents)
         assert picture is not None
         root = check_svg(canvas.render(picture))
-        assert "<b>$\\frac{1}{$ &" in "".join(root.itertext())
+        assert kind == "force band" or "<b>$\\frac{1}{$ &" in "".join(root.itertext())
 
 
 def test_settings_of_the_user_neither_matter_nor_change(tmp_path: Path) -> None:

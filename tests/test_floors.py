@@ -28,6 +28,7 @@ FLOORS = {
     "uqsphere.report": 7,
     "uqsphere.bench": 8,
     "uqsphere.summary": 8,
+    "uqsphere.attend": 8,
     "uqsphere.given": 8,
     "uqsphere.experiment": 8,
     "uqsphere.commands": 9,

@@ -15,8 +15,9 @@ from report_folders import estimate, limit, write_folder
 from uqsphere.errors import FolderError
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
+from uqsphere.report.glance import allowed_value, glances
 from uqsphere.report.html import MOST_BYTES
-from uqsphere.report.sections import paper_table
+from uqsphere.report.method import methods_table, paper_table
 from uqsphere.report.verdict import Verdict, cautions, verdicts
 from uqsphere.report.wording import probability_text, rounded, share_text
 
@@ -78,14 +79,12 @@ def test_sections_stand_in_the_order_of_a_decision(page: str) -> None:
     found = [attributes["id"] for tag, attributes in reader.tags if tag == "section"]
     assert found == [
         "verdict",
-        "distributions",
-        "sensitivity",
+        "decision",
         "margins",
-        "convergence",
-        "validity",
-        "model",
+        "drivers",
+        "computed",
         "inputs",
-        "asked",
+        "appendix",
         "repeat",
     ]
     assert reader.open == []
@@ -105,7 +104,12 @@ def test_verdict_says_whether_the_target_is_met(
 ) -> None:
     found = first_verdict(write_folder(tmp_path, limits={"crushing": limit(0.0075, target, met)}))
     assert found.lines[0] == f"Probability of “crushing”: {words}"
-    assert ("reaches across the target" in found.note) == (met is None and target is not None)
+    assert ("reaches across the target" in found.lines[1]) == (met is None and target is not None)
+    assert found.lines[1].startswith("Its uncertainty: the computation leaves 0.700 to 0.800 % (95 %)")
+    if met is True:
+        assert "at least 1.2 times below the target" in found.lines[1]  # 1 / 0.8, rounded down
+    if met is False:
+        assert "at least 1.4 times the target" in found.lines[1]
 
 
 def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
@@ -114,15 +118,46 @@ def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
     assert "stays below the strength; the aim is to break it" in found.note
 
 
-def test_verdict_names_margin_and_what_it_hangs_on(standard: Path, page: str) -> None:
-    _, margin, hangs = first_verdict(standard).lines
-    assert "the strength is 1.50 times the demand in the median case, and between 1.20 and 1.80 times it" in margin
-    assert "reaches 10 % at a speed of the striker of 0.98 m/s" in margin
+def test_verdict_is_answer_uncertainty_and_what_it_hangs_on(standard: Path, page: str) -> None:
+    _, uncertainty, hangs = first_verdict(standard).lines
+    assert uncertainty.endswith("The laws of the inputs and the strength are taken as given.")
     assert hangs.startswith("It hangs on: strength of “x” (70 %) and Young's modulus of the sphere (30 %)")
-    assert "Young's modulus of the sphere drives 50 % of the variance of p_max" in hangs
     text = Reader(page).text
-    places = [text.index(words) for words in (*first_verdict(standard).lines, "How the quantities are distributed")]
+    places = [
+        text.index(words) for words in (*first_verdict(standard).lines, "Fragility of “x”", "Strength over demand")
+    ]
     assert places == sorted(places)
+
+
+def test_five_questions_have_their_answers_at_the_top(standard: Path) -> None:
+    found = {glance.question: glance.answer for glance in glances(read_contents(standard))}
+    assert list(found) == ["Largest mean speed of the striker", "Margin", "Main driver", "Model valid?"]
+    assert found["Largest mean speed of the striker"].startswith("0.978 (0.968 to 0.988) m/s: there the probability")
+    assert "The strength is 1.50 times the demand in the median case, and between 1.20" in found["Margin"]
+    assert found["Main driver"].startswith("Of “x”: strength of “x” (70 % of its scatter). Of p_max itself: Young's")
+    assert found["Model valid?"] == "Yes: all 1 checks are passed in every sample."
+
+
+def test_the_allowed_value_lies_on_the_safe_side_of_the_target(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.2, True), "y": limit(0.0075, 0.01, True)})
+    contents = read_contents(folder)
+    assert allowed_value(contents, "x").endswith("is 10 %.")  # of 10 % and 50 %, never the one above 20 %
+    assert "more than the target allows (1 %)" in allowed_value(contents, "y")
+
+
+def test_methods_are_explained_once(standard: Path) -> None:
+    rows = {row[0]: row for row in methods_table(read_contents(standard)).rows}
+    assert len(rows) == len(methods_table(read_contents(standard)).rows)
+    assert "distribution of p_max" in rows["by hand"][2]
+
+
+def test_every_table_of_the_appendix_is_linked_there_and_back(page: str) -> None:
+    reader = Reader(page)
+    ids = [a["id"] for _, a in reader.tags if (a.get("id") or "").startswith("table-")]
+    links = [a["href"] for t, a in reader.tags if t == "a" and a["href"]]
+    assert len(ids) >= 3
+    assert all(links.count(f"#{name}") == 1 for name in ids)
+    assert len([link for link in links if link.startswith("#block-")]) == len(ids)
 
 
 def test_study_without_limits_states_its_distributions(tmp_path: Path) -> None:
@@ -149,6 +184,7 @@ def test_limit_without_scatter_is_exceeded_or_not(tmp_path: Path) -> None:
         found.lines[0]
         == "Limit “x” is not exceeded in the one scene of a study without scatter, target at most 1 %: met."
     )
+    assert found.lines[1].startswith("Its uncertainty: the computation adds none.")
     assert found.lines[2] == "It hangs on nothing that scatters: no number of the study is random."
 
 
@@ -220,7 +256,7 @@ def test_texts_of_the_study_are_data(tmp_path: Path) -> None:
     assert "<script>alert(1)</script> $x^2$" in reader.text
     assert not re.search(r"[\x00-\x08\x0b-\x1f\u202e]", page)
     for path in (folder / "figures").iterdir():
-        assert re.fullmatch(r"[a-z0-9_-]{1,70}\.svg", path.name)
+        assert re.fullmatch(r"[a-z0-9_-]{1,70}\.(svg|csv)", path.name)
 
 
 def test_page_is_one_file_without_script_or_reference(page: str) -> None:
@@ -251,9 +287,9 @@ def test_anchors_and_references_find_their_element_once(tmp_path: Path) -> None:
 def test_every_figure_has_words(page: str) -> None:
     reader = Reader(page)
     drawings = [attributes for tag, attributes in reader.tags if tag == "svg"]
-    assert len(drawings) == 6
+    assert len(drawings) == 9
     assert all(a["role"] == "img" and a["aria-labelledby"] for a in drawings)
-    assert [tag for tag, _ in reader.tags].count("desc") == 6
+    assert [tag for tag, _ in reader.tags].count("desc") == 9
 
 
 def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> None:
@@ -266,7 +302,7 @@ def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> Non
         for folder in (standard, tmp_path / "again")
     )
     assert first == second
-    assert len(first) == 7
+    assert len(first) == 13  # nine drawings, the numbers of three of them, the page
 
 
 def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> None:
@@ -285,8 +321,8 @@ def test_figures_beyond_the_room_of_the_page_stay_files(
     folder = Path(shutil.copytree(standard, tmp_path / "again"))
     reader = Reader(page_of(folder))
     drawings = [tag for tag, _ in reader.tags].count("svg")
-    assert 0 < drawings < 6
-    assert reader.text.count("The figure is in figures/") == 6 - drawings
+    assert 0 < drawings < 9
+    assert reader.text.count("The figure is in figures/") == 9 - drawings
 
 
 @pytest.mark.parametrize("name", ["results.json", "study.resolved.json", "samples.npy", "manifest.json"])

@@ -84,6 +84,7 @@ def build_parser() -> argparse.ArgumentParser:
     for folder in (report, show, export):
         folder.add_argument("folder", metavar="DIR", type=Path)
         folder.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    report.add_argument("--pdf", action="store_true", help="also as report.pdf (needs the extra: uqsphere[pdf])")
     export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
     export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
 

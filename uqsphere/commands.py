@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqsphere.console import Progress, plain, table
+from uqsphere.attend import attend
+from uqsphere.console import plain, table
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
@@ -123,46 +124,19 @@ def _seconds(text: str | None) -> float | None:
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
     from uqsphere.report import build_report
-    from uqsphere.runner import run
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
-    progress = Progress(quiet=False)
-    seconds = _seconds(chosen.budget)
-    if study.black_box and chosen.model and (chosen.jobs or 1) > 1:
-        # a black box runs in processes of its own, since nothing is known of its threads
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
-
-        with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
-            try:
-                found = run(
-                    study,
-                    out=chosen.out,
-                    executor=pool,
-                    model=chosen.model,
-                    fresh=chosen.fresh,
-                    seconds=seconds,
-                    progress=progress,
-                    notice=progress.say,
-                )
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    else:
-        found = run(
-            study,
-            out=chosen.out,
-            model=chosen.model,
-            threads=chosen.jobs,
-            fresh=chosen.fresh,
-            seconds=seconds,
-            progress=progress,
-            notice=progress.say,
-        )
-    progress.finish()
+    found, interrupted = attend(
+        study,
+        out=chosen.out,
+        model=chosen.model,
+        jobs=chosen.jobs,
+        fresh=chosen.fresh,
+        seconds=_seconds(chosen.budget),
+    )
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:
         print(f"accuracy not reached: {plain(text)}", file=sys.stderr)
@@ -171,6 +145,9 @@ def command_run(chosen: argparse.Namespace) -> int:
     else:
         print(summary_of(found.results))
         print(f"\nreport: {page}")
+    if interrupted:
+        # what is there has been told; the command line says how to go on
+        raise KeyboardInterrupt
     return 0 if found.met else MISSED
 
 
@@ -180,11 +157,17 @@ def command_report(chosen: argparse.Namespace) -> int:
     from uqsphere.runner import open_run
 
     found = open_run(chosen.folder)
-    page = build_report(found.folder)
+    if chosen.pdf:
+        from uqsphere.report.pdf import build_pdf, check_pdf
+
+        check_pdf()
+    written = {"report": str(build_report(found.folder))}
+    if chosen.pdf:
+        written["pdf"] = str(build_pdf(found.folder))
     if chosen.json:
-        _document({"report": str(page)})
+        _document(written)
     else:
-        print(f"report: {page}")
+        print("\n".join(f"{name}: {path}" for name, path in written.items()))
     return 0
 
 

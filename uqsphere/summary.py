@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from uqsphere.console import plain, table
+from uqsphere.console import bar, plain, table
 from uqsphere.quantities import format_estimate
 
 __all__ = ["summary_of"]
+
+#: inputs of a quantity or limit that get a line
+_MOST = 6
 
 
 def _estimate(entry: dict[str, Any], name: str = "") -> str:
@@ -48,51 +51,75 @@ def _cautions(results: dict[str, Any]) -> list[str]:
     return found
 
 
-def summary_of(results: dict[str, Any]) -> str:
-    """The answers of a run for the terminal."""
-    from uqsphere.runner.results import savings
-
-    parts = [plain(results["study"]["title"]), ""]
-    rows: list[tuple[str, ...]] = []
+def _verdicts(results: dict[str, Any]) -> list[str]:
+    """A line for every limit: the verdict in words first, then probability, target and margin."""
+    rows = []
     for name, limit in results["limits"].items():
-        verdict = (
-            {True: "met", False: "NOT MET", None: "undecided"}[limit["met"]]
-            if limit["target"] is not None
-            else "no target"
-        )
+        words = {True: "met", False: "NOT MET", None: "undecided"}
+        verdict = words[limit["met"]] if limit["target"] is not None else "no target"
         target = f"{limit['target']:g}" if limit["target"] is not None else "-"
         rows.append(
-            (name, limit["aim"], _estimate(limit["miss"]), target, verdict, _estimate(limit["margin"]["median"]))
+            (verdict, name, limit["aim"], _estimate(limit["miss"]), target, _estimate(limit["margin"]["median"]))
         )
-    if rows:
-        parts += [
-            table(("limit", "aim", "probability of missing it (95 %)", "target", "verdict", "median margin"), rows),
-            "",
-        ]
-    rows = []
+    header = ("verdict", "limit", "aim", "probability of missing it (95 %)", "target", "median margin")
+    return [table(header, rows), ""] if rows else []
+
+
+def _first_reason(texts: list[str]) -> str:
+    return next((text for text in texts if text), "")
+
+
+def _governing(results: dict[str, Any]) -> list[str]:
+    """What each limit hangs on, and what to measure first."""
+    rows: list[tuple[str, ...]] = []
+    for name, limit in results["limits"].items():
+        called, shares = name, limit.get("governing_inputs") or {}
+        for key in sorted(shares, key=lambda key: -shares[key])[:_MOST]:
+            rows.append((called, key, f"{shares[key]:6.1%}", bar(shares[key])))
+            called = ""
+        first = (limit.get("measure_first") or {}).get("rows") or []
+        if first:
+            rows.append((called, "measure first", first[0]["input"], f"{first[0]['tests']:,} specimens"))
+    return [table(("limit", "hangs on", "share", ""), rows), ""] if rows else []
+
+
+def _drivers(results: dict[str, Any]) -> list[str]:
+    """Shares of the variance as bars, the largest first; Shapley effects where inputs depend on each other."""
+    rows: list[tuple[str, ...]] = []
+    absent = []
+    for quantity, entry in results["sensitivity"].items():
+        shared = entry.get("shapley") or {}
+        order = shared or entry["total"]
+        known = sorted((n for n in order if order[n]["value"] is not None), key=lambda n: -order[n]["value"])
+        if not known:
+            reason = _first_reason([str(e.get("reason") or "") for e in order.values()])
+            absent.append(f"{quantity}: what drives it is not known ({plain(reason)})" if reason else "")
+        for place, name in enumerate(known[:_MOST]):
+            first = "-" if shared else _estimate(entry["first"][name])
+            rows.append(
+                (quantity if place == 0 else "", name, bar(order[name]["value"]), _estimate(order[name]), first)
+            )
+        if len(known) > _MOST:
+            rows.append(("", f"({len(known) - _MOST} more)", "", "", ""))
+    header = ("quantity", "input", "share of the variance", "total index or Shapley effect", "first-order index")
+    parts = [table(header, rows), ""] if rows else []
+    found = [text for text in absent if text]
+    return [*parts, *found, ""] if found else parts
+
+
+def summary_of(results: dict[str, Any]) -> str:
+    """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions."""
+    from uqsphere.runner.results import savings
+
+    parts = [plain(results["study"]["title"]), "", *_verdicts(results), *_governing(results)]
+    rows: list[tuple[str, ...]] = []
     for name, entry in results["quantities"].items():
         rows.append((name, "mean", _estimate(entry["mean"], name)))
         rows.append(("", "standard deviation", _estimate(entry["sd"], name)))
         rows += [("", f"{100 * float(p):.12g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
         if entry["censored_share"]["value"]:
             rows.append(("", "censored share", _estimate(entry["censored_share"])))
-    parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), ""]
-    rows = [
-        (quantity, name, _estimate(entry["first"][name]), _estimate(entry["total"][name]))
-        for quantity, entry in results["sensitivity"].items()
-        for name in entry["first"]
-        if not entry.get("shapley")
-    ]
-    if rows:
-        parts += [table(("quantity", "input", "first-order index", "total index"), rows), ""]
-    rows = [
-        (quantity, name, _estimate(effect), *(_estimate(entry["kucherenko"][o][name]) for o in ("first", "total")))
-        for quantity, entry in results["sensitivity"].items()
-        for name, effect in entry.get("shapley", {}).items()
-    ]
-    if rows:
-        header = ("quantity", "input", "Shapley effect", "Kucherenko, first", "Kucherenko, total")
-        parts += [table(header, rows), ""]
+    parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), "", *_drivers(results)]
     rows = [
         (name, f"{float(p):g}", _estimate(e, entry["solve"]))
         for name, entry in results["margins"].items()

@@ -28,6 +28,7 @@ __all__ = [
     "Peak",
     "Waves",
     "find_changes",
+    "force_courses",
     "largest",
     "states_at",
     "trace",
@@ -215,6 +216,31 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity,
         solution=solution,
     )  # fmt: skip
+
+
+def force_courses(scene: Scene, times: Array, *, fidelity: str = "full", tolerance: float = 1e-6) -> Array:
+    """Contact forces of every row at given instants, for bands over many scenes.
+
+    Parameters
+    ----------
+    scene : Scene
+        n rows inside the domain.
+    times : (m,) array
+        Ascending instants since first touch [s]; after the end of a row's motion its forces are nan.
+
+    Returns
+    -------
+    (n, 2, m) array
+        At the faces A and B [N].
+    """
+    found = np.full((len(scene), 2, len(times)), np.nan)
+    for row in range(len(scene)):
+        course = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
+        known = times <= course.end * float(scene.scales.time[row])
+        states = states_at(scene, row, course, times[known])
+        for face in (0, 1):
+            found[row, face, known] = _force(scene, row, states[:, face], fidelity)
+    return found
 
 
 def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[float],

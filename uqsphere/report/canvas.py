@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BLUE",
+    "FAINT",
     "GREEN",
     "GREY",
     "INK",
@@ -123,13 +124,16 @@ _MACHINE: Final = (
 class Picture:
     """A drawing with the words that stand for it.
 
-    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows.
+    `name` serves as file name and anchor; `title` says what is drawn, `finding` what it shows; `header` and `rows`
+    are the numbers that were drawn, in SI, where no table of the run holds them.
     """
 
     name: str
     title: str
     finding: str
     figure: Figure
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[Any, ...], ...] = ()
 
 
 def clean(text: str) -> str:

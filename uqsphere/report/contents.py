@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,8 @@ class Contents:
     """The files of a result folder.
 
     `resolved` is study.resolved.json; `samples` are by quantity, `failed` the share of the sampled rows that
-    have no answer.
+    have no answer; `points` are the inputs of the rows that have one (n,), in SI; `courses` is courses.json, where
+    forces were followed over time.
     """
 
     results: Mapping[str, Any]
@@ -55,6 +56,8 @@ class Contents:
     resolved: Mapping[str, Any]
     samples: Mapping[str, Samples]
     failed: float
+    points: Mapping[str, Array] = field(default_factory=dict)
+    courses: Mapping[str, Any] | None = None
 
     @property
     def black_box(self) -> bool:
@@ -122,4 +125,16 @@ def read_contents(folder: Path) -> Contents:
         for k, name in enumerate(quantities)
     }
     failed = float(1.0 - good.mean()) if len(good) else 0.0
-    return Contents(results=results, manifest=manifest, resolved=resolved, samples=samples, failed=failed)
+    points = {name: rows[good, k] for k, name in enumerate(inputs)}
+    courses = read_json(folder / "courses.json") if (folder / "courses.json").is_file() else None
+    if courses is not None and not (isinstance(courses, dict) and {"time", "force_a", "hardest"} <= courses.keys()):
+        raise FolderError(f"{folder / 'courses.json'} is not what a run writes")
+    return Contents(
+        results=results,
+        manifest=manifest,
+        resolved=resolved,
+        samples=samples,
+        failed=failed,
+        points=points,
+        courses=courses,
+    )

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.report.contents import Contents
-from uqsphere.report.sections import Table
+from uqsphere.report.tables import Table
 from uqsphere.report.wording import (
     ABSENT,
     absent_reason,
+    capital,
     estimate_text,
     input_name,
     limit_name,
@@ -21,6 +22,7 @@ from uqsphere.report.wording import (
 __all__ = [
     "design_finding",
     "design_table",
+    "distances_finding",
     "distances_table",
     "failure_finding",
     "failure_table",
@@ -86,6 +88,16 @@ def distances_table(contents: Contents, quantity: str) -> Table | None:
         header=("input", "Borgonovo’s δ", "PAWN"),
         rows=tuple((input_name(n), _cell(delta[n]), _cell(pawn.get(n))) for n in names),
     )
+
+
+def distances_finding(contents: Contents, quantity: str) -> str:
+    """Which input moves the whole law of a quantity most; empty where that is not known."""
+    delta = (contents.results["sensitivity"].get(quantity) or {}).get("delta") or {}
+    names = _known(delta)
+    if not names:
+        return ""
+    words = capital(input_name(names[0])) if names[0] != input_name(names[0]) else names[0]
+    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {_cell(delta[names[0]])}."
 
 
 # --- failure --------------------------------------------------------------------------------------------
@@ -169,7 +181,9 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
     rows: list[tuple[str, ...]] = []
     for row in entry["rows"]:
         seen = row["observations"]
-        tests = f"{row['tests']:,}".replace(",", " ") + ("" if seen is None else f" (the law rests on {seen})")
+        tests = (f"{row['tests']:,}".replace(",", " ") if row["tests"] else "none") + (
+            "" if seen is None else f" (the law rests on {seen})"
+        )
         if probability:
             rows.append((input_name(row["input"]), _cell(row["sway"]), f"{100.0 * row['share']:.3g} %", tests))
         else:
@@ -188,11 +202,16 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
 
 
 def measure_finding(entry: Mapping[str, Any] | None) -> str:
-    """Which input to measure first, and under which assumptions."""
+    """Which input to measure first, and how often."""
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    return f"First to measure: {input_name(rows[0]['input'])}. {entry['method']}"
+    first, of = rows[0], "the probability" if entry["of"] == "probability" else "the variance"
+    tests = f"{first['tests']:,}".replace(",", "\u202f") + f" specimen{'s' if first['tests'] != 1 else ''}"
+    return (
+        f"Measure {input_name(first['input'])} first: {tests} bring its part in the uncertainty of {of} down to "
+        f"{100.0 * entry['wanted']:g} %."
+    )
 
 
 def design_table(contents: Contents, name: str) -> Table | None:

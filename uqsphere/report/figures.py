@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, RED, Picture
+from uqsphere.report.canvas import BLUE, INK, PAPER, RED, Picture
 from uqsphere.report.contents import Contents, Samples, law_of
+from uqsphere.report.index_marks import draw_indices
 from uqsphere.report.wording import (
     begin,
     call,
@@ -35,7 +36,7 @@ __all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "sensitivity_figu
 
 Array = npt.NDArray[np.float64]
 
-#: bars of a sensitivity figure
+#: inputs of a sensitivity figure
 MOST_INPUTS: Final = 12
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
@@ -245,73 +246,25 @@ def distribution_finding(contents: Contents, quantity: str) -> str:
 
 
 def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
-    """First and total indices as bars with intervals, the largest on top; None where there are none."""
+    """First and total indices with their uncertainty, the largest on top; None where there are none."""
     entry = contents.results["sensitivity"].get(quantity)
     rows = ranked(entry)
     if not rows:
         return None
     shown = rows[:MOST_INPUTS]
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.15 + 0.52 * len(shown))
-        assert entry is not None
-        top = 0.0
-        for row, name in enumerate(shown):
-            for order, shift, colour, hatch in (("total", 0.18, ORANGE, "///"), ("first", -0.18, BLUE, "")):
-                top = max(top, _index_bar(axes, entry[order][name], row + shift, colour, hatch))
-        axes.set_yticks(range(len(shown)), [canvas.wrap(short_input(name), 24) for name in shown])
-        axes.set_ylim(len(shown) - 0.5, -0.5)
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
-        axes.axvline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, top) * 1.22)
-        axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
-        axes.grid(axis="x")
-        axes.set_xlabel(f"share of the variance of {symbol(quantity, 24)}")
-        _order_legend(axes)
+    assert entry is not None
+    figure = draw_indices(
+        shown,
+        {name: short_input(name) for name in shown},
+        entry["first"],
+        entry["total"],
+        f"share of the variance of {symbol(quantity, 24)}",
+    )
     return Picture(
         name=slug("sensitivity", quantity),
         title=f"What drives {symbol(quantity)}",
         finding=sensitivity_finding(contents, quantity),
         figure=figure,
-    )
-
-
-def _index_bar(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, hatch: str) -> float:
-    """One bar with whisker and label; the right end of what is drawn."""
-    value = estimate["value"]
-    if value is None:
-        return 0.0
-    low = value if estimate["low"] is None else estimate["low"]
-    high = value if estimate["high"] is None else estimate["high"]
-    low, high = max(low, -0.1), min(high, 1.5)
-    axes.barh(y, value, 0.34, facecolor=colour if not hatch else "none", edgecolor=colour, hatch=hatch, linewidth=1.0)
-    axes.plot([low, high], [y, y], color=INK, linewidth=1.2, marker="|", markersize=6)
-    axes.annotate(
-        share_text(estimate),
-        (max(high, value, 0.0), y),
-        xytext=(5, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=8.0,
-    )
-    return float(max(high, value))
-
-
-def _order_legend(axes: Axes) -> None:
-    from matplotlib.patches import Patch
-
-    handles = [
-        Patch(facecolor=BLUE, edgecolor=BLUE, label="alone (first)"),
-        Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="with interactions (total)"),
-    ]
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=2,
-        borderaxespad=0.2,
-        borderpad=0.0,
-        handlelength=1.4,
     )
 
 

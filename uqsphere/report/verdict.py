@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +12,6 @@ from uqsphere.model import status_text
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report import canvas
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import margin_finding
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
     absent_reason,
@@ -22,7 +23,6 @@ from uqsphere.report.wording import (
     plain_percent,
     probability_range,
     probability_text,
-    rounded,
     symbol,
     value_text,
 )
@@ -79,19 +79,44 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     factor = contents.resolved["limits"][name]["model_factor"]
     demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
     note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
-    opened = limit.get("ignorance")
-    if opened is None:
-        note += " Its interval covers the computation; the laws of the inputs and the strength are taken as given."
-    else:
-        note += " Its interval covers the computation alone. " + ignorance_text(contents, limit)
-    if word == "undecided":
-        note += " The interval reaches across the target: more evaluations would decide it."
     return Verdict(
         word=word,
         heading=canvas.shorten(name, 80),
         note=note,
-        lines=(answer, _margin_line(contents, name, limit), _hangs_on(contents, limit)),
+        lines=(answer, _uncertainty(contents, limit, word), _hangs_on(contents, limit)),
     )
+
+
+def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
+    """How far the probability is known: by the computation, against the target, and what the tests leave open."""
+    low, high, target = limit["miss"]["low"], limit["miss"]["high"], limit["target"]
+    text = "Its uncertainty: "
+    if low is None or high is None or not contents.resolved["random"]:
+        text += "the computation adds none."
+    else:
+        text += f"the computation leaves {_ends(limit['miss'])} (95 %)"
+        if word == "undecided":
+            text += "; the interval reaches across the target: more evaluations would decide it"
+        elif target and word == "met" and 0.0 < high < target:
+            text += f", at least {_times(target / high)} times below the target"
+        elif target and word == "not met" and low > target:
+            text += f", at least {_times(low / target)} times the target"
+        text += "."
+    opened = ignorance_text(contents, limit)
+    return f"{text} {opened or 'The laws of the inputs and the strength are taken as given.'}"
+
+
+def _ends(miss: Mapping[str, Any]) -> str:
+    """The ends of an interval, as the answer above has them."""
+    text = probability_text(miss)
+    inside = re.search(r"\((.*)\)(.*)$", text)
+    return text if inside is None else inside[1] + inside[2]
+
+
+def _times(ratio: float) -> str:
+    """A ratio of at least 1, never rounded up."""
+    digits = 1 if ratio < 10.0 else 0
+    return f"{math.floor(ratio * 10**digits) / 10**digits:,.{digits}f}".replace(",", "\u202f")
 
 
 def ignorance_text(contents: Contents, limit: Mapping[str, Any]) -> str:
@@ -128,25 +153,6 @@ def _strength(contents: Contents, name: str) -> str:
     return value_text(float(found), contents.results["limits"][name]["quantity"])
 
 
-def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str:
-    text = margin_finding(name, limit["margin"]).partition(": ")[2] or margin_finding(name, limit["margin"])
-    text = "Margin: " + text
-    values = contents.results["margins"].get(name)
-    if values:
-        # the value that the target allows if it was asked for, else the smallest probability asked for
-        known = {float(p): e for p, e in values["values"].items() if e["value"] is not None}
-        accepted = (
-            limit["target"] if limit["aim"] == "survive" else (1.0 - limit["target"] if limit["target"] else None)
-        )
-        if known:
-            p = min(known, key=lambda q: abs(q - accepted)) if accepted is not None else min(known)
-            text += (
-                f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
-                f"{rounded(known[p], values['solve'])}."
-            )
-    return text
-
-
 def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
     if not contents.resolved["random"]:
         return "It hangs on nothing that scatters: no number of the study is random."
@@ -159,7 +165,7 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         text += ", by their shares in the direction of the failures. "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
-    return text + sensitivity_finding(contents, limit["quantity"])
+    return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()
 
 
 def _quantity_verdict(contents: Contents, name: str) -> Verdict:
@@ -202,7 +208,9 @@ def cautions(contents: Contents) -> list[str]:
                 f"{most} samples of {symbol(name)} outlast their record: they are lower bounds, and mean and standard "
                 "deviation are those restricted to the record."
             )
-    if contents.manifest.get("stopped_by_time"):
+    if contents.manifest.get("interrupted"):
+        found.append("The run was interrupted: these are the answers up to there, and the same command goes on.")
+    elif contents.manifest.get("stopped_by_time"):
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
     elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
         found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")

@@ -96,6 +96,8 @@ def run(
     seconds: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    reached: Callable[[list[dict[str, Any]]], None] | None = None,
 ) -> Run:
     """Run a study and write its result folder.
 
@@ -118,16 +120,23 @@ def run(
     progress : callable(stage, done, total), optional
     notice : callable(text), optional
         Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
+    stop : callable() -> bool, optional
+        Asked before and after every chunk; once it is true the run ends with what is there, and its manifest says
+        `interrupted`.  The same study in the same folder goes on from there.
+    reached : callable(rows), optional
+        Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
 
     Raises
     ------
     UqsphereError
         One of its family: see `uqsphere.errors`.
+    KeyboardInterrupt
+        When `stop` ends the run before there is anything to report.
     """
     from threadpoolctl import threadpool_limits
 
     from uqsphere.model import NO_DAMPER
-    from uqsphere.runner.work import Ledger, Work
+    from uqsphere.runner.work import Ledger, OutOfBudget, Work
 
     if study.receiving_damper is not None:
         raise UsageError(NO_DAMPER)
@@ -163,16 +172,21 @@ def run(
             executor=executor,
             progress=progress,
             seconds=study.analysis.budget.time if seconds is None else seconds,
+            stop=stop,
+            reached=reached,
         )
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
         with threadpool_limits(limits=1, user_api="blas"):
             return _run(work, store, notice)
+    except OutOfBudget as nothing:
+        raise KeyboardInterrupt from nothing
     finally:
         store.close()
 
 
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.courses import save_courses
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.index_control import IndexControl
@@ -227,6 +241,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         paper=compare_with_paper(work.study),
     )
     save_points(work, store, sampled)
+    save_courses(work, store, sampled)
     results = build_results(work, found)
     manifest = build_manifest(work, ledger, found.seconds)
     write_results(store, results, manifest)

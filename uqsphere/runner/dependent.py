@@ -133,8 +133,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
         if all(widest[q] <= asked or given_up[q] for q in work.quantities):
             stopped = "out of reach"
             break
-        if work.ledger.elapsed > work.seconds:
-            work.ledger.stopped_by_time = True
+        if work.out_of_time:
             stopped = "time"
             break
     answers = {

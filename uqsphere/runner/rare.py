@@ -85,7 +85,6 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
                 )
                 found[limit.name] = _with_design(work, answer, design, space)
         except OutOfBudget:
-            work.ledger.stopped_by_time = True
             stopped = "time"
             break
     missed = [text for text in sampled.missed if not text.startswith("limit ")] + _missed(work, found)
@@ -147,7 +146,7 @@ def _space(work: Work, limit: Limit, at: int) -> _Space:
     evaluate = _evaluate_without_scatter if d == 0 else evaluate_points
 
     def g(normals: Array) -> Array:
-        if work.ledger.elapsed > work.seconds:
+        if work.out_of_time:
             raise OutOfBudget
         physical = physical_from_normal(work.drawn, normals)
         answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, physical[:, :d])

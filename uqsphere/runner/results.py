@@ -313,4 +313,5 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "seconds": {"total": ledger.elapsed, **ledger.seconds},
         "speed_error_seconds": seconds,
         "stopped_by_time": ledger.stopped_by_time,
+        "interrupted": ledger.interrupted,
     }

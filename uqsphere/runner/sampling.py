@@ -233,6 +233,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         rows = _record(descriptions, limits, sample.status.size, helper)
         history += rows
         seconds += [work.ledger.elapsed] * len(rows)
+        work.tell(rows)
         if not missed:
             break
         if (
@@ -242,8 +243,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         ):
             stopped = "out of reach"
             break
-        if work.ledger.elapsed > work.seconds:
-            work.ledger.stopped_by_time = True
+        if work.out_of_time:
             stopped = "time"
             break
     assert points is not None

@@ -291,8 +291,7 @@ def find_sensitivity(
         if all(done[q] or given_up[q] for q in work.quantities):
             stopped = "out of reach"
             break
-        if work.ledger.elapsed > work.seconds:
-            work.ledger.stopped_by_time = True
+        if work.out_of_time:
             stopped = "time"
             break
     concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities}
@@ -327,6 +326,7 @@ def note(
             }
         )
         seconds.append(work.ledger.elapsed)
+        work.tell(history[-1:])
 
 
 def _sets(drawn: SampledIndices) -> list[Estimate]:

@@ -80,6 +80,7 @@ class Ledger:
     seconds: dict[str, float] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
     stopped_by_time: bool = False
+    interrupted: bool = False
 
     @property
     def total(self) -> int:
@@ -137,8 +138,28 @@ class Work:
     executor: Executor | None = None
     progress: Callable[[str, int, int], None] | None = None
     seconds: float = float("inf")
+    #: asked between chunks; true ends the run as its time budget would, with what is there
+    stop: Callable[[], bool] | None = None
+    #: told the errors of a stage, the rows of the speed-error table
+    reached: Callable[[list[dict[str, Any]]], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time budget is used up, or the user wants to see what is there; noted in the ledger."""
+        if self.stop is not None and self.stop():
+            self.ledger.interrupted = True
+            return True
+        if self.ledger.elapsed > self.seconds:
+            self.ledger.stopped_by_time = True
+            return True
+        return False
+
+    def tell(self, rows: list[dict[str, Any]]) -> None:
+        """Pass on the errors that a stage has reached."""
+        if self.reached is not None and rows:
+            self.reached(rows)
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -268,7 +289,7 @@ def evaluate_points(
     TooManyFailures
         By the study's failure policy.
     OutOfBudget
-        When the time is over before the first missing chunk; chunks done so far stay stored.
+        When the time is over, or the run interrupted, before the last missing chunk; chunks done stay stored.
     """
     fidelity = fidelity or work.fidelity
     q = len(work.quantities)
@@ -288,6 +309,9 @@ def evaluate_points(
             work.ledger.reused += expected
         else:
             todo.append(k)
+    if todo and work.stop is not None and work.stop():
+        work.ledger.interrupted = True
+        raise OutOfBudget
     for k, answered in _chunks(work, names, rows, fidelity, todo):
         parts[k] = answered
         if work.store is not None:
@@ -297,8 +321,7 @@ def evaluate_points(
             work.store.save(f"{key}.{k}", packed)
         if work.progress is not None:
             work.progress(key.split(".")[0], min((k + 1) * CHUNK, len(rows)), len(rows))
-        if work.ledger.elapsed > work.seconds and k != todo[-1]:
-            work.ledger.stopped_by_time = True
+        if k != todo[-1] and work.out_of_time:
             raise OutOfBudget
     whole = Answered(
         values=np.concatenate([parts[k].values for k in range(count)]),

@@ -1,0 +1,90 @@
+"""Runs that are ended early say so, keep what is there, and go on to the same answers; forces over time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.console import Progress, bar
+from uqsphere.report import build_report
+from uqsphere.study import Study
+from uqsphere.summary import summary_of
+
+
+@pytest.mark.parametrize("after", [1, 2, 3])
+def test_an_early_end_reports_what_is_there_and_goes_on(
+    study_from: Callable[..., Study], tmp_path: Path, after: int
+) -> None:
+    study = study_from("analysis.accuracy.quantile=0.02", "analysis.accuracy.sobol=0.01", quick=True)
+    chunks = 0
+
+    def count(stage: str, done: int, total: int) -> None:
+        nonlocal chunks
+        chunks += 1
+
+    run = uqsphere.run(study, out=tmp_path / "r", progress=count, stop=lambda: chunks >= after)
+    assert run.manifest["interrupted"] is True
+    assert chunks == after
+    assert "The run was interrupted" in build_report(run.folder).read_text(encoding="utf-8")
+    assert run.results["quantities"]["p_max"]["mean"]["value"] is not None
+    assert summary_of(run.results)
+    whole = uqsphere.run(study, out=tmp_path / "whole")
+    resumed = uqsphere.run(study, out=tmp_path / "r")
+    assert resumed.manifest["interrupted"] is False
+    assert resumed.manifest["evaluations_reused"] > 0
+    for name in ("results.json", "courses.json", "tables/courses.csv"):
+        assert (resumed.folder / name).read_bytes() == (whole.folder / name).read_bytes()
+
+
+def test_an_end_before_anything_is_there_is_an_interruption(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        uqsphere.run(study_from(quick=True), out=tmp_path / "r", stop=lambda: True)
+    assert not (tmp_path / "r" / "results.json").exists()
+
+
+def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from('analysis.quantities=["P_max"]', "analysis.accuracy.quantile=0.05", quick=True)
+    run = uqsphere.run(study, out=tmp_path / "r")
+    courses = json.loads((run.folder / "courses.json").read_text(encoding="utf-8"))
+    low, middle, high = (np.maximum(courses["force_a"][p], courses["force_b"][p]) for p in ("0.05", "0.5", "0.95"))
+    assert np.all(low <= middle)
+    assert np.all(middle <= high)
+    assert courses["time"] == sorted(courses["time"])
+    largest = run.samples()["P_max"]
+    # peaks of single scenes lie at or above the quantiles taken instant by instant
+    assert middle.max() <= 1.02 * largest.median()
+    hardest = max(max(courses["hardest"]["force_a"]), max(courses["hardest"]["force_b"]))
+    assert largest.quantile(0.9) < hardest <= 1.001 * largest.max()
+
+
+def test_a_black_box_has_no_forces(tmp_path: Path) -> None:
+    source = Path(uqsphere.__file__).parent.parent / "studies" / "ishigami.toml"
+    study = uqsphere.load_study(source, ["analysis.budget.evaluations=8000"])
+    run = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["x1"] + x["x2"] * x["x3"]})
+    assert not (run.folder / "courses.json").exists()
+
+
+def test_progress_tells_the_accuracy_and_the_most_that_is_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("uqsphere.console.time.monotonic", lambda: now)
+    progress = Progress(evaluations=40_000, seconds=600.0, asked={"mean": 0.01, "sobol": 0.02}, began=now, started=now)
+    kinds = ("half-width of the mean over the standard deviation", "largest half-width of an index")
+    progress.reached([{"quantity": "p_max", "error": 0.02, "error_kind": kinds[0]}])
+    progress.reached([{"quantity": "p_max", "error": 0.01, "error_kind": kinds[1]}])
+    now += 10.0
+    progress("sampling", 10_000, 20_000)
+    line = capsys.readouterr().err
+    assert "sampling: 10,000 of 20,000 evaluations" in line
+    assert "at most 30 s in all" in line  # 10,000 in 10 s, 40,000 allowed
+    assert "error over what was asked: p_max 2" in line
+
+
+def test_bars_have_one_length() -> None:
+    assert {len(bar(share, 12)) for share in (-0.1, 0.0, 0.013, 0.5, 0.999, 1.0, 1.3)} == {12}

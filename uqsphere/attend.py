@@ -1,0 +1,104 @@
+"""A run with somebody at the terminal: progress, and an early end with what is there."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.console import Progress
+from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    from uqsphere.runner import Run
+
+__all__ = ["Patience", "attend"]
+
+_NOTICE = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
+
+
+class Patience:
+    """While it is in force the first Ctrl-C asks to stop, the second stops.
+
+    `asked` is what `uqsphere.runner.run` takes as `stop`.  Outside the main thread nothing changes.
+    """
+
+    def __init__(self, notice: str) -> None:
+        self.notice = notice
+        self.interrupted = False
+        self._before: Any = None
+
+    def asked(self) -> bool:
+        """Whether somebody wants to see what is there."""
+        return self.interrupted
+
+    def _first(self, number: int, frame: FrameType | None) -> None:
+        self.interrupted = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        print(f"\n{self.notice}", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Patience:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._first)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+
+def attend(
+    study: Study, *, out: Path | None, model: str | None, jobs: int | None, fresh: bool, seconds: float | None
+) -> tuple[Run, bool]:
+    """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early.
+
+    Parameters are those of `uqsphere.runner.run`; with `jobs` above 1 a black box runs in that many processes.
+    """
+    from uqsphere.runner import run
+
+    budget = study.analysis.budget
+    progress = Progress(
+        evaluations=budget.evaluations,
+        seconds=budget.time if seconds is None else seconds,
+        asked=vars(study.analysis.accuracy),
+    )
+    with Patience(_NOTICE) as patience:
+        go: dict[str, Any] = {
+            "out": out,
+            "model": model,
+            "fresh": fresh,
+            "seconds": seconds,
+            "progress": progress,
+            "notice": progress.say,
+            "stop": patience.asked,
+            "reached": progress.reached,
+        }
+        if study.black_box and model and (jobs or 1) > 1:
+            found = _in_processes(study, jobs or 1, go)
+        else:
+            found = run(study, threads=jobs, **go)
+    progress.finish()
+    return found, patience.interrupted
+
+
+def _in_processes(study: Study, jobs: int, go: dict[str, Any]) -> Run:
+    """A black box runs in processes of its own, since nothing is known of its threads."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    from uqsphere.runner import run
+
+    # Ctrl-C reaches the workers too: they finish their chunk, and this process decides
+    with ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+    ) as pool:
+        try:
+            return run(study, executor=pool, **go)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

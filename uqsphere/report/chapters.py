@@ -1,0 +1,365 @@
+"""The order of the page: one list of chapters, each a function from what is stored to its blocks.
+
+A new figure or table is a `Block` in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from uqsphere.report import (
+    decision,
+    drivers,
+    figures,
+    force_band,
+    limit_surface,
+    method,
+    origins,
+    pair_figures,
+    progress,
+    sections,
+    swings,
+)
+from uqsphere.report.blocks import Block, Chapter
+from uqsphere.report.contents import Contents
+from uqsphere.report.wording import begin, call, capital, limit_name, symbol
+
+__all__ = ["CHAPTERS", "build_chapters"]
+
+
+def build_chapters(contents: Contents) -> list[Chapter]:
+    """The chapters that have something to say, in the order of the page."""
+    found = []
+    for build in CHAPTERS:
+        chapter = build(contents)
+        if any(not block.empty for block in chapter.blocks):
+            found.append(chapter)
+    return found
+
+
+# --- the decision and its margins -----------------------------------------------------------------------
+
+
+def _fragility(contents: Contents, name: str) -> Block:
+    return Block(
+        heading=f"Fragility of {limit_name(name)}",
+        finding=decision.fragility_finding(contents, name),
+        picture=decision.fragility_figure(contents, name),
+        table=sections.margins_table(contents, name),
+        files=("tables/margins.csv", "tables/fragility.csv"),
+    )
+
+
+def _distribution(contents: Contents, name: str) -> Block:
+    single = figures.single_value(contents, name)
+    finding = f"One value: {single}." if single else _without_name(figures.distribution_finding(contents, name))
+    return Block(
+        heading=begin(name, call(name)),
+        finding=finding,
+        picture=figures.distribution_figure(contents, name),
+        table=sections.quantity_table(contents, name),
+        appendix=not single,
+        files=("tables/quantities.csv",),
+    )
+
+
+def _without_name(finding: str) -> str:
+    """A finding under a heading that names its subject."""
+    return capital(finding.partition(": ")[2])
+
+
+def _decided(contents: Contents) -> list[str]:
+    """Quantities whose distribution is the figure of the decision: where no fragility was asked for."""
+    if contents.results["margins"]:
+        return []
+    return _of_limits(contents) or list(contents.results["quantities"])[:1]
+
+
+def _of_limits(contents: Contents) -> list[str]:
+    """Quantities that have a limit, each once."""
+    found = dict.fromkeys(limit["quantity"] for limit in contents.results["limits"].values())
+    return [name for name in found if name in contents.results["quantities"]]
+
+
+def decision_chapter(contents: Contents) -> Chapter:
+    """Fragility with operating point and target; else the demand against the strength."""
+    blocks = [_fragility(contents, name) for name in contents.results["margins"]]
+    blocks += [_distribution(contents, name) for name in _decided(contents)]
+    return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
+
+
+def margins_chapter(contents: Contents) -> Chapter:
+    """How far the strength is from the demand, where the margin goes, and how it would be missed."""
+    limits, blocks = contents.results["limits"], []
+    if limits:
+        blocks.append(
+            Block(
+                heading="Strength over demand",
+                finding=" ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items()),
+                picture=decision.margin_figure(contents),
+                table=sections.limits_table(contents),
+                appendix=True,
+                files=("tables/limits.csv",),
+            )
+        )
+    shown = _decided(contents)
+    blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
+    for name in limits:
+        heading = f"The likeliest way to miss the aim of {limit_name(name)}"
+        blocks += [
+            Block(
+                heading=f"Where the margin of {limit_name(name)} goes",
+                finding=swings.waterfall_finding(contents, name),
+                picture=swings.waterfall_figure(contents, name),
+                table=swings.waterfall_table(contents, name),
+                appendix=True,
+            ),
+            Block(
+                heading=f"On which side of {limit_name(name)} the samples lie",
+                finding=limit_surface.surface_finding(contents, name),
+                picture=limit_surface.surface_figure(contents, name),
+            ),
+            Block(
+                heading=heading,
+                finding=drivers.design_finding(contents, name) if drivers.design_table(contents, name) else "",
+                table=drivers.design_table(contents, name),
+            ),
+            Block(
+                heading=f"Inputs where {limit_name(name)} is missed",
+                table=drivers.given_failure_table(contents, name),
+                files=("tables/drivers.csv",),
+            ),
+        ]
+    return Chapter(anchor="margins", heading="Margins", short="Margins", blocks=tuple(blocks))
+
+
+# --- what drives it, what to measure ----------------------------------------------------------------------
+
+
+def _indices(contents: Contents, name: str) -> Block:
+    entry = contents.results["sensitivity"][name]
+    picture = figures.sensitivity_figure(contents, name)
+    remarks = [str(entry.get("check", {}).get("text") or "")] if picture is not None else []
+    hidden = len(figures.ranked(entry)) - figures.MOST_INPUTS
+    if hidden > 0:
+        remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
+    return Block(
+        heading=symbol(name),
+        finding=figures.sensitivity_finding(contents, name),
+        picture=picture,
+        table=sections.index_table(contents, name) or drivers.shapley_table(contents, name),
+        remarks=tuple(text for text in remarks if text),
+        appendix=picture is not None,
+        files=("tables/sensitivity.csv",),
+    )
+
+
+def _beyond_indices(contents: Contents, name: str) -> list[Block]:
+    """Pairs, groups, swings, and distances between whole laws."""
+    return [
+        Block(
+            heading=f"{symbol(name)}: which inputs act together",
+            finding=pair_figures.pair_finding(contents, name),
+            picture=pair_figures.pair_figure(contents, name),
+            table=pair_figures.pair_table(contents, name),
+            appendix=True,
+            files=("tables/sensitivity.csv",),
+        ),
+        Block(
+            heading=f"{symbol(name)}: groups of inputs",
+            finding=pair_figures.group_finding(contents, name),
+            picture=pair_figures.group_figure(contents, name),
+            table=pair_figures.group_table(contents, name),
+            appendix=True,
+            files=("tables/sensitivity.csv",),
+        ),
+        Block(
+            heading=f"{symbol(name)}: how far each input moves it",
+            finding=swings.tornado_finding(contents, name) if swings.swings(contents, name) else "",
+            picture=swings.tornado_figure(contents, name),
+            table=swings.tornado_table(contents, name),
+            appendix=True,
+        ),
+        Block(
+            heading=f"{symbol(name)} beyond its variance",
+            finding=drivers.distances_finding(contents, name),
+            table=drivers.distances_table(contents, name),
+            appendix=True,
+            files=("tables/drivers.csv",),
+        ),
+    ]
+
+
+def drivers_chapter(contents: Contents) -> Chapter:
+    """What drives each limit, then each quantity, those of the limits first."""
+    blocks = []
+    for name, limit in contents.results["limits"].items():
+        table = drivers.failure_table(contents, name) if limit.get("drivers") else None
+        if table is not None:
+            blocks.append(
+                Block(
+                    heading=f"Missing the aim of {limit_name(name)}",
+                    finding=drivers.failure_finding(contents, name),
+                    table=table,
+                    files=("tables/drivers.csv",),
+                )
+            )
+    for name in dict.fromkeys(
+        [*(q for q in _of_limits(contents) if q in contents.results["sensitivity"]), *contents.results["sensitivity"]]
+    ):
+        blocks += [_indices(contents, name), *_beyond_indices(contents, name)]
+    return Chapter(
+        anchor="drivers",
+        heading="What drives it",
+        short="What drives it",
+        blocks=tuple(blocks),
+        remark="The first index is the share of the variance that an input causes alone, the total one includes its "
+        "interactions. A violin shows where an index is likely to lie, the whisker its 95 % interval.",
+    )
+
+
+def measure_chapter(contents: Contents) -> Chapter:
+    """What to measure next, for every limit and every quantity."""
+    blocks = []
+    for kind in ("limits", "sensitivity"):
+        for name, entry in contents.results[kind].items():
+            first = entry.get("measure_first")
+            words = limit_name(name) if kind == "limits" else symbol(name)
+            caption = (
+                f"What better known laws are worth, {words}"
+                if kind == "limits"
+                else f"What the variance of {words} would lose"
+            )
+            table = drivers.measure_table(first, caption)
+            if table is not None:
+                blocks.append(
+                    Block(
+                        heading=f"What to measure first for {words}",
+                        finding=drivers.measure_finding(first),
+                        table=table,
+                        remarks=(str(first["method"]),),
+                        files=("tables/drivers.csv",),
+                    )
+                )
+    return Chapter(
+        anchor="measure",
+        heading="What to measure next",
+        short="What to measure",
+        blocks=tuple(blocks),
+        remark="From the samples that are there, without further evaluations.",
+    )
+
+
+# --- the quantities, and how they were computed ------------------------------------------------------------
+
+
+def quantities_chapter(contents: Contents) -> Chapter:
+    """Distributions that were not shown above, and the force over time."""
+    shown = {*_decided(contents), *_of_limits(contents)}
+    blocks = [_distribution(contents, name) for name in contents.results["quantities"] if name not in shown]
+    blocks.append(
+        Block(
+            heading="Force over time",
+            finding=force_band.force_band_finding(contents),
+            picture=force_band.force_band_figure(contents),
+            table=force_band.hardest_table(contents),
+            appendix=True,
+            files=("tables/courses.csv",) if contents.courses is not None else (),
+        )
+    )
+    return Chapter(
+        anchor="quantities",
+        heading="The quantities in full",
+        short="Quantities",
+        blocks=tuple(blocks),
+        remark="Figures: drawn from up to 16 384 stored samples. Numbers: from all evaluations.",
+    )
+
+
+def computed_chapter(contents: Contents) -> Chapter:
+    """Validity, model, methods, accuracy, convergence and speed."""
+    missed = tuple(str(text) for text in contents.results["accuracy"]["missed"])[:200]
+    steps, speed = progress.convergence_figure(contents), progress.speed_figure(contents)
+    blocks = [
+        Block(
+            heading="Validity of the model",
+            table=method.checks_table(contents) if contents.results["validity"] else None,
+            kind="checks notes",
+            files=("tables/validity.csv",),
+        ),
+        Block(
+            heading="The paper’s formulas as printed, and corrected",
+            table=method.paper_table(contents),
+            kind="notes",
+            files=("tables/paper.csv",),
+        ),
+        Block(
+            heading="Model chosen",
+            finding=f"The model is {contents.results['model']['chosen']}: {contents.results['model']['why']}.",
+            table=method.model_table(contents),
+            appendix=True,
+        ),
+        Block(heading="Methods", table=method.methods_table(contents), kind="notes"),
+        Block(
+            heading="What was asked, what was reached",
+            finding=progress.progress_finding(contents),
+            table=method.accuracy_table(contents),
+            remarks=tuple(f"Not reached: {text}" for text in missed),
+            kind="brief",
+        ),
+        Block(
+            heading="Error against evaluations",
+            picture=steps,
+            remarks=(
+                "Errors are half-widths of 95 % intervals over what the study asks for; for polynomial chaos the share "
+                "of the variance that it leaves unexplained. Below the dashed line the accuracy is reached.",
+            )
+            if steps is not None
+            else (),
+            files=("tables/speed_error.csv",),
+        ),
+        Block(
+            heading="Speed against error of each method",
+            finding="The same errors over the seconds since the start, the methods running one after the other."
+            if speed is not None
+            else "",
+            picture=speed,
+            files=("tables/speed_error.csv", "manifest.json"),
+        ),
+    ]
+    return Chapter(
+        anchor="computed",
+        heading="How it was computed, and how far to believe it",
+        short="How far to believe it",
+        blocks=tuple(blocks),
+    )
+
+
+def inputs_chapter(contents: Contents) -> Chapter:
+    """Inputs with their laws and sources."""
+    dependence = tuple(origins.dependence_texts(contents))
+    fixed = origins.fixed_table(contents)
+    blocks = (
+        Block(
+            heading="Random inputs",
+            table=origins.inputs_table(contents) if contents.results["inputs"] else None,
+            remarks=dependence,
+            kind="notes",
+            files=("tables/inputs.csv",),
+        ),
+        Block(heading="Fixed numbers", table=fixed, kind="notes"),
+    )
+    return Chapter(anchor="inputs", heading="Inputs and their sources", short="Inputs", blocks=blocks)
+
+
+#: the page from top to bottom, between the verdict and the appendix
+CHAPTERS: Final[tuple[Callable[[Contents], Chapter], ...]] = (
+    decision_chapter,
+    margins_chapter,
+    drivers_chapter,
+    measure_chapter,
+    quantities_chapter,
+    computed_chapter,
+    inputs_chapter,
+)

@@ -1,0 +1,130 @@
+"""The questions that are asked of every report first, each with its answer in a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from uqsphere.report.contents import Contents
+from uqsphere.report.decision import margin_finding
+from uqsphere.report.drivers import measure_finding
+from uqsphere.report.figures import sensitivity_finding
+from uqsphere.report.verdict import check_name
+from uqsphere.report.wording import (
+    capital,
+    estimate_text,
+    input_name,
+    limit_name,
+    listed,
+    plain_percent,
+    symbol,
+)
+
+__all__ = ["Glance", "allowed_value", "glances"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Glance:
+    """A question, its answer, and the anchor of the chapter that says more."""
+
+    question: str
+    answer: str
+    anchor: str
+
+
+def glances(contents: Contents) -> list[Glance]:
+    """What is asked first: how far may one go, how much margin, what drives it, what to measure, is it valid."""
+    limits, found = contents.results["limits"], []
+    several = len(limits) > 1
+    for name, limit in limits.items():
+        own = f" ({limit_name(name, 30)})" if several else ""
+        if name in contents.results["margins"]:
+            solve = contents.results["margins"][name]["solve"]
+            word = "Least" if limit["aim"] == "break" else "Largest"
+            mean = "mean " if solve in contents.resolved["random"] else ""
+            question = f"{word} {mean}{input_name(solve)}{own}"
+            found.append(Glance(question=question, answer=allowed_value(contents, name), anchor="decision"))
+        text = margin_finding(name, limit["margin"])
+        answer = capital(text.partition(": ")[2] if ": the " in text else text)
+        found.append(Glance(question=f"Margin{own}", answer=answer, anchor="margins"))
+        found.append(
+            Glance(question=f"Measure next{own}", answer=_measure(limit.get("measure_first")), anchor="measure")
+        )
+    if not limits:
+        for entry in contents.results["sensitivity"].values():
+            if entry.get("measure_first"):
+                found.append(Glance(question="Measure next", answer=_measure(entry["measure_first"]), anchor="measure"))
+                break
+    quantities = dict.fromkeys(limit["quantity"] for limit in limits.values())
+    for name in [q for q in quantities if q in contents.results["sensitivity"]]:
+        found.append(Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers"))
+    if contents.results["validity"]:
+        found.append(Glance(question="Model valid?", answer=_valid(contents), anchor="computed"))
+    kept = [glance for glance in found if glance.answer]
+    order = ("Largest", "Least", "Margin", "Main driver", "Measure next", "Model valid?")
+    return sorted(kept, key=lambda g: next(k for k, word in enumerate(order) if g.question.startswith(word)))
+
+
+def allowed_value(contents: Contents, name: str) -> str:
+    """How far the free scalar may go: where the accepted probability is reached, of those asked for."""
+    limit, entry = contents.results["limits"][name], contents.results["margins"][name]
+    known = {float(p): e for p, e in entry["values"].items() if e["value"] is not None}
+    if not known:
+        return ""
+    survive = limit["aim"] == "survive"
+    target = limit["target"]
+    accepted = None if target is None else (target if survive else 1.0 - target)
+    # on the safe side of what is accepted; without a target the safest that was asked for
+    safe = {p: e for p, e in known.items() if accepted is not None and (p <= accepted if survive else p >= accepted)}
+    p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
+    text = f"{estimate_text(known[p], entry['solve'])}: there the probability of exceeding {limit_name(name)} is "
+    text += plain_percent(p)
+    if accepted is not None and not safe:
+        text += f", more than the target allows ({plain_percent(accepted)}); no smaller probability was asked for"
+        if not survive:
+            text = (
+                text.replace(", more than", ", less than").replace("no smaller", "no larger").replace("allows", "needs")
+            )
+    elif accepted is not None and p == accepted:
+        text += ", the target"
+    return text + "."
+
+
+def _driver(contents: Contents, quantity: str) -> str:
+    """What drives the probability of the limits of a quantity, and the quantity itself."""
+    parts = []
+    for name, limit in contents.results["limits"].items():
+        shares = limit.get("governing_inputs") or {}
+        if limit["quantity"] == quantity and shares:
+            first = max(shares, key=lambda n: float(shares[n]))
+            parts.append(
+                f"Of {limit_name(name)}: {input_name(first)} ({100.0 * float(shares[first]):.0f} % of its scatter)."
+            )
+    return " ".join(
+        [
+            *parts,
+            f"Of {symbol(quantity)} itself: {sensitivity_finding(contents, quantity).partition(';')[0].rstrip('.')}.",
+        ]
+    )
+
+
+def _measure(entry: Mapping[str, Any] | None) -> str:
+    """Which input first, and how many specimens it takes."""
+    rows = (entry or {}).get("rows") or []
+    if not rows or entry is None:
+        return ""
+    return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
+
+
+def _valid(contents: Contents) -> str:
+    """Whether an assumption of the model is broken, and which."""
+    for grade, words in (("failure", "No: outside the model’s validity"), ("warning", "With warnings")):
+        broken = [c for c in contents.results["validity"] if c.get(f"share_{grade}", 0.0) > 0.0]
+        if broken:
+            named = [f"{check_name(c['check'])} ({plain_percent(c[f'share_{grade}'])} of the samples)" for c in broken]
+            return f"{words}: {listed(named)}."
+    unknown = [c for c in contents.results["validity"] if c["worst"] is None]
+    if unknown:
+        return f"As far as checked; not checked: {listed([check_name(c['check']) for c in unknown])}."
+    return f"Yes: all {len(contents.results['validity'])} checks are passed in every sample."

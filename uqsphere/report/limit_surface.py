@@ -1,0 +1,210 @@
+"""Samples on both sides of a limit: the input that matters most against the strength, or against the demand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.quantities import display_unit
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, INK, ORANGE, RED, Picture
+from uqsphere.report.contents import Contents, law_of
+from uqsphere.report.figures import axis_label, slug
+from uqsphere.report.wording import limit_name, plain_percent, short_input, symbol
+from uqsphere.uq.laws import ppf
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["Sides", "sides_of", "surface_figure", "surface_finding"]
+
+Array = npt.NDArray[np.float64]
+
+#: points that are drawn, and slices in which the demand is described
+_DRAWN: Final = 900
+_SLICES: Final = 12
+#: points that a slice must hold
+_FEWEST: Final = 20
+#: fraction of the golden section: its multiples fill (0, 1) evenly, in the order of the samples
+_GOLDEN: Final = 0.6180339887498949
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sides:
+    """Samples of a limit: the input `name` (n,), demand (n,), strength (n,), all in SI; `missed` (n,) flags.
+
+    `random` tells whether the strength scatters.
+    """
+
+    name: str
+    x: Array
+    demand: Array
+    strength: Array
+    missed: npt.NDArray[np.bool_]
+    random: bool
+
+
+def _paired(contents: Contents, limit: str) -> bool:
+    """Whether the strength depends on another number, so that it cannot be drawn by itself."""
+    own = f"limits.{limit}.strength"
+    return any(own in group["of"] for group in contents.resolved.get("dependence", []))
+
+
+def sides_of(contents: Contents, limit: str) -> Sides | None:
+    """The samples of a limit with a strength each; None where there is nothing to show.
+
+    A strength that scatters by itself is not sampled by a run but integrated; for the picture each sample gets one
+    from an even sequence over its law.  One that depends on an input is set by the rank of that input, by the
+    normal copula, where it depends on one input alone.
+    """
+    entry, resolved = contents.results["limits"][limit], contents.resolved["limits"][limit]
+    samples = contents.samples.get(entry["quantity"])
+    names = [
+        n for n in contents.results["sensitivity"].get(entry["quantity"], {}).get("first", {}) if _varies(contents, n)
+    ]
+    if samples is None or not names or resolved["model_factor"] != 1.0 or samples.censored.mean() > 0.05:
+        return None
+    if len(samples.values) < _SLICES * _FEWEST:
+        return None
+    shares = entry.get("governing_inputs") or {}
+    name = max(names, key=lambda n: (float(shares.get(n, 0.0)), _tie(contents.points[n], samples.values)))
+    law = law_of(contents.resolved, f"limits.{limit}.strength")
+    if law is None:
+        if resolved["strength"] == "random":
+            return None
+        strength = np.full(len(samples.values), float(resolved["strength"]))
+    else:
+        levels = _levels(contents, limit, len(samples.values))
+        if levels is None:
+            return None
+        strength = np.asarray(ppf(law, levels), dtype=float)
+    over = samples.values > strength
+    return Sides(
+        name=name,
+        x=contents.points[name],
+        demand=samples.values,
+        strength=strength,
+        missed=over if entry["aim"] == "survive" else ~over,
+        random=law is not None,
+    )
+
+
+def _varies(contents: Contents, name: str) -> bool:
+    return name in contents.points and float(np.ptp(contents.points[name])) > 0.0
+
+
+def _tie(x: Array, y: Array) -> float:
+    """Rank correlation, without its sign."""
+    ranks = np.array([np.argsort(np.argsort(v)) for v in (x, y)], dtype=float)
+    return abs(float(np.corrcoef(ranks)[0, 1]))
+
+
+def _levels(contents: Contents, limit: str, n: int) -> Array | None:
+    """Probabilities of the strengths of n samples, in (0, 1)."""
+    even = np.asarray((0.5 + _GOLDEN * np.arange(1, n + 1)) % 1.0)
+    if not _paired(contents, limit):
+        return even
+    from scipy.special import ndtr, ndtri
+
+    own = f"limits.{limit}.strength"
+    groups = [group for group in contents.resolved["dependence"] if own in group["of"]]
+    others = [name for group in groups for name in group["of"] if name != own]
+    if len(others) != 1 or others[0] not in contents.points or groups[0]["copula"] not in ("gaussian", "normal"):
+        return None
+    rank = groups[0].get("spearman")
+    if rank is None:
+        return None
+    # Pearson's correlation of the normal scores from Spearman's of the ranks (Pearson 1907)
+    rho = 2.0 * np.sin(np.pi * float(rank) / 6.0)
+    scores = ndtri((np.argsort(np.argsort(contents.points[others[0]])) + 0.5) / n)
+    return np.asarray(ndtr(rho * scores + np.sqrt(1.0 - rho**2) * ndtri(even)))
+
+
+def _slices(x: Array, y: Array) -> tuple[Array, Array]:
+    """Middles (k,) of slices of x with equally many points, and 5, 50 and 95 % of y in each (k, 3)."""
+    order = np.argsort(x)
+    parts = np.array_split(order, _SLICES)
+    middles = np.array([np.median(x[part]) for part in parts])
+    return middles, np.array([np.quantile(y[part], [0.05, 0.5, 0.95]) for part in parts])
+
+
+def surface_figure(contents: Contents, limit: str) -> Picture | None:
+    """Samples over the governing input: strengths against the demand that they must withstand."""
+    sides = sides_of(contents, limit)
+    if sides is None:
+        return None
+    quantity = contents.results["limits"][limit]["quantity"]
+    across, up = display_unit(sides.name)[1], display_unit(quantity)[1]
+    drawn = _chosen(sides)
+    y = sides.strength if sides.random else sides.demand
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.9)
+        kept = drawn & ~sides.missed
+        lost = drawn & sides.missed
+        axes.plot(sides.x[kept] * across, y[kept] * up, ".", color=BLUE, markersize=3.0, alpha=0.55)
+        axes.plot(sides.x[lost] * across, y[lost] * up, "x", color=RED, markersize=5.0, markeredgewidth=1.2)
+        middles, band = _slices(sides.x, sides.demand)
+        if sides.random:
+            axes.fill_between(middles * across, band[:, 0] * up, band[:, 2] * up, color=ORANGE, alpha=0.30, linewidth=0)
+            axes.plot(middles * across, band[:, 1] * up, color=INK)
+        else:
+            axes.axhline(float(sides.strength[0]) * up, color=INK, linestyle="--")
+        axes.set_xlabel(axis_label(sides.name, canvas.shorten(short_input(sides.name), 50)))
+        axes.set_ylabel(axis_label(quantity, "strength" if sides.random else symbol(quantity, 24)))
+        axes.grid()
+        _legend(axes, sides, quantity, bool(lost.any()))
+    columns = np.stack([sides.x[drawn], sides.demand[drawn], sides.strength[drawn], sides.missed[drawn]], axis=1)
+    return Picture(
+        name=slug("surface", limit),
+        title=f"Samples on both sides of {limit_name(limit)}",
+        finding=surface_finding(contents, limit),
+        figure=figure,
+        header=(sides.name, quantity, "strength", "missed"),
+        rows=tuple((float(a), float(b), float(c), int(d)) for a, b, c, d in columns),
+    )
+
+
+def _chosen(sides: Sides) -> npt.NDArray[np.bool_]:
+    """An even choice of the samples, so that the shares of both sides are seen as they are."""
+    n = len(sides.x)
+    drawn = np.zeros(n, dtype=bool)
+    drawn[:: max(1, -(-n // _DRAWN))] = True
+    return drawn
+
+
+def _legend(axes: Axes, sides: Sides, quantity: str, lost: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Line2D([], [], color=BLUE, marker=".", linestyle="", label="sample that meets the aim")]
+    if lost:
+        handles.append(Line2D([], [], color=RED, marker="x", linestyle="", label="sample that misses it"))
+    if sides.random:
+        handles += [
+            Line2D([], [], color=INK, label=f"limit: median {symbol(quantity, 20)}"),
+            Patch(facecolor=ORANGE, alpha=0.30, label="its 5 to 95 %"),
+        ]
+    else:
+        handles.append(Line2D([], [], color=INK, linestyle="--", label="limit: the strength"))
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
+
+
+def surface_finding(contents: Contents, limit: str) -> str:
+    """Where along the governing input the misses lie."""
+    sides = sides_of(contents, limit)
+    if sides is None:
+        return ""
+    n = int(sides.missed.sum())
+    words = short_input(sides.name)
+    if n == 0:
+        return f"None of {len(sides.x):,} samples misses the aim.".replace(",", " ")
+    where = float((sides.x[sides.missed] > np.median(sides.x)).mean())
+    half = "upper" if where >= 0.5 else "lower"
+    share = max(where, 1.0 - where)
+    text = f"Of the samples that miss the aim {100.0 * share:.0f} % lie in the {half} half of {words}"
+    if n < 30:
+        text = f"The {n} samples that miss the aim are too few to say where along {words} they lie"
+    return text + f"; in this picture {plain_percent(n / len(sides.x))} of the samples miss it."

@@ -1,0 +1,259 @@
+"""How the answers were computed and how far to believe them: checks, model, methods, accuracy, repetition."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from uqsphere.quantities import OUTPUTS
+from uqsphere.report.contents import Contents
+from uqsphere.report.tables import Table, thousands
+from uqsphere.report.verdict import check_name
+from uqsphere.report.wording import (
+    ABSENT,
+    call,
+    limit_name,
+    listed,
+    number_text,
+    plain_percent,
+    symbol,
+    value_text,
+)
+from uqsphere.runner.results import savings
+
+__all__ = [
+    "accuracy_table",
+    "checks_table",
+    "commands",
+    "methods_table",
+    "model_table",
+    "paper_table",
+    "repeat_rows",
+]
+
+
+def checks_table(contents: Contents) -> Table:
+    """Validity checks, graded, with the share of the samples that break each."""
+    rows = []
+    for check in contents.results["validity"]:
+        shares = [(grade, check.get(f"share_{grade}", 0.0)) for grade in ("failure", "warning", "information")]
+        broken = [f"{plain_percent(share)} {grade}" for grade, share in shares if share > 0.0]
+        grade = next((grade for grade, share in shares if share > 0.0), "ok")
+        if check["worst"] is None and grade == "ok":
+            grade = "not checked"
+        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", str(check["text"])))
+    return Table(
+        caption="Assumptions of the model, checked on a pilot sample",
+        rows=tuple(rows),
+        header=("assumption", "grade", "share of samples", "finding"),
+    )
+
+
+def paper_table(contents: Contents) -> Table | None:
+    """The paper's formulas as printed beside the corrected and the full answers."""
+    found = contents.results.get("paper") or []
+    rows = []
+    for row in found:
+        name = row["quantity"] if row["quantity"] in OUTPUTS else ""
+        texts = [_paper_number(row[key], name, row["unit"]) for key in ("as_printed", "corrected", "full")]
+        off = ABSENT
+        if row["as_printed"] is not None and row["full"]:
+            off = number_text(f"{100.0 * (row['as_printed'] / row['full'] - 1.0):+.3g}") + " %"
+        rows.append((str(row["quantity"]).replace("_", " ") if not name else call(name), *texts, off, str(row["note"])))
+    if not rows:
+        return None
+    return Table(
+        caption="At the means of the inputs",
+        rows=tuple(rows),
+        header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
+    )
+
+
+#: SI unit -> a named quantity with that unit's display, for rows that are no quantity of interest
+_LIKE = {"Pa": "p_max", "N": "P_max", "m": "alpha_max", "s": "contact_time", "J": "energy"}
+
+
+def _paper_number(value: float | None, name: str, unit: str) -> str:
+    return ABSENT if value is None else value_text(value, name or _LIKE.get(unit, ""), 5)
+
+
+def _half(estimate: Mapping[str, Any]) -> float | None:
+    if estimate["value"] is None or estimate["low"] is None or estimate["high"] is None:
+        return None
+    return 0.5 * float(estimate["high"] - estimate["low"])
+
+
+def accuracy_table(contents: Contents) -> Table:
+    """Half-widths asked and reached, one row per question."""
+    asked = contents.resolved["analysis"]["accuracy"]
+    rows: list[tuple[str, ...]] = []
+
+    def add(question: str, reached: float | None, allowed: float) -> None:
+        # rounding must not turn a miss into a hit
+        verdict = ABSENT if reached is None else ("reached" if reached <= allowed else "not reached")
+        rows.append((question, f"{allowed:g}", ABSENT if reached is None else number_text(f"{reached:.2g}"), verdict))
+
+    for name, entry in contents.results["quantities"].items():
+        sd = entry["sd"]["value"]
+        widths = [w for w in map(_half, entry["quantiles"].values()) if w is not None]
+        mean = _half(entry["mean"])
+        add(
+            f"mean of {symbol(name)}, over its standard deviation",
+            mean / sd if sd and mean is not None else None,
+            asked["mean"],
+        )
+        add(
+            f"worst quantile of {symbol(name)}, over its standard deviation",
+            max(widths) / sd if sd and widths else None,
+            asked["quantile"],
+        )
+    for name, entry in contents.results["sensitivity"].items():
+        found = [entry["first"], entry["total"], entry.get("shapley") or {}, *(entry.get("kucherenko") or {}).values()]
+        widths = [w for table in found for w in map(_half, table.values()) if w is not None]
+        kind = "Shapley effect or index" if entry.get("shapley") else "Sobol’ index"
+        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked["sobol"])
+    for name, limit in contents.results["limits"].items():
+        width, value = _half(limit["miss"]), limit["miss"]["value"]
+        add(
+            f"probability of missing {limit_name(name)}, over itself",
+            width / value if width is not None and value else None,
+            asked["probability"],
+        )
+    return Table(
+        caption="Half-widths of the 95 % intervals, asked and reached",
+        rows=tuple(rows),
+        header=("question", "asked", "reached", ""),
+    )
+
+
+def model_table(contents: Contents) -> Table:
+    """Model chosen, why, its measured error, its evaluations, the scene's numbers."""
+    model = contents.results["model"]
+    rows = [("model", str(model["chosen"])), ("why", str(model["why"]))]
+    for name, error in model["measured_error"].items():
+        text = (
+            ABSENT + " (could not be measured)"
+            if error is None
+            else number_text(f"{error:.2g}") + " standard deviations"
+        )
+        rows.append((f"measured error of {symbol(name)}", text))
+    rows += _ladder_rows(model)
+    rows += [(f"evaluations, {name}", thousands(number)) for name, number in model["evaluations"].items()]
+    rows.append(("failed evaluations", thousands(model["failures"])))
+    if model.get("undecided"):
+        rows.append(("evaluations with two possible answers", thousands(model["undecided"])))
+    for key, label, like in (
+        ("mu_median", "mass number μ, median", ""),
+        ("theta_median", "pulse number θ = t_i/t_c, median", ""),
+        ("P_0_median", "force scale P_0 = Z v_0/2, median", "P_max"),
+        ("t_c_median", "time scale t_c, median", "contact_time"),
+    ):
+        if key in model.get("numbers", {}):
+            rows.append((label, value_text(model["numbers"][key], like)))
+    return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows))
+
+
+def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
+    """What was considered beside the model that was chosen, and what the choice saved."""
+    rows = []
+    for name, seen in model.get("considered", {}).items():
+        errors = [error for error in seen["error"].values() if error is not None]
+        ties = [tie for tie in seen["correlation"].values() if tie is not None]
+        text = f"costs {seen['cost']:.2g} of the full model"
+        if errors:
+            text = f"errs by up to {max(errors):.2g} standard deviations, {text}"
+        if ties:
+            text += f"; correlation with it at least {min(ties):.4g}"
+        rows.append((f"considered: {name}", text))
+    return rows + savings(model)
+
+
+def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
+    """What another must know to get the same numbers."""
+    results, manifest = contents.results, contents.manifest
+    rows = [
+        ("study", str(results["study"]["hash"])),
+        ("seed", str(results["study"]["seed"])),
+        ("versions", ", ".join(f"{k} {v}" for k, v in results["versions"].items())),
+    ]
+    if "platform" in manifest:
+        rows.append(("machine", " ".join(str(v) for v in manifest["platform"].values())))
+    if "evaluations" in manifest:
+        again = manifest.get("evaluations_reused", 0)
+        rows.append(
+            (
+                "evaluations",
+                thousands(manifest["evaluations"]) + (f", {thousands(again)} of them stored before" if again else ""),
+            )
+        )
+    total = manifest.get("seconds", {}).get("total")
+    if total is not None:
+        rows.append(("time", f"{total:.3g} s"))
+    budget = contents.resolved["analysis"]["budget"]
+    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {budget['time']:g} s"))
+    return rows
+
+
+def commands(contents: Contents) -> Sequence[str]:
+    """The commands that repeat the run from its own folder, and build this page again."""
+    reference = contents.resolved.get("model_reference") or "FILE.py:FUNCTION"
+    model = f" --model {shlex.quote(str(reference))}" if contents.black_box else ""
+    changed = "".join(f" --set {shlex.quote(str(text))}" for text in contents.resolved.get("overrides", ()))
+    return (f"uqsphere run study.toml --out again{changed}{model}", "uqsphere report .")
+
+
+# --- methods ----------------------------------------------------------------------------------------
+
+#: what the words in the name of a method mean; a name is looked through in this order
+_MEANING = (
+    ("quasi-Monte Carlo", "sixteen independent scrambled Sobol’ sets; intervals rest on how far the sixteen differ"),
+    ("polynomial chaos", "the answer expanded in polynomials of the inputs; validated on points it has not seen"),
+    ("pick and freeze", "pairs of runs that share one input or all but one"),
+    ("pairs of runs", "pairs of runs that share some inputs, the others drawn anew given those"),
+    ("common random numbers", "the same random inputs at every value of the free scalar, read off between the values"),
+    ("importance sampling", "samples drawn where failures are, and weighted back"),
+    ("subset simulation", "rare events reached in steps of conditional probability"),
+    ("directional", "probabilities added up over directions in standard normal space"),
+    ("active learning", "a Gaussian process that is refined where the limit is passed"),
+    ("Jansen", "Jansen’s estimator, accurate for small shares"),
+    ("Saltelli", "Saltelli’s estimator"),
+    ("Owen", "Owen’s estimator, accurate for small first-order shares"),
+    ("Azzini", "the estimator of Azzini and Rosati, accurate for large shares"),
+    ("controlled by a surrogate", "the polynomial chaos as control variate: it narrows intervals and cannot bias them"),
+    ("times as many", "a cheaper model as control variate: it narrows intervals and cannot bias them"),
+    ("strength integrated", "the strength’s law integrated exactly, not sampled"),
+    ("one-sided", "a bound where no failure was seen"),
+)
+
+
+def _named(contents: Contents) -> Iterator[tuple[str, str]]:
+    """Methods in full, and what each answered."""
+    results = contents.results
+    for name, entry in results["quantities"].items():
+        yield entry["mean"]["method"], f"distribution of {symbol(name)}"
+    for name, limit in results["limits"].items():
+        yield limit["miss"]["method"], f"probability of {limit_name(name)}"
+    for name, margin in results["margins"].items():
+        for estimate in margin["values"].values():
+            if estimate["value"] is not None:
+                yield estimate["method"], f"fragility of {limit_name(name)}"
+    for name, entry in results["sensitivity"].items():
+        for order in ("first", "total", "shapley", "second"):
+            for estimate in (entry.get(order) or {}).values():
+                if estimate["value"] is not None:
+                    yield estimate["method"], f"indices of {symbol(name)}"
+
+
+def methods_table(contents: Contents) -> Table:
+    """Every method once: its name in full, what it means, what it answered."""
+    used: dict[str, list[str]] = {}
+    for method, what in _named(contents):
+        found = used.setdefault(str(method), [])
+        if what not in found:
+            found.append(what)
+    rows = []
+    for method, answered in used.items():
+        meaning = "; ".join(text for word, text in _MEANING if word.lower() in method.lower())
+        rows.append((method, meaning or ABSENT, listed(answered[:6]) + (" and others" if len(answered) > 6 else "")))
+    return Table(caption="Methods", header=("method", "what it does", "used for"), rows=tuple(rows))
