@@ -274,6 +274,7 @@ def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
         "lower": _bound(law.lower),
         "upper": _bound(law.upper),
         "data": list(law.data),
+        **({"censored": list(law.censored)} if law.censored else {}),
     }
 
 

@@ -77,7 +77,7 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         check_scene(scene, model, findings)
     if document.seed < 0:
         findings.add(("seed",), f"found {document.seed}, a whole number from 0 upwards is due")
-    limits = read_limits(document.limits, outputs, findings, folder)
+    limits = read_limits(document.limits, outputs, findings, folder, scene)
     analysis = read_analysis(document.analysis, outputs, limits, findings)
     random, given = _random(scene, limits)
     numbers = _places(document, scene, bool(black_box))
