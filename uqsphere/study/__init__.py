@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.study.nouns import (
+    ENERGY,
     Accuracy,
     Analysis,
     Budget,
     Dependence,
+    Family,
     Limit,
     Margins,
     ModelChoice,
@@ -21,10 +23,12 @@ from uqsphere.study.nouns import (
 from uqsphere.study.resolve import load_study
 
 __all__ = [
+    "ENERGY",
     "Accuracy",
     "Analysis",
     "Budget",
     "Dependence",
+    "Family",
     "Limit",
     "Margins",
     "ModelChoice",

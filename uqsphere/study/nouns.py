@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
 
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from uqsphere.uq.inputs import Inputs
 
 __all__ = [
+    "ENERGY",
     "Accuracy",
     "Analysis",
     "Budget",
     "Dependence",
+    "Family",
     "Limit",
     "Margins",
     "ModelChoice",
@@ -30,6 +32,10 @@ __all__ = [
     "law_with_mean",
     "tie_of",
 ]
+
+
+#: free scalar of margins that is no number of the file: kinetic energy of the striker over the mass of the sphere
+ENERGY: Final = "striker.specific_energy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +119,25 @@ class ModelChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit."""
+    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit.
+
+    `family` asks for a curve at each of some values of another number of the scene; `bars_elastic` for the value at
+    which the bars yield.
+    """
 
     solve: str
     between: tuple[float, float]
     for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
+    family: Family | None = None
+    bars_elastic: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Another number of the scene and the values (SI) at which each curve is drawn again."""
+
+    path: str
+    values: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,7 +250,7 @@ class Study:
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
             "analysis": _lists(asdict(self.analysis)),
-            "margins": None if self.margins is None else _lists(asdict(self.margins)),
+            "margins": None if self.margins is None else _margins_json(self.margins),
             "outputs": list(self.outputs),
         }
 
@@ -260,6 +280,12 @@ def _dependence_json(group: Dependence) -> dict[str, Any]:
     """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
     table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
     return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
+
+
+def _margins_json(margins: Margins) -> dict[str, Any]:
+    """What was asked, and nothing else, as with dependence."""
+    table = _lists(asdict(margins))
+    return {key: value for key, value in table.items() if value not in (None, False)}
 
 
 def _bound(value: float) -> float | None:

@@ -22,6 +22,7 @@ __all__ = [
     "BudgetTable",
     "DependenceTable",
     "Document",
+    "FamilyTable",
     "LimitTable",
     "MarginsTable",
     "ModelTable",
@@ -154,10 +155,19 @@ class AnalysisTable(Table):
     tolerance_intervals: ToleranceTable | None = None
 
 
+class FamilyTable(Table):
+    path: str | None = None
+    values: list[Any] | None = None
+
+
 class MarginsTable(Table):
     solve: str | None = None
     between: list[Any] | None = None
     for_probability: list[float] = Field(default_factory=lambda: [0.01, 0.1, 0.5, 0.9, 0.99])
+    for_survival: list[float] | None = None
+    for_fracture: list[float] | None = None
+    family: FamilyTable | None = None
+    bars_elastic: bool = False
 
 
 class OutputsTable(Table):
@@ -191,6 +201,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "dependence": DependenceTable,
     "analysis": AnalysisTable,
     "margins": MarginsTable,
+    "family": FamilyTable,
     "accuracy": AccuracyTable,
     "budget": BudgetTable,
     "tolerance_intervals": ToleranceTable,
