@@ -6,6 +6,7 @@ from typing import Any
 
 from uqsphere.console import plain, table
 from uqsphere.quantities import format_estimate
+from uqsphere.report.margin_verdict import margin_answer, subject_of
 
 __all__ = ["summary_of"]
 
@@ -53,6 +54,8 @@ def summary_of(results: dict[str, Any]) -> str:
     from uqsphere.runner.results import savings
 
     parts = [plain(results["study"]["title"]), ""]
+    answers = [text for name in results["margins"] if (text := margin_answer(results, name))]
+    parts += [*(plain(text) for text in answers), *([""] if answers else [])]
     rows: list[tuple[str, ...]] = []
     for name, limit in results["limits"].items():
         verdict = (
@@ -94,7 +97,7 @@ def summary_of(results: dict[str, Any]) -> str:
         header = ("quantity", "input", "Shapley effect", "Kucherenko, first", "Kucherenko, total")
         parts += [table(header, rows), ""]
     rows = [
-        (name, f"{float(p):g}", _estimate(e, entry["solve"]))
+        (name, f"{float(p):g}", _estimate(e, subject_of(results, entry["solve"])))
         for name, entry in results["margins"].items()
         for p, e in entry["values"].items()
     ]

@@ -11,6 +11,10 @@ from typing import Any, Final
 from uqsphere.report import canvas, decision, drivers, figures, progress, sections
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
+from uqsphere.report.margin_parts import parts_finding, parts_table
+from uqsphere.report.margin_verdict import margin_verdicts
+from uqsphere.report.strength_plot import probability_plot, tests_table
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.report.wording import begin, call, capital, limit_name, symbol
 from uqsphere.store import write_atomically
@@ -195,8 +199,28 @@ def _margins(contents: Contents) -> list[Block]:
                 finding=decision.fragility_finding(contents, name),
                 picture=decision.fragility_figure(contents, name),
                 table=sections.margins_table(contents, name),
+                remarks=lognormal_remarks(contents, name),
             )
         )
+        if contents.results["margins"][name].get("family"):
+            blocks.append(
+                Block(
+                    heading=f"Fragility of {limit_name(name)} over {family_name(contents, name)}",
+                    picture=family_figure(contents, name),
+                    table=family_table(contents, name),
+                )
+            )
+        table = parts_table(contents, name)
+        if table is not None:
+            heading = f"What the margin of {limit_name(name)} is made of"
+            blocks.append(Block(heading=heading, finding=parts_finding(contents, name), table=table))
+    for name in limits:
+        picture = probability_plot(contents, name)
+        if picture is not None:
+            heading = f"The tests behind the strength of {limit_name(name)}"
+            blocks.append(
+                Block(heading=heading, finding=picture.finding, picture=picture, table=tests_table(contents, name))
+            )
     return blocks
 
 
@@ -244,7 +268,7 @@ def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict
     return (
         template.render(
             title=canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study",
-            verdicts=verdicts(contents),
+            verdicts=[*margin_verdicts(contents), *verdicts(contents)],
             cautions=cautions(contents),
             parts=parts,
             checks=sections.checks_table(contents),

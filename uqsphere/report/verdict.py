@@ -142,7 +142,7 @@ def _margin_line(contents: Contents, name: str, limit: Mapping[str, Any]) -> str
             p = min(known, key=lambda q: abs(q - accepted)) if accepted is not None else min(known)
             text += (
                 f" The probability of exceeding reaches {plain_percent(p)} at a {input_name(values['solve'])} of "
-                f"{rounded(known[p], values['solve'])}."
+                f"{rounded(known[p], contents.subject(values['solve']))}."
             )
     return text
 

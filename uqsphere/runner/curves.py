@@ -1,8 +1,9 @@
 """Probabilities along a free scalar: the same rows at a few values of it, and their demands interpolated between.
 
-A look at few rows over the whole range tells where the curves rise.  There four values are evaluated with all rows, and
-a share of the rows half-way between them: where those differ from the interpolation, values are added.  A limit whose
-demands jump, or are censored, is not interpolated (`uqsphere.runner.margins` goes along it value by value).
+A look at few rows over the whole range tells where the curves rise.  There three values are evaluated with all rows,
+and every value of the curve with a few of them.  The interpolated rows are a control variate for those few, which
+leaves no error of interpolation on average, however the waves make a demand rise and halt.  A limit whose demands are
+censored is not interpolated (`uqsphere.runner.margins` goes along it value by value).
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -31,27 +31,35 @@ from uqsphere.uq.laws import LawError
 from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.sampling import random_generator, sobol_points
 
-__all__ = ["NodeSet", "evaluate_at", "find_nodes", "law_curves", "moved_study", "probabilities", "strength_solved"]
+__all__ = [
+    "NodeSet",
+    "evaluate_at",
+    "find_nodes",
+    "half_width",
+    "law_curves",
+    "moved_study",
+    "probabilities",
+    "strength_solved",
+]
 
 Array = npt.NDArray[np.float64]
 
 #: points of each replicate that look over the range, and values that they look at
 SCAN_POINTS: Final = 4
 SCAN_VALUES: Final = 9
-#: nodes to begin with, the most of them, and rounds of adding
-FIRST_NODES: Final = 4
-MOST_NODES: Final = 25
-ROUNDS: Final = 4
+#: values that all rows are evaluated at
+NODES: Final = 3
 #: points of each replicate to begin with, and the most
 FIRST_POINTS: Final = 64
 MOST_POINTS: Final = 1024
-#: share of the points of a replicate that check the interpolation
-CHECKED: Final = 8
+#: of so many points one is evaluated at every value of the curve
+SHARED: Final = 32
 #: laws that the tests allow, for the range of a curve
-TRIED: Final = 50
-#: what interpolation may change in a probability, relative to the smaller side, and its half-width
-INTERPOLATION: Final = 0.003
+TRIED: Final = 40
+#: half-width of the band over the smaller side of the probability
 ACCURACY: Final = 0.02
+#: half-width that is said to be wider than wanted
+WORTH_A_WORD: Final = 0.06
 #: values at which curves are drawn
 CURVE_VALUES: Final = 40
 
@@ -142,65 +150,110 @@ def probabilities(state: LimitState) -> Array:
 
 @dataclass(kw_only=True)
 class NodeSet:
-    """Rows evaluated at some values of the free scalar; `samples` by value, all of the same points."""
+    """Rows evaluated at some values of the free scalar, and some of the rows at every value of a curve.
+
+    `samples` holds all rows at the nodes, `few` the first of them at the values of the curve, all of the same points.
+    """
 
     work: Work
     tag: str
     points: Draw
     samples: dict[float, Sample] = field(default_factory=dict)
-    #: largest change of a probability by interpolation, relative to the smaller side, by limit
-    lost: dict[str, float] = field(default_factory=dict)
-    #: rows evaluated half-way between nodes, by value
-    checked: dict[float, tuple[Draw, Sample]] = field(default_factory=dict)
+    few: dict[float, Sample] = field(default_factory=dict)
 
     @property
     def nodes(self) -> list[float]:
         return sorted(self.samples)
 
     @property
+    def grid(self) -> Array:
+        """Values of the curve."""
+        return np.array(sorted(self.few) or self.nodes)
+
+    @property
     def count(self) -> int:
         """Points of each replicate."""
         return int(self.points.normals.shape[1])
 
-    @property
-    def whole(self) -> bool:
-        """Whether every row has an answer at every node."""
-        return all(not s.failed.any() and bool(np.isfinite(s.values).all()) for s in self.samples.values())
-
     def fits(self, limit: Limit) -> bool:
         """Whether the demands of a limit are known in full."""
         k = self.work.quantities.index(limit.quantity)
-        return self.whole and not any(bool(s.censored[:, :, k].any()) for s in self.samples.values())
+        every = (*self.samples.values(), *self.few.values())
+        return all(
+            not s.failed.any() and not s.censored[:, :, k].any() and bool(np.isfinite(s.values[:, :, k]).all())
+            for s in every
+        )
 
-    def columns(self, quantity: str, values: Array, few: int | None = None) -> Array:
-        """A quantity (J, R, n) at J values, of the first `few` points of each replicate."""
-        k = self.work.quantities.index(quantity)
-        solve = self.work.study.margins
-        assert solve is not None
-        if strength_solved(solve.solve) is not None:
-            one = next(iter(self.samples.values())).values[:, :few, k]
+    def _between(self, k: int, values: Array, count: int | None) -> Array:
+        """Column k (J, R, count) interpolated between the nodes."""
+        if len({id(sample) for sample in self.samples.values()}) == 1:
+            one = next(iter(self.samples.values())).values[:, :count, k]
             return np.broadcast_to(one, (len(values), *one.shape))
-        stack = np.stack([self.samples[node].values[:, :few, k] for node in self.nodes])
+        stack = np.stack([self.samples[node].values[:, :count, k] for node in self.nodes])
         return interpolate_rows(self.nodes, stack, values)
 
-    def states(self, limit: Limit, values: Array, few: int | None = None) -> list[LimitState]:
-        """States of a limit at some values, the demands interpolated."""
-        demands = self.columns(limit.quantity, values, few)
-        points = Draw(normals=self.points.normals[:, :few], physical=self.points.physical[:, :few])
-        k, q = self.work.quantities.index(limit.quantity), len(self.work.quantities)
-        found = []
-        for value, rows in zip(values, demands, strict=True):
-            full = np.ones((*rows.shape, q))
-            full[:, :, k] = rows
-            sample = Sample(
-                values=full, censored=np.zeros(full.shape, dtype=bool), status=np.zeros(rows.shape, dtype=np.int64)
-            )
-            found.append(_scaled(self.work, limit, state_of(self.work, limit, points, sample), float(value)))
-        return found
+    def columns(self, quantity: str, values: Array, count: int | None = None) -> Array:
+        """A quantity (J, R, count) at J values: interpolated, and brought to what the few rows have on average."""
+        k = self.work.quantities.index(quantity)
+        found = self._between(k, values, count)
+        if not self.few:
+            return found
+        grid = self.grid
+        true = np.stack([self.few[value].values[:, :, k] for value in grid.tolist()])
+        ours = self._between(k, grid, true.shape[2])
+        places, wanted = (np.log(grid), np.log(values)) if grid[0] > 0.0 else (grid, values)
+        if (true > 0.0).all() and (ours > 0.0).all():
+            change = np.interp(wanted, places, np.log(true / ours).mean(axis=(1, 2)))
+            return np.asarray(found * np.exp(change)[:, None, None])
+        change = np.interp(wanted, places, (true - ours).mean(axis=(1, 2)))
+        return np.asarray(found + change[:, None, None])
 
-    def curve(self, limit: Limit, values: Array, few: int | None = None) -> Array:
-        """Probability of exceeding (J, R) at J values, every replicate by itself."""
-        return np.array([probabilities(state) for state in self.states(limit, values, few)])
+    def _state(self, limit: Limit, rows: Array, value: float) -> LimitState:
+        """The state of a limit with demands (R, n) before its model factor, of the first n points."""
+        n = rows.shape[1]
+        points = Draw(normals=self.points.normals[:, :n], physical=self.points.physical[:, :n])
+        full = np.ones((*rows.shape, len(self.work.quantities)))
+        full[:, :, self.work.quantities.index(limit.quantity)] = rows
+        sample = Sample(
+            values=full, censored=np.zeros(full.shape, dtype=bool), status=np.zeros(rows.shape, dtype=np.int64)
+        )
+        return _scaled(self.work, limit, state_of(self.work, limit, points, sample), value)
+
+    def states(self, limit: Limit, values: Array, count: int | None = None) -> list[LimitState]:
+        """States of a limit at some values, the demands interpolated."""
+        demands = self.columns(limit.quantity, values, count)
+        return [self._state(limit, rows, float(value)) for value, rows in zip(values, demands, strict=True)]
+
+    def between(self, limit: Limit, values: Array) -> Array:
+        """Probability of exceeding (J, R) at J values by interpolated demands alone."""
+        return np.array([probabilities(state) for state in self.states(limit, values)])
+
+    def curve(self, limit: Limit) -> Array:
+        """Probability of exceeding (J, R) at the values of the curve, every replicate by itself.
+
+        The interpolated rows are a control variate: what they are off by on the few rows is added, so that no error
+        of interpolation is left on average, and what is left of it by chance shows in the spread of the replicates.
+        """
+        grid, k = self.grid, self.work.quantities.index(limit.quantity)
+        states = self.states(limit, grid)
+        found = np.array([probabilities(state) for state in states])
+        if not self.few:
+            return found
+        for j, (value, state) in enumerate(zip(grid.tolist(), states, strict=True)):
+            rows = self.few[value].values[:, :, k]
+            true = probabilities(self._state(limit, rows, value))
+            d = state.demands[:, : rows.shape[1]]
+            found[j] += true - probabilities(_first(state, d))
+        return np.asarray(np.clip(found, 0.0, 1.0))
+
+
+def _first(state: LimitState, demands: Array) -> LimitState:
+    """The state of the first points of every replicate."""
+    n = demands.shape[1]
+    tie = None if state.tie is None else replace(state.tie, given=state.tie.given[:, :n])
+    shift = None if state.shift is None else state.shift[:, :n]
+    none = np.zeros(demands.shape, dtype=bool)
+    return replace(state, demands=demands, shift=shift, tie=tie, censored=none, failed=none)
 
 
 def _scaled(work: Work, limit: Limit, state: LimitState, value: float) -> LimitState:
@@ -212,10 +265,6 @@ def _scaled(work: Work, limit: Limit, state: LimitState, value: float) -> LimitS
     return replace(state, demands=state.demands * (nominal / value))
 
 
-def _direct(work: Work, limit: Limit, points: Draw, sample: Sample, value: float) -> Array:
-    return probabilities(_scaled(work, limit, state_of(work, limit, points, sample), value))
-
-
 def _region(work: Work, limits: Sequence[Limit], scan: NodeSet, least: float) -> tuple[float, float]:
     """Where the probabilities of the limits lie between `least` and its complement, by the few rows of the look."""
     assert work.study.margins is not None
@@ -224,7 +273,7 @@ def _region(work: Work, limits: Sequence[Limit], scan: NodeSet, least: float) ->
     fine[0], fine[-1] = low, high
     inside = np.zeros(fine.size, dtype=bool)
     for limit in limits:
-        p = scan.curve(limit, fine).mean(axis=1)
+        p = scan.between(limit, fine).mean(axis=1)
         sides = (p > least).astype(int) + (p > 1.0 - least)
         crossed = np.flatnonzero(np.diff(sides) != 0)
         inside |= sides == 1
@@ -246,7 +295,7 @@ def _open_to_tests(work: Work, limit: Limit, scan: NodeSet, fine: Array, least: 
         laws = possible_laws(limit.strength, TRIED, generator)
     except LawError:
         return nothing
-    coarse = fine[:: max(1, fine.size // 60)]
+    coarse = fine[:: max(1, fine.size // 30)]
     curves = law_curves(scan.states(limit, coarse), laws)
     # one law in fifty may leave the range
     low, high = np.quantile(curves, [0.02, 0.98], axis=0)
@@ -265,117 +314,80 @@ def law_curves(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
     return found
 
 
-def _misses(work: Work, limits: Sequence[Limit], nodes: NodeSet, least: float) -> tuple[list[float], int]:
-    """Values half-way between nodes at which interpolated probabilities are off, by rows evaluated there."""
-    few = max(1, nodes.count // CHECKED)
-    places = nodes.nodes
-    logarithmic = places[0] > 0.0
-    wrong = []
-    nodes.lost = {limit.name: 0.0 for limit in limits}
-    for a, b in pairwise(places):
-        value = math.sqrt(a * b) if logarithmic else 0.5 * (a + b)
-        if value not in nodes.checked:
-            nodes.checked[value] = evaluate_at(work, value, start=0, count=few, tag=nodes.tag)
-        points, sample = nodes.checked[value]
-        for limit in limits:
-            k = work.quantities.index(limit.quantity)
-            if sample.failed.any() or sample.censored[:, :, k].any():
-                nodes.lost[limit.name] = math.inf
-                continue
-            true = float(_direct(work, limit, points, sample, value).mean())
-            ours = float(nodes.curve(limit, np.array([value]), few).mean())
-            off = abs(ours - true) / max(min(true, 1.0 - true), least)
-            nodes.lost[limit.name] = max(nodes.lost[limit.name], off)
-            if off > INTERPOLATION and value not in wrong:
-                wrong.append(value)
-    return wrong, few
-
-
 def find_nodes(
     work: Work, limits: Sequence[Limit], *, least: float, most: int, tag: str = "", accuracy: float = ACCURACY
 ) -> tuple[NodeSet, NodeSet | None, str]:
     """(the look over the range, the rows where the curves rise, a remark), for at most `most` evaluations.
 
-    The second is None where the demands cannot be interpolated.  `least` is the smallest probability of interest.
+    The second is None where a demand is not known in full.  `least` is the smallest probability of interest.
     """
     assert work.study.margins is not None
-    margins = work.study.margins
-    low, high = margins.between
-    logarithmic = low > 0.0
-    spent, before = 0, work.ledger.total
-
-    def left() -> int:
-        nonlocal spent
-        spent = work.ledger.total - before
-        return most - spent
-
-    if strength_solved(margins.solve) is not None:
+    low, high = work.study.margins.between
+    before = work.ledger.total
+    if strength_solved(work.study.margins.solve) is not None:
         points, sample = evaluate_at(work, low, start=0, count=FIRST_POINTS, tag=tag)
-        one = NodeSet(work=work, tag=tag, points=points, samples={low: sample, high: sample})
-        if not all(one.fits(limit) for limit in limits):
-            return one, None, ""
-        one.lost = {limit.name: 0.0 for limit in limits}
-        low, high = _region(work, limits, one, least)
-        return one, *_more_rows(one, limits, low, high, least, left, accuracy)
-    space = np.geomspace if logarithmic else np.linspace
-    values = [low, *(float(v) for v in space(low, high, SCAN_VALUES)[1:-1]), high]
-    found = {value: evaluate_at(work, value, start=0, count=SCAN_POINTS, tag=tag) for value in values}
-    scan = NodeSet(work=work, tag=tag, points=found[low][0], samples={v: s for v, (_, s) in found.items()})
-    usable = [limit for limit in limits if scan.fits(limit)]
-    if not usable:
-        return scan, None, ""
-    start, end = _region(work, usable, scan, least)
-    nodes = NodeSet(work=work, tag=tag, points=found[low][0])
-    todo = chebyshev_nodes(start, end, FIRST_NODES, logarithmic=logarithmic)
-    for _ in range(ROUNDS + 1):
-        if REPLICATES * FIRST_POINTS * len(todo) > left() or len(nodes.samples) + len(todo) > MOST_NODES:
-            break
-        for value in todo:
-            nodes.points, nodes.samples[value] = evaluate_at(work, value, start=0, count=FIRST_POINTS, tag=tag)
-        usable = [limit for limit in usable if nodes.fits(limit)]
-        if not usable:
+        nodes = NodeSet(work=work, tag=tag, points=points, samples={low: sample, high: sample})
+        scan = nodes
+        if not all(nodes.fits(limit) for limit in limits):
+            return nodes, None, ""
+        grid = _spaced(*_region(work, limits, nodes, least), CURVE_VALUES)
+        nodes = NodeSet(work=work, tag=tag, points=points, samples=dict.fromkeys(grid, sample))
+    else:
+        found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in _spaced(low, high, SCAN_VALUES)}
+        scan = NodeSet(work=work, tag=tag, points=found[low][0], samples={v: s for v, (_, s) in found.items()})
+        limits = [limit for limit in limits if scan.fits(limit)]
+        if not limits:
             return scan, None, ""
-        todo, _ = _misses(work, usable, nodes, least)
-        if not todo:
-            break
-    if len(nodes.samples) < FIRST_NODES:
-        return scan, None, "the curve is coarser than wanted: the budget of evaluations was used up"
-    return scan, *_more_rows(nodes, usable, start, end, least, left, accuracy)
+        start, end = _region(work, limits, scan, least)
+        nodes = NodeSet(work=work, tag=tag, points=scan.points)
+        for value in chebyshev_nodes(start, end, NODES, logarithmic=low > 0.0):
+            nodes.points, nodes.samples[value] = evaluate_at(work, value, start=0, count=FIRST_POINTS, tag=tag)
+        for value in _spaced(start, end, CURVE_VALUES):
+            nodes.few[value] = evaluate_at(work, value, start=0, count=FIRST_POINTS // SHARED, tag=tag)[1]
+        limits = [limit for limit in limits if nodes.fits(limit)]
+        if not limits:
+            return scan, None, ""
+    return scan, nodes, _grow(nodes, limits, least, before + most, accuracy)
 
 
-def _more_rows(
-    nodes: NodeSet, limits: Sequence[Limit], low: float, high: float, least: float, left: object, accuracy: float
-) -> tuple[NodeSet, str]:
-    """The nodes with as many rows as the accuracy takes, doubled each time."""
-    assert callable(left)
-    work, tag = nodes.work, nodes.tag
-    values = np.geomspace(low, high, CURVE_VALUES) if low > 0.0 else np.linspace(low, high, CURVE_VALUES)
-    values[0], values[-1] = low, high
-    solved = strength_solved(work.study.margins.solve) is not None if work.study.margins else False
-    while nodes.count < MOST_POINTS:
-        worst = max(_half_width(nodes.curve(limit, values), least) for limit in limits)
-        if worst <= accuracy:
-            return nodes, ""
-        each = REPLICATES * nodes.count
-        if each * (1 if solved else len(nodes.samples)) > left():
-            return nodes, "the band of the curve is wider than wanted: its share of the evaluations was used up"
+def _spaced(low: float, high: float, count: int) -> list[float]:
+    """`count` values from low to high in equal ratios, or in equal steps where they are not positive."""
+    inner = np.geomspace(low, high, count) if low > 0.0 else np.linspace(low, high, count)
+    return [low, *(float(value) for value in inner[1:-1]), high]
+
+
+def _grow(nodes: NodeSet, limits: Sequence[Limit], least: float, most: int, accuracy: float) -> str:
+    """As many rows as the accuracy takes, doubled each time, and a remark where they were not to be had."""
+    work = nodes.work
+    while (worst := max(half_width(nodes.curve(limit), 2.0 * least) for limit in limits)) > accuracy:
+        few = next(iter(nodes.few.values())).status.shape[1] if nodes.few else 0
+        distinct = {id(sample): value for value, sample in nodes.samples.items()}
+        cost = REPLICATES * (nodes.count * len(distinct) + few * len(nodes.few))
+        if nodes.count >= MOST_POINTS or work.ledger.total + cost > most:
+            few_words = "the band of the curve is wider than wanted: its share of the evaluations was used up"
+            return few_words if worst > WORTH_A_WORD else ""
         try:
-            more = [(v, evaluate_at(work, v, start=nodes.count, count=nodes.count, tag=tag)) for v in nodes.nodes[:1]]
-            if not solved:
-                rest = nodes.nodes[1:]
-                more += [(v, evaluate_at(work, v, start=nodes.count, count=nodes.count, tag=tag)) for v in rest]
+            more = {
+                key: evaluate_at(work, value, start=nodes.count, count=nodes.count, tag=nodes.tag)
+                for key, value in distinct.items()
+            }
+            rest = {v: evaluate_at(work, v, start=few, count=few, tag=nodes.tag)[1] for v in nodes.few}
         except OutOfBudget:
-            return nodes, "the band of the curve is wider than wanted: the time was over"
-        added, (points, first) = dict(more), more[0][1]
-        nodes.samples = {v: s.join(added[v][1] if v in added else first) for v, s in nodes.samples.items()}
+            return "the band of the curve is wider than wanted: the time was over"
+        points = next(iter(more.values()))[0]
+        longer = {key: nodes.samples[value].join(more[key][1]) for key, value in distinct.items()}
+        nodes.samples = {value: longer[id(sample)] for value, sample in nodes.samples.items()}
+        nodes.few = {value: sample.join(rest[value]) for value, sample in nodes.few.items()}
         nodes.points = Draw(
             normals=np.concatenate([nodes.points.normals, points.normals], axis=1),
             physical=np.concatenate([nodes.points.physical, points.physical], axis=1),
         )
-    return nodes, ""
+        if not all(nodes.fits(limit) for limit in limits):
+            return "some rows have no answer"
+    return ""
 
 
-def _half_width(curve: Array, least: float) -> float:
+def half_width(curve: Array, least: float) -> float:
     """Largest half-width of the 95 % interval over the smaller side, where that is not below `least`; curve (J, R)."""
     p = curve.mean(axis=1)
     side = np.minimum(p, 1.0 - p)

@@ -209,7 +209,10 @@ def _ignorance(work: Work, where: Where, strength: Law) -> dict[str, Any]:
     """
     nodes = where.nodes
     if nodes is None:
-        return {"tests": count_tests(strength), "reason": "the demands jump, so that no curve was interpolated"}
+        return {
+            "tests": count_tests(strength),
+            "reason": "the demands are not known in full, so that no curve was interpolated",
+        }
     generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{where.limit.name}.strength")
     laws = possible_laws(strength, LAWS, generator)
     places = nodes.nodes

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.curves import CURVE_VALUES, NodeSet, evaluate_at, find_nodes, moved_study, probabilities
+from uqsphere.runner.curves import NodeSet, evaluate_at, find_nodes, moved_study, probabilities
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.sampling import Sampled
@@ -94,16 +94,15 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
     scan, nodes, note = find_nodes(work, limits, least=_least(work, limits), most=most, tag=tag)
     found: dict[str, _Found | str] = {}
     for limit in limits:
-        if nodes is None or not nodes.fits(limit) or not nodes.lost.get(limit.name, np.inf) < 0.1:
+        if nodes is None or not nodes.fits(limit):
             continue
-        places = nodes.nodes
-        logarithmic = places[0] > 0.0
-        space = np.geomspace if logarithmic else np.linspace
-        inner = space(places[0], places[-1], CURVE_VALUES)
-        inner[0], inner[-1] = places[0], places[-1]
-        outer = np.array([v for v in scan.nodes if not places[0] <= v <= places[-1]])
-        grid = np.concatenate([outer, inner])
-        table = np.concatenate([*([scan.curve(limit, outer)] if outer.size else []), nodes.curve(limit, inner)])
+        inner = nodes.grid
+        outer = [value for value in scan.nodes if not inner[0] <= value <= inner[-1]]
+        grid, table = inner, nodes.curve(limit)
+        if outer and nodes is not scan:
+            look = dict(zip(scan.nodes, scan.curve(limit), strict=True))
+            grid = np.concatenate([outer, inner])
+            table = np.concatenate([np.array([look[value] for value in outer]), table])
         order = np.argsort(grid)
         found[limit.name] = _Found(
             grid=grid[order], table=table[order], samples=nodes.count, evaluations=work.ledger.total - before,
