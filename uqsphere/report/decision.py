@@ -200,7 +200,8 @@ def _lognormal_line(axes: Axes, entry: Mapping[str, Any], x: Array, factor: floa
         return
     z = np.log(x / fitted["median"]["value"]) / fitted["dispersion"]["value"]
     reach = float(score(_LEAST))
-    z = np.clip(z if fitted["rising"] else -z, reach, -reach)
+    z = z if fitted["rising"] else -z
+    z = np.where(np.abs(z) <= abs(reach), z, np.nan)
     axes.plot(x * factor, z, color=INK, linestyle="--", linewidth=1.0)
     axes.annotate(
         "dashed: lognormal", (1.0, 0.0), xycoords="axes fraction", xytext=(-4, 4), textcoords="offset points",
@@ -210,11 +211,16 @@ def _lognormal_line(axes: Axes, entry: Mapping[str, Any], x: Array, factor: floa
 
 def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool, subject: str) -> None:
     """The values at the probabilities asked for, each labelled below its point, away from the curve."""
+    labelled: float | None = None
     for p, estimate in entry["values"].items():
         if estimate["value"] is None or not x[0] <= estimate["value"] * factor <= x[-1]:
             continue
         place = estimate["value"] * factor, float(score(float(p)))
+        near = labelled is not None and abs(place[1] - labelled) < 0.45
+        labelled = labelled if near else place[1]
         axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
+        if near:
+            continue
         axes.annotate(
             rounded(estimate, subject, 3),
             place,

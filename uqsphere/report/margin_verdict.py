@@ -9,7 +9,7 @@ from uqsphere.quantities import format_value
 from uqsphere.report import canvas
 from uqsphere.report.contents import Contents
 from uqsphere.report.verdict import Verdict
-from uqsphere.report.wording import input_name, limit_name, listed, number_text, plain_percent, rounded
+from uqsphere.report.wording import capital, input_name, limit_name, listed, number_text, plain_percent, rounded
 
 __all__ = ["at_most", "margin_answer", "margin_verdicts", "subject_of"]
 
@@ -40,21 +40,17 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
     aim = f"a probability of fracture of at most {chance}" if safe else f"a probability of fracture of {chance} or more"
     if value["value"] is None:
         return f"No {input_name(solve)} between the bounds of the study gives {aim}: {value['reason']}."
-    word = "At most" if at_most(entry, limit["aim"]) else "At least"
-    text = f"{word} {rounded(value, subject)} {_of(solve)} for {aim} (limit {limit_name(name)})"
+    word = "at most" if at_most(entry, limit["aim"]) else "at least"
+    text = f"{capital(input_name(solve))}: {word} {rounded(value, subject)} for {aim} (limit {limit_name(name)})"
     opened = entry.get("ignorance") or {}
     if opened.get("sure") is not None:
         sure = number_text(format_value(opened["sure"], subject, 3))
-        text += f"; {word.lower()} {sure} to be {plain_percent(opened['confidence'])} sure of it, with {_tests(opened)}"
+        text += f"; {word} {sure} to be {plain_percent(opened['confidence'])} sure of it, with {_tests(opened)}"
     elif opened and "reason" not in opened:
         text += (
             f"; {_tests(opened)} are too few to be {plain_percent(opened['confidence'])} sure of any value looked at"
         )
     return text + "."
-
-
-def _of(solve: str) -> str:
-    return f"of {input_name(solve)}"
 
 
 def _tests(opened: Mapping[str, Any]) -> str:
@@ -136,4 +132,9 @@ def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Conte
     text = f"The bars (yield strength {strength}) stay elastic {' and '.join(parts)}"
     if bars.get("contact_everywhere") == "yields":
         text += ", and yield locally under the sphere over the whole curve"
+    value = (entry.get("value") or {}).get("value")
+    if contact and contact["value"] is not None and value is not None:
+        first = contact["value"] < value
+        if first == (entry["curve"][-1][1] >= entry["curve"][0][1]):
+            text += ", which is reached before the value above: harder or thicker bars are due"
     return text + "."

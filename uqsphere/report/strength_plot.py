@@ -9,7 +9,6 @@ from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import x_scale
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import limit_name, symbol, value_text
@@ -50,6 +49,8 @@ def _line(kind: str, parameters: dict[str, float], heights: Array) -> Array:
 
 def probability_plot(contents: Contents, name: str) -> Picture | None:
     """Tests, fitted law and the 95 % band of the laws that the tests allow; None where none was fitted to tests."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+
     known = _tests(contents, name)
     if known is None:
         return None
@@ -77,7 +78,11 @@ def probability_plot(contents: Contents, name: str) -> Picture | None:
             axes.plot(stopped * factor, np.full(stopped.size, low), linestyle="none", marker=">", color=ORANGE,
                       markeredgecolor=INK, markersize=7, clip_on=False, zorder=5)  # fmt: skip
         every = np.concatenate([tests.values, _line(kind, dict(law.parameters), heights)]) * factor
-        x_scale(axes, np.array([0.95 * every.min(), 1.05 * every.max()]))
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(MaxNLocator(7))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xlim(0.95 * every.min(), 1.05 * every.max())
         ticks = [p for p in _TICKS if low <= float(_height(kind, np.array([p]))[0]) <= high]
         axes.set_yticks(_height(kind, np.array(ticks)).tolist(), [f"{100.0 * p:g} %" for p in ticks])
         axes.set_ylim(low, high)

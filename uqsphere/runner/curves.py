@@ -56,6 +56,8 @@ MOST_POINTS: Final = 1024
 SHARED: Final = 32
 #: laws that the tests allow, for the range of a curve
 TRIED: Final = 40
+#: values on either side that a value of the curve shares corrections with
+REACH: Final = 6.0
 #: half-width of the band over the smaller side of the probability
 ACCURACY: Final = 0.02
 #: half-width that is said to be wider than wanted
@@ -192,21 +194,38 @@ class NodeSet:
         stack = np.stack([self.samples[node].values[:, :count, k] for node in self.nodes])
         return interpolate_rows(self.nodes, stack, values)
 
-    def columns(self, quantity: str, values: Array, count: int | None = None) -> Array:
-        """A quantity (J, R, count) at J values: interpolated, and brought to what the few rows have on average."""
+    def _changes(self, k: int) -> tuple[Array, bool]:
+        """What brings column k from interpolated to true along the curve, (J, R); whether it is a logarithm.
+
+        What neighbouring values tell is shared between them, as far as they do not differ by more than their noise.
+        """
+        grid = self.grid
+        true = np.stack([self.few[value].values[:, :, k] for value in grid.tolist()])
+        ours = self._between(k, grid, true.shape[2])
+        logarithmic = bool((true > 0.0).all() and (ours > 0.0).all())
+        raw = (np.log(true / ours) if logarithmic else true - ours).mean(axis=2)
+        smooth = _kernel(len(grid)) @ raw
+        noise = float((raw.var(axis=1, ddof=1) / raw.shape[1]).mean())
+        wave = float(((raw - smooth).mean(axis=1) ** 2).mean())
+        own = max(0.0, 1.0 - noise / wave) if wave > 0.0 else 0.0
+        return smooth + own * (raw - smooth), logarithmic
+
+    def columns(self, quantity: str, values: Array, count: int | None = None, *, each: bool = False) -> Array:
+        """A quantity (J, R, count) at J values: interpolated, and brought to what the few rows have on average.
+
+        `each`: every replicate by its own few rows, so that their spread shows what that is worth.
+        """
         k = self.work.quantities.index(quantity)
         found = self._between(k, values, count)
         if not self.few:
             return found
         grid = self.grid
-        true = np.stack([self.few[value].values[:, :, k] for value in grid.tolist()])
-        ours = self._between(k, grid, true.shape[2])
+        changes, logarithmic = self._changes(k)
+        if not each:
+            changes = np.repeat(changes.mean(axis=1, keepdims=True), changes.shape[1], axis=1)
         places, wanted = (np.log(grid), np.log(values)) if grid[0] > 0.0 else (grid, values)
-        if (true > 0.0).all() and (ours > 0.0).all():
-            change = np.interp(wanted, places, np.log(true / ours).mean(axis=(1, 2)))
-            return np.asarray(found * np.exp(change)[:, None, None])
-        change = np.interp(wanted, places, (true - ours).mean(axis=(1, 2)))
-        return np.asarray(found + change[:, None, None])
+        change = np.stack([np.interp(wanted, places, column) for column in changes.T], axis=1)[:, :, None]
+        return np.asarray(found * np.exp(change) if logarithmic else found + change)
 
     def _state(self, limit: Limit, rows: Array, value: float) -> LimitState:
         """The state of a limit with demands (R, n) before its model factor, of the first n points."""
@@ -219,9 +238,9 @@ class NodeSet:
         )
         return _scaled(self.work, limit, state_of(self.work, limit, points, sample), value)
 
-    def states(self, limit: Limit, values: Array, count: int | None = None) -> list[LimitState]:
+    def states(self, limit: Limit, values: Array, count: int | None = None, *, each: bool = False) -> list[LimitState]:
         """States of a limit at some values, the demands interpolated."""
-        demands = self.columns(limit.quantity, values, count)
+        demands = self.columns(limit.quantity, values, count, each=each)
         return [self._state(limit, rows, float(value)) for value, rows in zip(values, demands, strict=True)]
 
     def between(self, limit: Limit, values: Array) -> Array:
@@ -231,20 +250,31 @@ class NodeSet:
     def curve(self, limit: Limit) -> Array:
         """Probability of exceeding (J, R) at the values of the curve, every replicate by itself.
 
-        The interpolated rows are a control variate: what they are off by on the few rows is added, so that no error
-        of interpolation is left on average, and what is left of it by chance shows in the spread of the replicates.
+        The interpolated rows are a control variate: what they are off by on the few rows is added, shared between
+        neighbouring values.  What is left of the error of interpolation by chance shows in the spread of the
+        replicates.
         """
         grid, k = self.grid, self.work.quantities.index(limit.quantity)
-        states = self.states(limit, grid)
+        states = self.states(limit, grid, each=True)
         found = np.array([probabilities(state) for state in states])
         if not self.few:
             return found
+        off = np.zeros_like(found)
         for j, (value, state) in enumerate(zip(grid.tolist(), states, strict=True)):
             rows = self.few[value].values[:, :, k]
-            true = probabilities(self._state(limit, rows, value))
-            d = state.demands[:, : rows.shape[1]]
-            found[j] += true - probabilities(_first(state, d))
-        return np.asarray(np.clip(found, 0.0, 1.0))
+            true = self._state(limit, rows, value)
+            ours = probabilities(_first(state, state.demands[:, : rows.shape[1]]))
+            side = max(float(found[j].mean() * (1.0 - found[j].mean())), 1e-12)
+            off[j] = (probabilities(true) - ours) / side
+        side = found.mean(axis=1, keepdims=True) * (1.0 - found.mean(axis=1, keepdims=True))
+        return np.asarray(np.clip(found + side * (_kernel(len(grid)) @ off), 0.0, 1.0))
+
+
+def _kernel(size: int) -> Array:
+    """Weights (size, size) by which neighbouring values of a curve share what they tell."""
+    distance = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+    weights = np.maximum(0.0, REACH - distance)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def _first(state: LimitState, demands: Array) -> LimitState:
