@@ -91,7 +91,7 @@ def test_the_bias_is_taken_out_on_request(load: Load) -> None:
         (("", ""), "F,D,stop\n6,20,0\nx,20,0\n", "finite number is due"),
         (('"F"', '"f"'), CSV, "strength.force: the column \"f\" is not in"),
         ((', force_unit = "kN"', ""), CSV, "add force_unit"),
-        (('"kN"', '"mm"'), CSV, "force_unit: found \"mm\""),
+        (('"kN"', '"mm"'), CSV, "force_unit.unit: found \"mm\""),
         ((', diameter = "D", diameter_unit = "mm"', ""), CSV, "need their diameter"),
         (("censored", "cencored"), CSV, "did you mean 'censored'"),
         ((" }", ', platens = "stel" }'), CSV, "did you mean 'steel'"),
