@@ -190,6 +190,17 @@ def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
     assert (tmp_path / "r" / "figures" / "strength-a.svg").is_file()
 
 
+def test_a_curve_costs_little_more_than_a_point() -> None:
+    from uqsphere.bench.fragility import curve_cost
+
+    study = Path(uqsphere.__file__).parent.parent / "studies" / "granite.toml"
+    found = curve_cost(study, reference_rows=16, accuracy=0.2)
+    assert found.points == 40
+    assert found.ratio < 5.0
+    assert found.error < 0.06 + found.reference_error
+    assert found.error < found.half_width + found.reference_error
+
+
 def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
     sets = [*SMALL, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']

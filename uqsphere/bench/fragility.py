@@ -83,16 +83,13 @@ def _compare(study: Study, limit: Limit, nodes: NodeSet, rows: int) -> tuple[flo
     return worst, widest
 
 
-def curve_cost(path: Path, *, reference_rows: int = 512, limit: str | None = None) -> CurveCost:
+def curve_cost(
+    path: Path, *, reference_rows: int = 512, limit: str | None = None, accuracy: float = ASKED
+) -> CurveCost:
     """Cost of the fragility curve of a study's limit (the first, if none is named), beside that of one point.
 
     The point is that of probability 0.01, the hardest of those that the curve is to know to 2 %.  The study's own
-    [margins] say over which scalar.
-
-    >>> studies = Path(__file__).parents[2] / "studies"
-    >>> found = curve_cost(studies / "granite.toml", reference_rows=64)
-    >>> found.points, found.ratio < 5.0
-    (40, True)
+    [margins] say over which scalar.  The band of the curve is brought to `accuracy`, a loose one being the cheapest.
     """
     study = load_study(path)
     check_range(study)
@@ -101,7 +98,7 @@ def curve_cost(path: Path, *, reference_rows: int = 512, limit: str | None = Non
     # what is compiled on the first call is no part of the cost
     evaluate_at(_work(study), study.margins.between[0] if study.margins else 1.0, start=0, count=1)
     begun = time.perf_counter()
-    _, nodes, _ = find_nodes(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=ASKED)
+    _, nodes, _ = find_nodes(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=accuracy)
     seconds = time.perf_counter() - begun
     if nodes is None:
         raise ValueError(f"the demands of {chosen.name} are not known in full")

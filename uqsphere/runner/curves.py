@@ -368,6 +368,9 @@ def find_nodes(
         limits = [limit for limit in limits if scan.fits(limit)]
         if not limits:
             return scan, None, ""
+        cost = REPLICATES * (NODES * FIRST_POINTS + CURVE_VALUES * (FIRST_POINTS // SHARED))
+        if work.ledger.total + cost > work.study.analysis.budget.evaluations:
+            return scan, None, "the curve is coarser than wanted: the budget of evaluations was used up"
         start, end = _region(work, limits, scan, least)
         nodes = NodeSet(work=work, tag=tag, points=scan.points)
         for value in chebyshev_nodes(start, end, NODES, logarithmic=low > 0.0):
