@@ -62,6 +62,7 @@ REACH: Final = 6.0
 ACCURACY: Final = 0.02
 #: half-width that is said to be wider than wanted
 WORTH_A_WORD: Final = 0.06
+_WIDE: Final = "the band of the curve is wider than wanted: its share of the evaluations, or the time, was used up"
 #: values at which curves are drawn
 CURVE_VALUES: Final = 40
 
@@ -101,7 +102,7 @@ def _speed_at_energy(work: Work, physical: Array, energy: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _normals(dimension: int, seed: int, start: int, count: int) -> Array:
-    """The same normal scores (R, count, dimension) at every value: to make them takes longer than to evaluate them."""
+    """The same normal scores (R, count, dimension) at every value."""
     from scipy.special import ndtri
 
     found = [
@@ -335,12 +336,12 @@ def _open_to_tests(work: Work, limit: Limit, scan: NodeSet, fine: Array, least: 
 
 def law_curves(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
     """Probability of exceeding (laws, J) at J states with one law after the other in place of the strength."""
-    found = np.empty((len(laws), len(states)))
+    found = np.full((len(laws), len(states)), 0.5)
     for j, state in enumerate(states):
         for k, law in enumerate(laws):
             below, above = tails(replace(state, strength=law))
-            total = float(below.sum() + above.sum())
-            found[k, j] = float(below.sum()) / total if total > 0.0 else 0.5
+            if (total := float(below.sum() + above.sum())) > 0.0:
+                found[k, j] = float(below.sum()) / total
     return found
 
 
@@ -397,8 +398,7 @@ def _grow(nodes: NodeSet, limits: Sequence[Limit], least: float, most: int, accu
         distinct = {id(sample): value for value, sample in nodes.samples.items()}
         cost = REPLICATES * (nodes.count * len(distinct) + few * len(nodes.few))
         if nodes.count >= MOST_POINTS or work.ledger.total + cost > most:
-            few_words = "the band of the curve is wider than wanted: its share of the evaluations was used up"
-            return few_words if worst > WORTH_A_WORD else ""
+            return _WIDE if worst > WORTH_A_WORD else ""
         try:
             more = {
                 key: evaluate_at(work, value, start=nodes.count, count=nodes.count, tag=nodes.tag)
@@ -406,7 +406,7 @@ def _grow(nodes: NodeSet, limits: Sequence[Limit], least: float, most: int, accu
             }
             rest = {v: evaluate_at(work, v, start=few, count=few, tag=nodes.tag)[1] for v in nodes.few}
         except OutOfBudget:
-            return "the band of the curve is wider than wanted: the time was over"
+            return _WIDE
         points = next(iter(more.values()))[0]
         longer = {key: nodes.samples[value].join(more[key][1]) for key, value in distinct.items()}
         nodes.samples = {value: longer[id(sample)] for value, sample in nodes.samples.items()}
