@@ -273,8 +273,7 @@ class NodeSet:
 
 def _kernel(size: int) -> Array:
     """Weights (size, size) by which neighbouring values of a curve share what they tell."""
-    distance = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
-    weights = np.maximum(0.0, REACH - distance)
+    weights = np.maximum(0.0, REACH - np.abs(np.subtract.outer(np.arange(size), np.arange(size))))
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
@@ -357,8 +356,7 @@ def find_nodes(
     before = work.ledger.total
     if strength_solved(work.study.margins.solve) is not None:
         points, sample = evaluate_at(work, low, start=0, count=FIRST_POINTS, tag=tag)
-        nodes = NodeSet(work=work, tag=tag, points=points, samples={low: sample, high: sample})
-        scan = nodes
+        nodes = scan = NodeSet(work=work, tag=tag, points=points, samples={low: sample, high: sample})
         if not all(nodes.fits(limit) for limit in limits):
             return nodes, None, ""
         grid = _spaced(*_region(work, limits, nodes, least), CURVE_VALUES)
