@@ -13,6 +13,7 @@ from typing import Final
 
 __all__ = [
     "DEMANDS",
+    "DRIVES",
     "INPUTS",
     "OUTPUTS",
     "UNITS",
@@ -218,9 +219,16 @@ DEMANDS: Final[dict[str, Quantity]] = _table(
 )  # fmt: skip
 
 
+#: Free scalars of margins that are no numbers of the file.
+DRIVES: Final[dict[str, Quantity]] = _table(
+    Quantity(name="striker.specific_energy", symbol="E_k/M", dimension="specific_energy", display="J/kg",
+             meaning="kinetic energy of the striker over the mass of the sphere"),
+)  # fmt: skip
+
+
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
-    found = INPUTS.get(name) or OUTPUTS.get(name)
+    found = INPUTS.get(name) or OUTPUTS.get(name) or DRIVES.get(name)
     if found is None and (base := name.partition(".")[0]) in DEMANDS:
         # the demand of a criterion goes by the names of criterion and limit
         return replace(DEMANDS[base], name=name)

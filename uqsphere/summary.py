@@ -6,6 +6,7 @@ from typing import Any
 
 from uqsphere.console import bar, plain, table
 from uqsphere.quantities import format_estimate
+from uqsphere.report.margin_verdict import margin_answer, subject_of
 
 __all__ = ["summary_of"]
 
@@ -111,7 +112,9 @@ def summary_of(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions."""
     from uqsphere.runner.results import savings
 
-    parts = [plain(results["study"]["title"]), "", *_verdicts(results), *_governing(results)]
+    answers = [plain(text) for name in results["margins"] if (text := margin_answer(results, name))]
+    parts = [plain(results["study"]["title"]), "", *answers, *([""] if answers else [])]
+    parts += [*_verdicts(results), *_governing(results)]
     rows: list[tuple[str, ...]] = []
     for name, entry in results["quantities"].items():
         rows.append((name, "mean", _estimate(entry["mean"], name)))
@@ -121,7 +124,7 @@ def summary_of(results: dict[str, Any]) -> str:
             rows.append(("", "censored share", _estimate(entry["censored_share"])))
     parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), "", *_drivers(results)]
     rows = [
-        (name, f"{float(p):g}", _estimate(e, entry["solve"]))
+        (name, f"{float(p):g}", _estimate(e, subject_of(results, entry["solve"])))
         for name, entry in results["margins"].items()
         for p, e in entry["values"].items()
     ]

@@ -239,7 +239,7 @@ def force_courses(scene: Scene, times: Array, *, fidelity: str = "full", toleran
         known = times <= course.end * float(scene.scales.time[row])
         states = states_at(scene, row, course, times[known])
         for face in (0, 1):
-            found[row, face, known] = _force(scene, row, states[:, face], fidelity)
+            found[row, face, known] = force_at(scene, row, states[:, face], fidelity)
     return found
 
 

@@ -23,6 +23,9 @@ from uqsphere.report import (
 )
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
+from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
+from uqsphere.report.margin_parts import parts_finding, parts_table
+from uqsphere.report.strength_plot import probability_plot, tests_table
 from uqsphere.report.wording import begin, call, capital, limit_name, symbol
 
 __all__ = ["CHAPTERS", "build_chapters"]
@@ -47,8 +50,21 @@ def _fragility(contents: Contents, name: str) -> Block:
         finding=decision.fragility_finding(contents, name),
         picture=decision.fragility_figure(contents, name),
         table=sections.margins_table(contents, name),
+        remarks=lognormal_remarks(contents, name),
         files=("tables/margins.csv", "tables/fragility.csv"),
     )
+
+
+def _family(contents: Contents, name: str) -> list[Block]:
+    if not contents.results["margins"][name].get("family"):
+        return []
+    return [
+        Block(
+            heading=f"Fragility of {limit_name(name)} over {family_name(contents, name)}",
+            picture=family_figure(contents, name),
+            table=family_table(contents, name),
+        )
+    ]
 
 
 def _distribution(contents: Contents, name: str) -> Block:
@@ -85,6 +101,7 @@ def _of_limits(contents: Contents) -> list[str]:
 def decision_chapter(contents: Contents) -> Chapter:
     """Fragility with operating point and target; else the demand against the strength."""
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
+    blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [_distribution(contents, name) for name in _decided(contents)]
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
@@ -103,6 +120,10 @@ def margins_chapter(contents: Contents) -> Chapter:
                 files=("tables/limits.csv",),
             )
         )
+    for name in contents.results["margins"]:
+        parts = parts_table(contents, name)
+        heading = f"What the margin of {limit_name(name)} is made of"
+        blocks.append(Block(heading=heading, finding=parts_finding(contents, name) if parts else "", table=parts))
     shown = _decided(contents)
     blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
     for name in limits:
@@ -131,6 +152,11 @@ def margins_chapter(contents: Contents) -> Chapter:
                 files=("tables/drivers.csv",),
             ),
         ]
+        picture = probability_plot(contents, name)
+        if picture is not None:
+            heading = f"The tests behind the strength of {limit_name(name)}"
+            tests = tests_table(contents, name)
+            blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests))
     return Chapter(anchor="margins", heading="Margins", short="Margins", blocks=tuple(blocks))
 
 

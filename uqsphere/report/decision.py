@@ -18,7 +18,15 @@ from uqsphere.report.wording import input_name, limit_name, plain_percent, round
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["fragility_figure", "fragility_finding", "margin_figure", "margin_finding"]
+__all__ = [
+    "fragility_figure",
+    "fragility_finding",
+    "margin_figure",
+    "margin_finding",
+    "probability_axis",
+    "score",
+    "x_scale",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -120,7 +128,7 @@ def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     return text + "; ".join(f"{value} times the demand {words[key]}" for key, value in known.items()) + f" ({reason})."
 
 
-def _score(p: Any) -> Array:
+def score(p: Any) -> Array:
     from scipy.special import ndtri
 
     return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), _LEAST, 1.0 - _LEAST)))
@@ -132,7 +140,8 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
     if not entry or len(entry["curve"]) < 2:
         return None
     solve = entry["solve"]
-    factor = display_unit(solve)[1]
+    subject = contents.subject(solve)
+    factor = display_unit(subject)[1]
     curve = np.array(entry["curve"], dtype=float)
     here = contents.at_mean(solve)
     limit = contents.results["limits"][name]
@@ -140,19 +149,20 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         figure, (axes,) = canvas.new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
         x = curve[kept, 0] * factor
-        axes.fill_between(x, _score(curve[kept, 2]), _score(curve[kept, 3]), color=BLUE, alpha=0.25, linewidth=0.0)
-        axes.plot(x, _score(curve[kept, 1]), color=BLUE)
-        _x_scale(axes, x)
+        axes.fill_between(x, score(curve[kept, 2]), score(curve[kept, 3]), color=BLUE, alpha=0.25, linewidth=0.0)
+        axes.plot(x, score(curve[kept, 1]), color=BLUE)
+        x_scale(axes, x)
         rising = bool(curve[-1, 1] >= curve[0, 1])
-        _asked_points(axes, entry, factor, x, rising)
+        _lognormal_line(axes, entry, curve[kept, 0], factor)
+        _asked_points(axes, entry, factor, x, rising, subject)
         _target_line(axes, limit, rising)
         bottom, top = axes.get_ylim()
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
             _operating_point(axes, here * factor, limit["exceedance"], rising)
-        _probability_axis(axes)
+        probability_axis(axes)
         word = "mean " if solve in contents.resolved["random"] else ""
-        axes.set_xlabel(axis_label(solve, word + canvas.shorten(input_name(solve), 50)))
+        axes.set_xlabel(axis_label(subject, word + canvas.shorten(input_name(solve), 50)))
         axes.set_ylabel(f"probability that {symbol(limit['quantity'], 24)}\nexceeds the strength")
     return Picture(
         name=slug("fragility", name),
@@ -172,7 +182,7 @@ def _interesting(p: Array, x: Array, here: float | None) -> Array:
     return np.arange(max(first - 1, 0), min(last + 2, len(p)))
 
 
-def _x_scale(axes: Axes, x: Array) -> None:
+def x_scale(axes: Axes, x: Array) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if x[0] > 0.0 and x[-1] > 8.0 * x[0]:
@@ -183,15 +193,36 @@ def _x_scale(axes: Axes, x: Array) -> None:
     axes.set_xlim(x[0], x[-1])
 
 
-def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool) -> None:
+def _lognormal_line(axes: Axes, entry: Mapping[str, Any], x: Array, factor: float) -> None:
+    """The lognormal curve beside the computed one, dashed."""
+    fitted = entry.get("lognormal") or {}
+    if not fitted.get("median"):
+        return
+    z = np.log(x / fitted["median"]["value"]) / fitted["dispersion"]["value"]
+    reach = float(score(_LEAST))
+    z = z if fitted["rising"] else -z
+    z = np.where(np.abs(z) <= abs(reach), z, np.nan)
+    axes.plot(x * factor, z, color=INK, linestyle="--", linewidth=1.0)
+    axes.annotate(
+        "dashed: lognormal", (1.0, 0.0), xycoords="axes fraction", xytext=(-4, 4), textcoords="offset points",
+        ha="right", va="bottom", fontsize=9.0,
+    )  # fmt: skip
+
+
+def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool, subject: str) -> None:
     """The values at the probabilities asked for, each labelled below its point, away from the curve."""
+    labelled: float | None = None
     for p, estimate in entry["values"].items():
         if estimate["value"] is None or not x[0] <= estimate["value"] * factor <= x[-1]:
             continue
-        place = estimate["value"] * factor, float(_score(float(p)))
+        place = estimate["value"] * factor, float(score(float(p)))
+        near = labelled is not None and abs(place[1] - labelled) < 0.45
+        labelled = labelled if near else place[1]
         axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
+        if near:
+            continue
         axes.annotate(
-            rounded(estimate, entry["solve"], 3),
+            rounded(estimate, subject, 3),
             place,
             xytext=(7 if rising else -7, -3),
             textcoords="offset points",
@@ -206,7 +237,7 @@ def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
     if limit["target"] is None:
         return
     accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
-    y = float(_score(accepted))
+    y = float(score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
     word = "at most" if limit["aim"] == "survive" else "at least"
     axes.annotate(
@@ -227,11 +258,9 @@ def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising
     p = exceedance["value"]
     if p is None:
         return
-    y = float(_score(p))
+    y = float(score(p))
     if exceedance["low"] is not None and exceedance["high"] is not None:
-        axes.plot(
-            [x, x], [float(_score(exceedance["low"])), float(_score(exceedance["high"]))], color=INK, linewidth=1.4
-        )
+        axes.plot([x, x], [float(score(exceedance["low"])), float(score(exceedance["high"]))], color=INK, linewidth=1.4)
     axes.plot(x, y, marker="D", markersize=8, color=ORANGE, markeredgecolor=INK)
     across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
     below = (across if rising else 1.0 - across) <= 0.6
@@ -250,15 +279,15 @@ def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising
     axes.set_ylim(bottom, top)
 
 
-def _probability_axis(axes: Axes) -> None:
+def probability_axis(axes: Axes) -> None:
     """Ticks at round probabilities, the roundest first, none nearer to another than a line of text."""
     low, high = axes.get_ylim()
     seen: list[float] = []
     for p in sorted(_TICKS, key=lambda p: _PRIORITY.get(p, 1.0)):
-        score = float(_score(p))
-        if low <= score <= high and all(abs(score - float(_score(q))) > 0.055 * (high - low) for q in seen):
+        height = float(score(p))
+        if low <= height <= high and all(abs(height - float(score(q))) > 0.055 * (high - low) for q in seen):
             seen.append(p)
-    axes.set_yticks([float(_score(p)) for p in seen], [_tick(p) for p in seen])
+    axes.set_yticks([float(score(p)) for p in seen], [_tick(p) for p in seen])
     axes.set_ylim(low, high)
     axes.grid()
 
@@ -274,9 +303,9 @@ def fragility_finding(contents: Contents, name: str) -> str:
     if not known:
         reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
         return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
-    parts = [f"{plain_percent(float(p))} at {rounded(e, entry['solve'])}" for p, e in known.items()]
+    parts = [f"{plain_percent(float(p))} at {rounded(e, contents.subject(entry['solve']))}" for p, e in known.items()]
     here = contents.at_mean(entry["solve"])
     text = f"Over {input_name(entry['solve'])}, the probability of exceeding {limit_name(name)} is {', '.join(parts)}"
     if here is not None:
-        text += f"; the study stands at {value_text(here, entry['solve'])}"
+        text += f"; the study stands at {value_text(here, contents.subject(entry['solve']))}"
     return text + "."

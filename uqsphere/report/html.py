@@ -15,6 +15,7 @@ from uqsphere.report.canvas import Picture
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.glance import glances
+from uqsphere.report.margin_verdict import margin_verdicts
 from uqsphere.report.tables import Table
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.runner.tables import csv_text
@@ -137,7 +138,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
     return (
         template.render(
             title=canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study",
-            verdicts=verdicts(contents),
+            verdicts=[*margin_verdicts(contents), *verdicts(contents)],
             glances=glances(contents),
             cautions=cautions(contents),
             chapters=chapters,

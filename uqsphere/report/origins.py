@@ -40,7 +40,8 @@ def _law_text(contents: Contents, name: str) -> str:
         if law[key] is not None:
             parts.append(f"{word} {value_text(law[key], subject, 6)}")
     if law["data"]:
-        parts.append(f"{len(law['data'])} observations")
+        stopped = len(law.get("censored", ()))
+        parts.append(f"{len(law['data'])} observations" + (f" and {stopped} stopped before" if stopped else ""))
     return ", ".join([str(law["dist"]).replace("_", " "), *parts])
 
 

@@ -103,7 +103,8 @@ def margins_table(contents: Contents, name: str) -> Table:
     """Values of the free scalar at the probabilities asked for."""
     entry = contents.results["margins"][name]
     solve = entry["solve"]
-    rows = tuple((plain_percent(float(p)), cell(e, solve)) for p, e in entry["values"].items())
+    subject = contents.subject(solve)
+    rows = tuple((plain_percent(float(p)), cell(e, subject)) for p, e in entry["values"].items())
     return Table(
         caption=f"{capital(input_name(solve))} at which {limit_name(name)} is exceeded with a given probability",
         header=("probability", "value (95 % interval)"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.model import BlackBox, load_black_box, model_digest
-from uqsphere.quantities import format_value
+from uqsphere.quantities import INPUTS, format_value
 from uqsphere.store import Store, open_store, read_json
 from uqsphere.study import Study
 
@@ -216,7 +216,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
                 interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high)
                 notice(f"limit {name}: probability of missing its aim {interval}")
     tolerance = find_tolerance(work)
-    margins = find_margins(work)
+    margins = find_margins(work, sampled)
     ledger.seconds["margins"] = ledger.elapsed
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
@@ -256,6 +256,8 @@ def check_range(study: Study) -> None:
     from uqsphere.model import scene_of
 
     name = study.margins.solve
+    if name not in INPUTS:
+        return
     for value in study.margins.between:
         code = int(scene_of(study, {name: np.array([value])}).status[0])
         if code:

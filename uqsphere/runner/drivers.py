@@ -21,6 +21,7 @@ from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.distribution import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
 from uqsphere.uq.distributional import delta_estimates, pawn_estimates
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.ignorance import count_tests
 from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.inputs import normal_scores, tied_names
 from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
@@ -126,7 +127,7 @@ def _distances(work: Work, points: Draw, sample: Sample, k: int) -> dict[str, An
 
 def _observed(law: Law | float) -> int | None:
     """How many observations a law was made from, where it was."""
-    return len(law.data) if isinstance(law, Law) and law.data else None
+    return count_tests(law) if isinstance(law, Law) and law.data else None
 
 
 def _measure_variance(work: Work, found: Sensitivity) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf, is_steps
-from uqsphere.uq.ignorance import is_fitted, possible_densities, possible_tails
+from uqsphere.uq.ignorance import count_tests, is_fitted, possible_densities, possible_tails
 from uqsphere.uq.inputs import conditional_normal, tied_names
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.reliability import shifted_tails, strength_tails
@@ -94,7 +94,7 @@ def _spread(values: Array) -> list[float]:
 
 def _about(fitted: dict[str, Law]) -> list[dict[str, Any]]:
     return [
-        {"input": name, "fit": "kde" if law.kind == "empirical" else law.kind, "tests": len(law.data)}
+        {"input": name, "fit": "kde" if law.kind == "empirical" else law.kind, "tests": count_tests(law)}
         for name, law in fitted.items()
     ]
 

@@ -26,7 +26,7 @@ from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 from uqsphere.uq.reliability import reliability_index, strength_tails, target_met
 
-__all__ = ["METHOD", "refine_limits"]
+__all__ = ["METHOD", "DesignFound", "find_design", "refine_limits"]
 
 Array = npt.NDArray[np.float64]
 
@@ -283,3 +283,35 @@ def _record(name: str, answer: LimitAnswer, rare: RareAnswer) -> list[dict[str, 
         for method, evaluations, error in rare.history
         if np.isfinite(error)
     ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignFound:
+    """A design point by itself: values of the variables (SI), their importance factors, its distance."""
+
+    values: dict[str, float]
+    shares: dict[str, float]
+    beta: float
+
+
+def find_design(work: Work, limit: Limit) -> DesignFound | str:
+    """The nearest design point of a limit of another study than that of the run, or why there is none.
+
+    Nothing of it is stored: the chunks of the run belong to its own study.
+    """
+    if not work.drawn.names:
+        return "nothing but the strength is random"
+    if _tied(work, limit):
+        return "the strength depends on an input by a copula that is not Gaussian"
+    space = _space(replace(work, spare=True, store=None), limit, 0)
+    found = find_design_points(
+        Evaluator(limit=space.function, budget=FOR_DESIGN), seed=work.study.seed, most=FOR_DESIGN
+    )
+    known = [point for point in found.points if point.converged]
+    if not known:
+        return found.text or "no design point was found"
+    names = list(work.drawn.names)
+    if space.function.integrated:
+        names.append(f"limits.{limit.name}.strength")
+    shares = {name: float(share) for name, share in zip(names, known[0].importance, strict=True)}
+    return DesignFound(values=_physical(work, known[0], space), shares=shares, beta=known[0].beta)

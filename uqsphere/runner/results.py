@@ -14,13 +14,14 @@ from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.margins import MarginAnswer, lognormal_table
 from uqsphere.runner.pilot import Pilot
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.tables import tables
 from uqsphere.runner.work import Ledger, Work
 from uqsphere.store import Store, write_atomically, write_json
+from uqsphere.study import Family
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.laws import mean, sd
 
@@ -154,13 +155,22 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
     }
 
 
-def _margins(margins: dict[str, MarginAnswer]) -> dict[str, Any]:
+def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities: Mapping[str, str]) -> dict[str, Any]:
+
+    def subject(solve: str) -> str:
+        # a strength is in the unit of its limit's quantity
+        parts = solve.split(".")
+        return quantities[parts[1]] if len(parts) == 3 and parts[1] in quantities else solve
+
     return {
         name: {
             "solve": found.solve,
-            "unit": lookup(found.solve).unit,
+            "unit": lookup(subject(found.solve)).unit,
             "values": {_share(p): estimate.as_dict() for p, estimate in found.values.items()},
             "curve": [list(point) for point in found.curve],
+            "lognormal": lognormal_table(found.lognormal),
+            **({"family": {"path": family.path, "members": found.family}} if family is not None else {}),
+            **found.about,
         }
         for name, found in margins.items()
     }
@@ -204,7 +214,11 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             }
             for name, limit in found.sampled.limits.items()
         },
-        "margins": _margins(found.margins),
+        "margins": _margins(
+            found.margins,
+            study.margins.family if study.margins else None,
+            {limit.name: limit.quantity for limit in study.limits},
+        ),
         "model": {
             "chosen": found.pilot.chosen,
             "why": found.pilot.why,

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.study.nouns import (
+    ENERGY,
     Accuracy,
     Analysis,
     Budget,
     Dependence,
     EndImpedance,
+    Family,
     Gauge,
     Limit,
     Margins,
@@ -23,11 +25,13 @@ from uqsphere.study.nouns import (
 from uqsphere.study.resolve import load_study
 
 __all__ = [
+    "ENERGY",
     "Accuracy",
     "Analysis",
     "Budget",
     "Dependence",
     "EndImpedance",
+    "Family",
     "Gauge",
     "Limit",
     "Margins",

@@ -8,14 +8,26 @@ import io
 import math
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from uqsphere.errors import AccessError
 from uqsphere.quantities import UNITS, Quantity, units_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.reading import read_bytes
 
-__all__ = ["LARGEST_CSV", "MOST_VALUES", "inside_folder", "read_column"]
+__all__ = [
+    "LARGEST_CSV",
+    "MOST_VALUES",
+    "column_values",
+    "inside_folder",
+    "open_table",
+    "read_column",
+    "read_flags",
+    "unit_factor",
+]
+
+#: lines with their number
+Rows: TypeAlias = list[tuple[int, list[str]]]
 
 LARGEST_CSV: Final = 1 << 20
 MOST_VALUES: Final = 100_000
@@ -26,7 +38,7 @@ def read_column(
 ) -> tuple[float, ...]:
     """Values in SI of the column that an empirical distribution names; empty, with faults noted, if there "
     "are none."""
-    factor = _factor(raw, place, quantity, findings)
+    factor = unit_factor(raw, place, quantity, findings)
     fit = raw.get("fit")
     if fit is not None and not isinstance(fit, str):
         findings.add((*place, "fit"), f'found {shown(fit)}, where "kde", "steps" or a distribution is due')
@@ -45,10 +57,44 @@ def read_column(
     if path is None or "column" not in names:
         return ()
     rows = _rows(path, names["file"], (*place, "file"), findings)
-    return () if rows is None else _values(rows, names, place, findings, factor)
+    return () if rows is None else column_values(rows, names, place, findings, factor)
 
 
-def _factor(raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: Findings) -> float:
+def open_table(name: str, place: Place, findings: Findings, folder: Path) -> Rows | None:
+    """Lines of a CSV of the study's own folder, the header first; None, with the fault noted, if there are none."""
+    path = inside_folder(name, place, findings, folder)
+    return None if path is None else _rows(path, name, place, findings)
+
+
+#: what a flag of a test can say
+_FLAGS: Final = {"0": False, "1": True, "no": False, "yes": True, "false": False, "true": True, "": False}
+
+
+def read_flags(raw: Mapping[str, Any], place: Place, findings: Findings, folder: Path) -> tuple[bool, ...] | None:
+    """Which rows of the table are tests that were stopped before a failure; None, with the fault noted, if unknown."""
+    name, column = raw.get("file"), raw.get("censored")
+    if not isinstance(column, str) or not column:
+        findings.add((*place, "censored"), f"found {shown(column)}, where the name of a column is due")
+        return None
+    rows = open_table(str(name), (*place, "file"), findings, folder)
+    if rows is None:
+        return None
+    at = _place_of(rows[0][1], {"file": str(name), "column": column}, (*place, "censored"), findings)
+    if at is None:
+        return None
+    found = []
+    for line, row in rows[1:]:
+        cell = row[at] if at < len(row) else ""
+        if cell.lower() not in _FLAGS:
+            where = f"line {line} of {shown(name)}"
+            findings.add((*place, "censored"), f"{where}: found {shown(cell)}, where 0 or 1 (stopped) is due")
+            return None
+        found.append(_FLAGS[cell.lower()])
+    return tuple(found)
+
+
+def unit_factor(raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: Findings) -> float:
+    """Factor to SI of a column by its unit; 1, with the fault noted, where that is missing or unknown."""
     unit = raw.get("unit")
     allowed = ", ".join(name for name in units_of(quantity.dimension) if name.isascii() and "^" not in name)
     if quantity.dimension == "number":
@@ -87,7 +133,7 @@ def inside_folder(name: str, place: Place, findings: Findings, folder: Path) -> 
     return path
 
 
-def _rows(path: Path, name: str, place: Place, findings: Findings) -> list[tuple[int, list[str]]] | None:
+def _rows(path: Path, name: str, place: Place, findings: Findings) -> Rows | None:
     """Lines with their number; the first holds the names of the columns."""
     try:
         data = read_bytes(path, LARGEST_CSV)
@@ -111,24 +157,28 @@ def _rows(path: Path, name: str, place: Place, findings: Findings) -> list[tuple
     return None
 
 
-def _values(
-    rows: list[tuple[int, list[str]]],
-    names: Mapping[str, str],
-    place: Place,
-    findings: Findings,
-    factor: float,
-) -> tuple[float, ...]:
-    (_, header), column = rows[0], names["column"]
+def _place_of(header: list[str], names: Mapping[str, str], place: Place, findings: Findings) -> int | None:
+    """Where a column stands; None, with the fault noted, if it is not there once."""
+    column = names["column"]
     if header.count(column) != 1:
         said = "twice or more" if column in header else "not"
         listed = one_of([shown(cell, 24) for cell in header[:12]])
         findings.add(
-            (*place, "column"),
+            place,
             f"the column {shown(column)} is {said} in {shown(names['file'])}, which has {listed}"
             + suggestion(column, header),
         )
+        return None
+    return header.index(column)
+
+
+def column_values(
+    rows: Rows, names: Mapping[str, str], place: Place, findings: Findings, factor: float, key: str = "column"
+) -> tuple[float, ...]:
+    """The column as numbers in SI; empty, with the fault noted at `key`, where it is missing or holds none."""
+    at = _place_of(rows[0][1], names, (*place, key), findings)
+    if at is None:
         return ()
-    at = header.index(column)
     values: list[float] = []
     for line, row in rows[1:]:
         cell = row[at] if at < len(row) else ""
@@ -138,10 +188,10 @@ def _values(
             value = math.nan
         if not math.isfinite(value):
             where = f"line {line} of {shown(names['file'])}"
-            findings.add((*place, "column"), f"{where}: found {shown(cell)}, where a finite number is due")
+            findings.add((*place, key), f"{where}: found {shown(cell)}, where a finite number is due")
             return ()
         values.append(value)
     if not 2 <= len(values) <= MOST_VALUES:
-        findings.add((*place, "column"), f"found {len(values)} values, from 2 to {MOST_VALUES} are due")
+        findings.add((*place, key), f"found {len(values)} values, from 2 to {MOST_VALUES} are due")
         return ()
     return tuple(values)

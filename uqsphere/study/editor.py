@@ -137,10 +137,21 @@ def _law(kind: str, dimension: str) -> Node:
     if kind == "empirical":
         properties |= {"file": _text("CSV beside the study"), "column": _text("column of the CSV")}
         properties["fit"] = {"enum": ["kde", "steps", *(name for name in LAWS if name != "empirical")]}
-        required += ["file", "column"]
+        properties |= {
+            "censored": _text("column of flags: tests stopped before a failure"),
+            "unbiased": {"type": "boolean"},
+            "force": _text("column of forces at failure of spheres, in place of column"),
+            "diameter": _text("column of diameters, or one length"),
+            "rate": _text("column of loading rates"),
+            "platens": _text("bars, rigid, or a material of bars"),
+            **{f"{key}_unit": _text(f"unit of the column {key}") for key in ("force", "diameter", "rate")},
+        }
+        required += ["file"]
         if dimension != "number":
             properties["unit"] = _words(units_of(dimension), "unit of the column")
-            required.append("unit")
+        plain = ["column"] if dimension == "number" else ["column", "unit"]
+        either = [{"required": plain}, {"required": ["force", "force_unit", "diameter"]}]
+        return _table(properties, required) | {"anyOf": either}
     node = _table(properties, required)
     alternatives = [{"required": list(keys)} for keys in specification.alternatives if keys]
     return node | {"anyOf": alternatives} if alternatives else node
@@ -281,6 +292,10 @@ def _margins() -> Node:
             "solve": _text("the number that is free, such as striker.speed"),
             "between": {"type": "array", "items": end, "minItems": 2, "maxItems": 2},
             "for_probability": _list(_SHARE),
+            "for_survival": _list(_SHARE),
+            "for_fracture": _list(_SHARE),
+            "family": _table({"path": _text("number of the scene"), "values": _list({})}, ["path", "values"]),
+            "bars_elastic": {"type": "boolean"},
         },
         ("solve", "between"),
     )

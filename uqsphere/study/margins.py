@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
 
-from uqsphere.quantities import lookup
+from uqsphere.quantities import Quantity, lookup
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Margins, Study, law_with_mean
+from uqsphere.study.nouns import ENERGY, Family, Margins, Study, law_with_mean
 from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.requests import shares
 from uqsphere.study.scene import Scene
@@ -16,17 +18,31 @@ from uqsphere.uq.laws import LawError
 __all__ = ["check_moved_mean", "read_margins"]
 
 
+#: curves of a family
+MOST_MEMBERS: Final = 12
+
+
 def read_margins(
     table: MarginsTable | None,
     scene: Scene,
     black_box: bool,
     numbers: Mapping[str, Place],
     findings: Findings,
+    limits: Mapping[str, str],
 ) -> Margins | None:
     if table is None:
         return None
     probabilities = shares(table.for_probability, ("margins", "for_probability"), findings)
-    known = _known_solve(table.solve, scene, black_box, numbers, findings)
+    if table.for_fracture is not None:
+        probabilities += shares(table.for_fracture, ("margins", "for_fracture"), findings)
+    if table.for_survival is not None:
+        probabilities += tuple(_rest(p) for p in shares(table.for_survival, ("margins", "for_survival"), findings))
+    probabilities = tuple(sorted(set(probabilities)))
+    if black_box and table.bars_elastic:
+        findings.add(("margins", "bars_elastic"), "a black box has no bars: leave bars_elastic out")
+    elif table.bars_elastic and "bars.yield_strength" not in scene.readings and findings.clean(("bars",)):
+        findings.add(("margins", "bars_elastic"), "the bars have no yield strength: add bars.yield_strength")
+    known = _known_solve(table.solve, scene, black_box, numbers, findings, limits)
     if table.between is None:
         if findings.clean(("margins", "between")):
             findings.add(("margins", "between"), "between is missing: add the lowest and the highest value to look at")
@@ -39,7 +55,8 @@ def read_margins(
         return None
     if table.solve is None or not known:
         return None
-    quantity = lookup(table.solve) if not black_box else plain_quantity(table.solve)
+    family = _read_family(table, scene, black_box, findings)
+    quantity = _quantity_of(table.solve, limits, black_box)
     ends = [
         read_fixed(raw, ("margins", "between", index), quantity, findings) for index, raw in enumerate(table.between)
     ]
@@ -50,11 +67,60 @@ def read_margins(
         first, second = (shown(raw) for raw in table.between)
         findings.add(("margins", "between"), f"found {first} and {second}: the lower value must come first")
         return None
-    return Margins(solve=table.solve, between=(low, high), for_probability=probabilities)
+    return Margins(
+        solve=table.solve, between=(low, high), for_probability=probabilities, family=family,
+        bars_elastic=table.bars_elastic,
+    )  # fmt: skip
+
+
+def _rest(p: float) -> float:
+    """1 - p without the rounding that would make two of one probability."""
+    return float(f"{1.0 - p:.12g}")
+
+
+def _quantity_of(solve: str, limits: Mapping[str, str], black_box: bool) -> Quantity:
+    """What the free scalar is: a strength is in the unit of its limit's quantity, a mean above zero."""
+    if solve in limits:
+        own = lookup(limits[solve]) if not black_box else plain_quantity(limits[solve])
+        return replace(own, lower=0.0, meaning="the mean strength")
+    return plain_quantity(solve) if black_box else lookup(solve)
+
+
+def _read_family(table: MarginsTable, scene: Scene, black_box: bool, findings: Findings) -> Family | None:
+    """Another number of the scene and its values; None, with the faults noted, if there is none."""
+    if table.family is None:
+        return None
+    place: Place = ("margins", "family")
+    path, raws = table.family.path, table.family.values
+    if path is None or not raws:
+        if findings.clean(place):
+            findings.add(place, 'a family needs path = "sphere.radius" and values = ["5 mm", "10 mm"]')
+        return None
+    if path not in scene.readings or path == table.solve:
+        why = "is the free number itself" if path == table.solve else "is no number of this scene"
+        findings.add((*place, "path"), f"{shown(path)} {why}{suggestion(path, list(scene.readings))}")
+        return None
+    if len(raws) > MOST_MEMBERS:
+        findings.add((*place, "values"), f"found {len(raws)} values, at most {MOST_MEMBERS} are allowed")
+        return None
+    quantity = plain_quantity(path) if black_box else lookup(path)
+    values = [read_fixed(raw, (*place, "values", k), quantity, findings) for k, raw in enumerate(raws)]
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return None
+    if len(set(known)) < len(known):
+        findings.add((*place, "values"), "a value is named twice")
+        return None
+    return Family(path=path, values=tuple(sorted(known)))
 
 
 def _known_solve(
-    solve: str | None, scene: Scene, black_box: bool, numbers: Mapping[str, Place], findings: Findings
+    solve: str | None,
+    scene: Scene,
+    black_box: bool,
+    numbers: Mapping[str, Place],
+    findings: Findings,
+    limits: Mapping[str, str],
 ) -> bool:
     place: Place = ("margins", "solve")
     if solve is None:
@@ -64,12 +130,17 @@ def _known_solve(
                 f'solve is missing: add the number that is free, such as solve = "{_example(black_box)}"',
             )
         return False
-    if solve in scene.readings:
+    if solve in scene.readings or solve in limits:
         return True
+    if solve == ENERGY and not black_box:
+        if "striker.length" in scene.readings:
+            return True
+        findings.add(place, f"{shown(solve)} needs the mass of the striker: give striker.length")
+        return False
     if solve in numbers and not findings.clean(numbers[solve]):
         return False
     kind = "input of this study" if black_box else "number of this scene"
-    names = list(scene.readings)
+    names = [*scene.readings, *limits, *([] if black_box else [ENERGY])]
     known = one_of(names[:30]) if names else "none"
     findings.add(place, f"{shown(solve)} is no {kind}, which has {known}{suggestion(solve, names)}")
     return False
@@ -82,21 +153,30 @@ def _example(black_box: bool) -> str:
 def check_moved_mean(study: Study, findings: Findings) -> None:
     """A random number that margins move must have a law with every mean between the two ends."""
     margins = study.margins
-    if margins is None or margins.solve not in study.random:
+    if margins is None:
         return
-    if "mean" not in study.given[margins.solve]:
+    if margins.family is not None:
+        _check_moved(study, margins.family.path, margins.family.values, ("path", "values"), findings)
+    _check_moved(study, margins.solve, margins.between, ("solve", "between"), findings)
+
+
+def _check_moved(study: Study, name: str, values: Sequence[float], keys: tuple[str, str], findings: Findings) -> None:
+    base: Place = ("margins",) if keys[0] == "solve" else ("margins", "family")
+    if name not in study.random:
+        return
+    if "mean" not in study.given[name]:
         findings.add(
-            ("margins", "solve"),
-            f"{shown(margins.solve)} scatters by a law that is not given by its mean, so there is no mean "
+            (*base, keys[0]),
+            f"{shown(name)} scatters by a law that is not given by its mean, so there is no mean "
             "to move: "
             "give it by mean and sd or cov, or as a fixed number",
         )
         return
-    for index, value in enumerate(margins.between):
+    for index, value in enumerate(values):
         try:
-            law_with_mean(study, margins.solve, value)
+            law_with_mean(study, name, value)
         except LawError as error:
             findings.add(
-                ("margins", "between", index),
-                f"with this mean {margins.solve} has no law: {error.message} (SI)",
+                (*base, keys[1], index),
+                f"with this mean {name} has no law: {error.message} (SI)",
             )

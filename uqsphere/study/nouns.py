@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.mechanics.measured import MeasuredPulse
 from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from uqsphere.uq.inputs import Inputs
 
 __all__ = [
+    "ENERGY",
     "Accuracy",
     "Analysis",
     "Budget",
     "Dependence",
     "EndImpedance",
+    "Family",
     "Gauge",
     "Limit",
     "Margins",
@@ -33,6 +35,10 @@ __all__ = [
     "law_with_mean",
     "tie_of",
 ]
+
+
+#: free scalar of margins that is no number of the file: kinetic energy of the striker over the mass of the sphere
+ENERGY: Final = "striker.specific_energy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,11 +122,25 @@ class ModelChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit."""
+    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit.
+
+    `family` asks for a curve at each of some values of another number of the scene; `bars_elastic` for the value at
+    which the bars yield.
+    """
 
     solve: str
     between: tuple[float, float]
     for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
+    family: Family | None = None
+    bars_elastic: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Another number of the scene and the values (SI) at which each curve is drawn again."""
+
+    path: str
+    values: tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +279,7 @@ class Study:
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
             "analysis": _lists(asdict(self.analysis)),
-            "margins": None if self.margins is None else _lists(asdict(self.margins)),
+            "margins": None if self.margins is None else _margins_json(self.margins),
             "outputs": list(self.outputs),
             **({} if self.record is None else {"record": _lists(asdict(self.record))}),
             **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
@@ -294,6 +314,12 @@ def _dependence_json(group: Dependence) -> dict[str, Any]:
     return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
 
 
+def _margins_json(margins: Margins) -> dict[str, Any]:
+    """What was asked, and nothing else, as with dependence."""
+    table = _lists(asdict(margins))
+    return {key: value for key, value in table.items() if value not in (None, False)}
+
+
 def _bound(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
@@ -306,6 +332,7 @@ def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
         "lower": _bound(law.lower),
         "upper": _bound(law.upper),
         "data": list(law.data),
+        **({"censored": list(law.censored)} if law.censored else {}),
     }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.quantities import INPUTS, Quantity, UnitError, format_value, parse_value
-from uqsphere.study.columns import read_column
+from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
 
@@ -18,7 +18,7 @@ __all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
 #: Words for the far end of a bar, and the velocity reflection coefficient that each stands for.
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 
-_FILE_KEYS: Final = ("file", "column", "unit", "fit")
+_FILE_KEYS: Final = ("file", "column", "unit", "fit", "censored", "unbiased")
 #: More than this share of a law outside what has a meaning is worth a warning.
 _SHARE_WORTH_A_WORD: Final = 1e-6
 
@@ -116,12 +116,19 @@ def _read_law(
         if value is not None:
             (bounds if key in ("lower", "upper") else given)[key] = value
     data: tuple[float, ...] = ()
+    stopped: tuple[float, ...] = ()
     if empirical:
         data = read_column(raw, place, quantity, findings, folder)
+        if not isinstance(raw.get("unbiased", False), bool):
+            findings.add((*place, "unbiased"), f"found {shown(raw['unbiased'])}, where true or false is due")
+        if "censored" in raw and data and (flags := read_flags(raw, place, findings, folder)) is not None:
+            stopped = tuple(value for value, flag in zip(data, flags, strict=True) if flag)
+            data = tuple(value for value, flag in zip(data, flags, strict=True) if not flag)
     if len(findings.faults) > before or not findings.clean(place):
         return None
     try:
-        law = make_law(kind, given, bounds.get("lower"), bounds.get("upper"), data, raw.get("fit"))
+        law = make_law(kind, given, bounds.get("lower"), bounds.get("upper"), data, raw.get("fit"),
+                       stopped, bool(raw.get("unbiased")))  # fmt: skip
     except LawError as error:
         findings.add((*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind))
         return None

@@ -13,8 +13,10 @@ from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, wit
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
 from uqsphere.study.numbers import Reading, read_fixed, read_number
+from uqsphere.study.scene import Scene
 from uqsphere.study.schema import AnalysisTable, LimitTable, ModelTable
 from uqsphere.study.sensitivities import read_tolerance
+from uqsphere.study.sphere_tests import is_sphere_tests, read_sphere_tests
 
 __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares", "valid_name"]
 
@@ -84,7 +86,7 @@ def read_model(table: ModelTable, findings: Findings) -> ModelChoice:
 
 
 def read_limits(
-    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, folder: Path
+    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, folder: Path, scene: Scene
 ) -> list[LimitReading]:
     """The limits; `outputs` are the names of a black box (None: those of the impact model)."""
     found: list[LimitReading] = []
@@ -109,6 +111,9 @@ def read_limits(
                     (*place, "strength"),
                     'strength is missing: add a number such as "4 GPa", or a distribution',
                 )
+        elif quantity is not None and outputs is None and is_sphere_tests(table.strength):
+            place_of = (*place, "strength")
+            strength = read_sphere_tests(table.strength, place_of, quantity, criterion, scene, findings, folder)
         elif quantity is not None:
             strength = read_number(table.strength, (*place, "strength"), _strength_of(quantity), findings, folder)
         else:

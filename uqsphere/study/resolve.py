@@ -83,7 +83,7 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         gauges = read_gauges(document.gauges, scene, findings)
     if document.seed < 0:
         findings.add(("seed",), f"found {document.seed}, a whole number from 0 upwards is due")
-    limits = read_limits(document.limits, outputs, findings, folder)
+    limits = read_limits(document.limits, outputs, findings, folder, scene)
     analysis = read_analysis(document.analysis, outputs, limits, findings)
     random, given = _random(scene, limits)
     numbers = _places(document, scene, bool(black_box))
@@ -94,7 +94,10 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         groups = read_groups(document.analysis.groups, scattering, numbers, findings)
         analysis = replace(analysis, groups=groups)
         dependence = read_dependence(document.dependence, random, numbers, findings)
-        margins = read_margins(document.margins, scene, black_box, numbers, findings)
+        strengths = {f"limits.{limit.name}.strength": limit.quantity for limit in limits if limit.quantity is not None}
+        margins = read_margins(document.margins, scene, black_box, numbers, findings, strengths)
+        if margins is not None and margins.bars_elastic and "p_max" not in analysis.quantities:
+            analysis = replace(analysis, quantities=(*analysis.quantities, "p_max"))
     if document.margins is not None and not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     if findings.faults:

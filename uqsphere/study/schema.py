@@ -22,6 +22,7 @@ __all__ = [
     "BudgetTable",
     "DependenceTable",
     "Document",
+    "FamilyTable",
     "GaugeTable",
     "LimitTable",
     "MarginsTable",
@@ -177,10 +178,19 @@ class AnalysisTable(Table):
     tolerance_intervals: ToleranceTable | None = None
 
 
+class FamilyTable(Table):
+    path: str | None = None
+    values: list[Any] | None = None
+
+
 class MarginsTable(Table):
     solve: str | None = None
     between: list[Any] | None = None
     for_probability: list[float] = Field(default_factory=lambda: [0.01, 0.1, 0.5, 0.9, 0.99])
+    for_survival: list[float] | None = None
+    for_fracture: list[float] | None = None
+    family: FamilyTable | None = None
+    bars_elastic: bool = False
 
 
 class OutputsTable(Table):
@@ -216,6 +226,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "gauges": GaugeTable,
     "analysis": AnalysisTable,
     "margins": MarginsTable,
+    "family": FamilyTable,
     "accuracy": AccuracyTable,
     "budget": BudgetTable,
     "tolerance_intervals": ToleranceTable,

@@ -39,7 +39,8 @@ class Law:
     """A probability law in SI: kind, canonical parameters, and the bounds between which it is in force.
 
     `lower` and `upper` truncate, or are the bounds of uniform, loguniform, triangular and beta laws.
-    `data` are the sorted observations of an empirical law (kept when a family was fitted to them).
+    `data` are the sorted observations of an empirical law (kept when a family was fitted to them); `censored` are
+    those that are known only to be larger than this.
     An empirical law has the parameter `bandwidth`: of the Gaussian kernel, 0 for the step function.
     Make one with `make_law`, which validates.
     """
@@ -49,6 +50,7 @@ class Law:
     lower: float = -math.inf
     upper: float = math.inf
     data: tuple[float, ...] = ()
+    censored: tuple[float, ...] = ()
 
 
 def steps_kept(law: Law) -> Array:

@@ -22,13 +22,17 @@ import numpy.typing as npt
 from uqsphere.uq.empirical import bandwidth
 from uqsphere.uq.families import FAMILIES, Array
 from uqsphere.uq.laws import Law, LawError, cdf, pdf, sf
+from uqsphere.uq.weibull import KINDS, StrengthTests, fitted_parameters, make_tests, pivots
 
 __all__ = [
     "LEAST_TESTS",
+    "count_tests",
     "is_fitted",
+    "laws_of_more_tests",
     "possible_densities",
     "possible_laws",
     "possible_tails",
+    "series_behind",
     "weibull_estimates",
 ]
 
@@ -63,12 +67,57 @@ def possible_laws(law: Law, count: int, generator: np.random.Generator) -> list[
         raise LawError(f"{n} observations do not tell what they leave open: at least {LEAST_TESTS} are needed", "file")
     if law.kind == "empirical":
         return [_redrawn(law, generator) for _ in range(count)]
+    if law.kind in KINDS:
+        return _of_tests(law, series_behind(law), count, generator)
     if law.kind in _PIVOTS:
         columns = _PIVOTS[law.kind](law.parameters, n, count, generator)
         return [_with(law, {key: float(column[k]) for key, column in columns.items()}) for k in range(count)]
     if law.kind not in _POSTERIORS:
         raise LawError(f"a {law.kind} law takes its bounds as known: there is nothing to be unsure of", "fit")
     return _posterior(law, count, generator)
+
+
+def count_tests(law: Law) -> int:
+    """How many tests a law was made from, those included that ended without a failure."""
+    return len(law.data) + len(law.censored)
+
+
+def series_behind(law: Law) -> StrengthTests:
+    """The tests behind a law, those included that ended without a failure."""
+    stopped = [False] * len(law.data) + [True] * len(law.censored)
+    return make_tests([*law.data, *law.censored], stopped)
+
+
+def _of_tests(law: Law, tests: StrengthTests, count: int, generator: np.random.Generator) -> list[Law]:
+    """Weibull or lognormal laws that the tests allow, whether or not the bias was taken out of the law."""
+    best = fitted_parameters(tests, law.kind)
+    if tests.failed.all():
+        columns = _PIVOTS[law.kind](best, tests.failures, count, generator)
+    else:
+        centre, inverse = pivots(law.kind, tests.failed, count, generator)
+        columns = _moved(law.kind, best, centre, inverse)
+    return [_with(law, {key: float(column[k]) for key, column in columns.items()}) for k in range(count)]
+
+
+def _moved(kind: str, best: Mapping[str, float], centre: Array, inverse: Array) -> dict[str, Array]:
+    if kind == "weibull":
+        scale = best["scale"] * np.exp(-centre / best["modulus"])
+        return {"modulus": best["modulus"] / inverse, "scale": scale, "threshold": np.zeros(centre.size)}
+    return {"log_mean": best["log_mean"] - best["log_sd"] * centre, "log_sd": best["log_sd"] * inverse}
+
+
+def laws_of_more_tests(law: Law, tests: int, count: int, generator: np.random.Generator) -> list[Law]:
+    """Laws that `tests` tests, all to failure, would allow if their largest likelihood were at this very law.
+
+    Raises
+    ------
+    LawError
+        For a family without exact intervals.
+    """
+    if law.kind not in _PIVOTS:
+        raise LawError(f"of a {law.kind} law it is not known what more tests would tell", "fit")
+    columns = _PIVOTS[law.kind](law.parameters, tests, count, generator)
+    return [_with(law, {key: float(column[k]) for key, column in columns.items()}) for k in range(count)]
 
 
 def possible_tails(law: Law, x: Array, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
@@ -129,7 +178,8 @@ def _kernel_tails(law: Law, x: Array, kernels: Array, times: Array) -> tuple[Arr
 
 
 def _with(law: Law, parameters: Mapping[str, float]) -> Law:
-    return Law(kind=law.kind, parameters=dict(parameters), lower=law.lower, upper=law.upper, data=law.data)
+    return Law(kind=law.kind, parameters=dict(parameters), lower=law.lower, upper=law.upper, data=law.data,
+               censored=law.censored)  # fmt: skip
 
 
 def _redrawn(law: Law, generator: np.random.Generator) -> Law:

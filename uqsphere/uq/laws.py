@@ -59,11 +59,14 @@ def make_law(
     upper: float | None = None,
     data: Sequence[float] = (),
     fit: str | None = None,
+    censored: Sequence[float] = (),
+    unbiased: bool = False,
 ) -> Law:
     """A law from the keys of a study's table (SI).
 
     `given` holds one of the alternative key sets of ``LAWS[kind]``; `fit` ("kde", "steps" or a family)
-    and `data` belong to the empirical law.
+    and `data` belong to the empirical law, and so do `censored`, observations that are known only to be larger, and
+    `unbiased`, which takes the bias out of a fitted scatter; both need a Weibull or lognormal fit.
 
     Raises
     ------
@@ -85,7 +88,8 @@ def make_law(
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
     if kind == "empirical":
-        law = _empirical(given, a, b, data, fit)
+        told = len(censored) > 0 or unbiased
+        law = _strength(a, b, data, fit, censored, unbiased) if told else _empirical(given, a, b, data, fit)
     else:
         if len(data) or fit is not None:
             raise LawError(f"data and fit belong to an empirical law, not to {kind}", "fit")
@@ -146,6 +150,24 @@ def _plain(law: Law, centre: float) -> bool:
     return mass > 0.1 and math.isfinite(scatter) and scatter > 1e-9 * abs(centre)
 
 
+def _strength(
+    a: float, b: float, data: Sequence[float], fit: str | None, censored: Sequence[float], unbiased: bool
+) -> Law:
+    """A law fitted to strength tests: without the bias of few tests, or with tests that ended without a failure."""
+    from uqsphere.uq.weibull import KINDS, fitted_parameters, make_tests
+
+    if fit not in KINDS:
+        why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
+        raise LawError(f'{why} a fit = "weibull" or "lognormal" alone; found {fit or "kde"}', "fit")
+    try:
+        tests = make_tests([*data, *censored], [False] * len(data) + [True] * len(censored))
+    except ValueError as error:
+        raise LawError(str(error), "column") from None
+    parameters = canonical(fit, fitted_parameters(tests, fit, unbiased=unbiased), a, b)
+    return Law(kind=fit, parameters=parameters, lower=a, upper=b, data=tuple(sorted(data)),
+               censored=tuple(sorted(censored)))  # fmt: skip
+
+
 def _empirical(given: Mapping[str, float], a: float, b: float, data: Sequence[float], fit: str | None) -> Law:
     if given:
         key = next(iter(given))
@@ -191,6 +213,12 @@ def goodness_of_fit(law: Law) -> dict[str, float]:
     """
     if not law.data:
         raise LawError("the law was not made from observations", "")
+    if law.censored:
+        from uqsphere.uq.weibull import fit_strength, make_tests
+
+        found = fit_strength(make_tests([*law.data, *law.censored], [0] * len(law.data) + [1] * len(law.censored)),
+                             law.kind)  # fmt: skip
+        return {"distance": found.distance, "p_value": found.p_value, "observations": float(found.tests)}
     values = np.asarray(law.data)
     values = values[(values >= law.lower) & (values <= law.upper)]
     n = values.size

@@ -1,0 +1,222 @@
+"""Fragility over any scalar: interpolated curves against points evaluated one by one, and what margins are made of."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import ndtr, ndtri
+
+import uqsphere
+from uqsphere.report import build_report
+from uqsphere.report.contents import read_contents
+from uqsphere.report.margin_verdict import margin_verdicts
+from uqsphere.runner.design_margins import _roots
+from uqsphere.study import ENERGY
+from uqsphere.uq.fragility import chebyshev_nodes, fit_lognormal_curve, interpolate_rows
+
+GRID = np.geomspace(0.3, 5.0, 40)
+SMALL = (
+    "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}", 'analysis.methods=["qmc", "form"]',
+    "analysis.budget.evaluations=60_000", "model.tolerance=1e-3", "analysis.quantiles=[0.5]",
+)  # fmt: skip
+
+# demand v^0.5 exp(0.1 z), strength lognormal about 1.5 with 0.2: fracture is lognormal in v in closed form
+BOX = """
+title = "power of a speed"
+seed = 5
+[inputs]
+v = 1.0
+z = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[limits.a]
+quantity = "y"
+strength = { dist = "lognormal", log_mean = 0.4054651081081644, log_sd = 0.2 }
+target = 0.01
+[analysis]
+accuracy = { mean = 0.5, quantile = 0.9, sobol = 0.9, probability = 0.5 }
+methods = ["qmc", "form"]
+[margins]
+solve = "v"
+between = [0.05, 60.0]
+"""
+MEDIAN, DISPERSION = 2.25, math.hypot(0.2, 0.1) / 0.5
+
+
+def power(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {"y": np.sqrt(columns["v"]) * np.exp(0.1 * columns["z"])}
+
+
+def hump(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {"y": 1.6 * np.exp(-(np.log(columns["v"]) ** 2)) * np.exp(0.1 * columns["z"])}
+
+
+def run_box(folder: Path, model: Any = power, changes: tuple[tuple[str, str], ...] = ()) -> dict[str, Any]:
+    text = BOX
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "s.toml").write_text(text)
+    return uqsphere.run(uqsphere.load_study(folder / "s.toml"), out=folder / "r", model=model).results
+
+
+def test_interpolated_rows_follow_powers_exactly() -> None:
+    nodes = chebyshev_nodes(0.2, 8.0, 3, logarithmic=True)
+    power_of = np.array([[0.3, 0.5], [0.7, 1.1]])
+    rows = np.array([2.0 * v**power_of for v in nodes])
+    at = np.array([0.2, 1.7, 8.0])
+    assert interpolate_rows(nodes, rows, at) == pytest.approx(np.array([2.0 * v**power_of for v in at]), rel=1e-12)
+    with pytest.raises(ValueError, match="beyond the nodes"):
+        interpolate_rows(nodes, rows, np.array([9.0]))
+
+
+def test_lognormal_curves_are_found_again() -> None:
+    exact = ndtr(np.log(GRID / 1.3) / 0.4)
+    for rising in (True, False):
+        table = np.repeat((exact if rising else 1.0 - exact)[:, None], 4, axis=1)
+        found = fit_lognormal_curve(GRID, table, evaluations=1)
+        assert not isinstance(found, str)
+        assert found.rising is rising
+        assert found.median.value == pytest.approx(1.3, rel=1e-6)
+        assert found.dispersion.value == pytest.approx(0.4, rel=1e-6)
+        assert found.gap < 1e-6
+    weibull = np.repeat(-np.expm1(-((GRID / 1.5) ** 4.0))[:, None], 4, axis=1)
+    other = fit_lognormal_curve(GRID, weibull, evaluations=1)
+    assert not isinstance(other, str)
+    assert 0.02 < other.gap < 0.12
+
+
+def test_intervals_of_the_lognormal_curve_cover() -> None:
+    generator = np.random.default_rng(2)
+    hits = np.zeros(2)
+    for _ in range(60):
+        capacity = 1.3 * np.exp(0.4 * generator.standard_normal((8, 200)))
+        table = np.array([(capacity < v).mean(axis=1) for v in GRID])
+        found = fit_lognormal_curve(GRID, table, evaluations=1)
+        assert not isinstance(found, str)
+        hits += [e.low <= true <= e.high for e, true in ((found.median, 1.3), (found.dispersion, 0.4))]
+    assert (hits >= 60 * (0.95 - 4 * math.sqrt(0.95 * 0.05 / 60))).all()
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        (np.full((40, 4), 0.3), "too little to fit"),
+        (np.repeat((GRID > 1.0).astype(float)[:, None], 4, axis=1), "step"),
+    ],
+)
+def test_no_lognormal_curve_is_said(table: np.ndarray, says: str) -> None:
+    assert says in str(fit_lognormal_curve(GRID, table, evaluations=1))
+    assert "positive" in str(fit_lognormal_curve(GRID - 1.0, table, evaluations=1))
+
+
+def test_roots_of_many_laws() -> None:
+    places = np.linspace(-2.0, 2.0, 81)
+    curves = np.array([ndtr(places - 0.5), ndtr(places), ndtr(places - 9.0)])
+    assert _roots(places, curves, 0.3, True) == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
+    assert _roots(places, 1.0 - curves, 0.3, False)[:2] == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
+
+
+def test_a_run_finds_a_curve_that_is_known(tmp_path: Path) -> None:
+    entry = run_box(tmp_path)["margins"]["a"]
+    for p, found in entry["values"].items():
+        exact = MEDIAN * math.exp(DISPERSION * ndtri(float(p)))
+        assert found["value"] == pytest.approx(exact, rel=0.005)
+        assert found["low"] - 0.002 * exact <= exact <= found["high"] + 0.002 * exact
+    assert entry["lognormal"]["median"]["value"] == pytest.approx(MEDIAN, rel=0.002)
+    assert entry["lognormal"]["dispersion"]["value"] == pytest.approx(DISPERSION, rel=0.01)
+    assert len(entry["curve"]) >= 40
+    for value, p, low, high in entry["curve"]:
+        exact = float(ndtr(math.log(value / MEDIAN) / DISPERSION))
+        assert low <= p <= high
+        if min(exact, 1.0 - exact) > 0.01:
+            assert p == pytest.approx(exact, rel=0.05)
+    # the margin is lost to what scatters: 0.2 of the strength, 0.1 of the demand
+    shares = entry["lost_to"]["shares"]
+    assert shares["limits.a.strength"] == pytest.approx(0.8, abs=0.01)
+    assert entry["factors"]["medians"] == pytest.approx(1.5, rel=0.01)
+    assert entry["factors"]["fractiles"] == pytest.approx(1.5 * math.exp(-1.645 * 0.3), rel=0.02)
+    # the design point of a plane limit state: score of the strength -0.894 beta
+    strength = entry["lost_to"]["partial"]["limits.a.strength"]
+    assert strength["design"] == pytest.approx(1.5 * math.exp(0.2 * ndtri(0.01) * math.sqrt(0.8)), rel=0.01)
+    assert strength["factor"] == pytest.approx(1.5 * math.exp(-0.2 * 1.645) / strength["design"], rel=1e-3)
+
+
+def test_the_required_strength(tmp_path: Path) -> None:
+    changes = (('solve = "v"\nbetween = [0.05, 60.0]', 'solve = "limits.a.strength"\nbetween = [0.2, 20.0]'),)
+    entry = run_box(tmp_path, changes=changes)["margins"]["a"]
+    mean_over_median = math.exp(0.5 * 0.2**2)
+    for p, found in entry["values"].items():
+        exact = mean_over_median * math.exp(math.hypot(0.2, 0.1) * ndtri(1.0 - float(p)))
+        assert found["value"] == pytest.approx(exact, rel=0.005)
+
+
+def test_no_root_between_the_bounds(tmp_path: Path) -> None:
+    entry = run_box(tmp_path, changes=(("[0.05, 60.0]", "[0.9, 2.0]"),))["margins"]["a"]
+    assert "no value between 0.9 and 2" in entry["values"]["0.99"]["reason"]
+    assert "no value between 0.9 and 2" in entry["value"]["reason"]
+
+
+def test_a_curve_that_is_not_monotone(tmp_path: Path) -> None:
+    found = run_box(tmp_path, hump)
+    assert all("not monotone" in e["reason"] for e in found["margins"]["a"]["values"].values())
+    assert build_report(tmp_path / "r").stat().st_size > 10_000
+
+
+def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
+    drawn = 1.5 * np.exp(0.2 * np.random.default_rng(4).standard_normal(12))
+    rows = "\n".join(f"{min(x, 1.8):.6f},{int(x > 1.8)}" for x in drawn)
+    (tmp_path / "t.csv").write_text(f"s,stop\n{rows}\n")
+    fitted = '{ dist = "empirical", file = "t.csv", column = "s", fit = "lognormal", censored = "stop" }'
+    entry = run_box(
+        tmp_path, changes=(('{ dist = "lognormal", log_mean = 0.4054651081081644, log_sd = 0.2 }', fitted),)
+    )["margins"]["a"]
+    opened, value = entry["ignorance"], entry["value"]["value"]
+    assert opened["tests"] == 12
+    assert opened["stopped"] == int((drawn > 1.8).sum()) > 0
+    assert opened["low"] < opened["sure"] < value < opened["high"]
+    assert entry["split"]["ignorance"] > 10.0 * entry["split"]["numerical"]
+    assert entry["more_tests"]["to_know_the_value"] > 0
+    build_report(tmp_path / "r")
+    (verdict,) = margin_verdicts(read_contents(tmp_path / "r"))
+    assert "at most" in verdict.lines[0]
+    assert "95 % sure" in verdict.lines[0]
+    assert "lost to" in verdict.lines[1]
+    assert "tests" in verdict.lines[2]
+    assert (tmp_path / "r" / "figures" / "strength-a.svg").is_file()
+
+
+def test_a_curve_costs_little_more_than_a_point() -> None:
+    from uqsphere.bench.fragility import curve_cost
+
+    study = Path(uqsphere.__file__).parent.parent / "studies" / "granite.toml"
+    found = curve_cost(study, reference_rows=16, accuracy=0.2)
+    assert found.points == 40
+    assert found.ratio < 5.0
+    assert found.error < 0.06 + found.reference_error
+    assert found.error < found.half_width + found.reference_error
+
+
+def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
+    study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
+    sets = [*SMALL, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
+    found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results["margins"]["chute"]
+    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results["margins"]["chute"]
+    # kinetic energy of the striker over the sphere's mass, at the means: v50 is the same event
+    means = uqsphere.load_study(study).at_means()
+    mass = 4.0 / 3.0 * math.pi * means["sphere.radius"] ** 3 * means["sphere.density"]
+    striker = means["bars.density"] * 0.25 * math.pi * means["bars.diameter"] ** 2 * means["striker.length"]
+    energy = 0.5 * striker * speeds["values"]["0.5"]["value"] ** 2 / mass
+    assert found["values"]["0.5"]["value"] == pytest.approx(energy, rel=0.02)
+    radii = [member["value"] for member in speeds["family"]["members"]]
+    assert radii == pytest.approx([0.008, 0.010, 0.012])
+    own = next(m for m in speeds["family"]["members"] if m["value"] == pytest.approx(0.010))
+    assert own["values"]["0.5"]["value"] == pytest.approx(speeds["values"]["0.5"]["value"], rel=1e-6)
+    bars = speeds["bars"]
+    assert bars["pulse_value"] > speeds["values"]["0.95"]["value"]
+    assert bars["contact"]["value"] > 0.0
+    assert build_report(tmp_path / "s").stat().st_size < 3_000_000

@@ -1,0 +1,81 @@
+"""What a margin is made of, as a table: safety factors, partial factors, scatter, ignorance, error, and the bars."""
+
+from __future__ import annotations
+
+import math
+
+from uqsphere.report.contents import Contents
+from uqsphere.report.sections import Table
+from uqsphere.report.wording import input_name, limit_name, plain_percent, probability_range, value_text
+
+__all__ = ["parts_finding", "parts_table"]
+
+
+def parts_finding(contents: Contents, name: str) -> str:
+    """How far the value lies from the median of fracture, and to whom that is owed."""
+    entry = contents.results["margins"][name]
+    value, fitted = entry.get("value") or {}, entry.get("lognormal") or {}
+    middle = (entry["values"].get("0.5") or {}).get("value") or (fitted.get("median") or {}).get("value")
+    shares = (entry.get("lost_to") or {}).get("shares")
+    if not value.get("value") or not middle or not shares:
+        return ""
+    subject = contents.subject(entry["solve"])
+    factor = middle / value["value"]
+    lost = "; ".join(
+        f"{input_name(n)}: a factor of {math.exp(share * math.log(factor)):.3g}"
+        for n, share in sorted(shares.items(), key=lambda item: -item[1])
+        if share >= 0.005
+    )
+    return (
+        f"Half of the specimens of {limit_name(name)} break at {value_text(middle, subject)}; between that and "
+        f"{value_text(value['value'], subject)} lies a factor of {factor:.3g}. Of it goes to {lost}."
+    )
+
+
+def parts_table(contents: Contents, name: str) -> Table | None:
+    """Everything that is known of a margin beside its curve; None for a folder of an earlier version."""
+    entry, limit = contents.results["margins"][name], contents.results["limits"][name]
+    if "factors" not in entry:
+        return None
+    subject, quantity = contents.subject(entry["solve"]), limit["quantity"]
+    rows: list[tuple[str, str]] = []
+    factors = entry["factors"]
+    if "medians" in factors:
+        of = factors["fractiles_of"]
+        rows += [
+            ("safety factor as planned: median strength over median demand", f"{factors['medians']:.3g}"),
+            (
+                f"safety factor as planned: {plain_percent(of['strength'])} fractile of the strength over "
+                f"{plain_percent(of['demand'])} fractile of the demand",
+                f"{factors['fractiles']:.3g}",
+            ),
+        ]
+    for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
+        strength = key.endswith(".strength")
+        own = quantity if strength else key
+        what = "characteristic over design value" if strength else "design value over median"
+        values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
+        text = f"{part['factor']:.4g} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        rows.append((f"partial factor of {input_name(key)}: {what}", text))
+    split = entry.get("split", {})
+    for key, words in (
+        ("scatter", "uncertainty of the value from specimen to specimen"),
+        ("ignorance", "uncertainty of the value from few tests"),
+        ("numerical", "uncertainty of the value from computing"),
+    ):
+        if split.get(key) is not None:
+            rows.append((f"{words} (standard deviation of its logarithm)", f"{split[key]:.2g}"))
+    opened = entry.get("ignorance") or {}
+    if "laws" in opened:
+        ends = [value_text(opened[end], subject, 3) if opened[end] is not None else "beyond the range" for end in
+                ("low", "high")]  # fmt: skip
+        rows.append(("the tests leave open (95 %)", " to ".join(ends)))
+        if opened.get("mean_law") is not None:
+            rows.append(
+                ("with the mean over all laws that the tests allow", value_text(opened["mean_law"], subject, 3))
+            )
+    standing = limit.get("ignorance") or {}
+    if standing.get("miss"):
+        rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
+    caption = f"Margin of {limit_name(name)} at a probability of exceeding of {plain_percent(entry['probability'])}"
+    return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None

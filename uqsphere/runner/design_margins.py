@@ -1,0 +1,347 @@
+"""What a margin is made of: safety factors, the inputs it is lost to, what few tests leave open, and the bars' limit.
+
+All of it concerns one limit at one probability: that of its target, or the smallest that is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics.bars import pulse_stress, section
+from uqsphere.mechanics.contact import sphere_mass
+from uqsphere.runner.curves import NodeSet, law_curves, moved_study, strength_solved
+from uqsphere.runner.limits import state_of
+from uqsphere.runner.rare import find_design
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.work import OutOfBudget, Work
+from uqsphere.study import ENERGY, Limit
+from uqsphere.uq.distribution import Law, median, nominal_mean, ppf
+from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.fragility import fit_lognormal_curve
+from uqsphere.uq.ignorance import count_tests, is_fitted, laws_of_more_tests, possible_laws
+from uqsphere.uq.laws import LawError
+from uqsphere.uq.margins import fragility
+from uqsphere.uq.sampling import random_generator
+
+__all__ = ["YIELD_FACTOR", "Where", "describe_margin"]
+
+Array = npt.NDArray[np.float64]
+
+#: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
+YIELD_FACTOR: Final = 1.6
+#: laws that are tried in place of a fitted one, points of each replicate, and values of the free scalar
+LAWS: Final = 200
+FEW: Final = 32
+VALUES: Final = 25
+#: confidence with which a value is sure
+SURE: Final = 0.95
+#: more tests than this are not asked of anybody
+MOST_TESTS: Final = 5000
+#: half-width of the 95 % range, relative, within which a value counts as known
+KNOWN: Final = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """One limit at one probability of exceeding, its values and its curve (K,), (K, R)."""
+
+    limit: Limit
+    probability: float
+    values: dict[float, Estimate]
+    grid: Array
+    table: Array
+    nodes: NodeSet | None
+
+    @property
+    def value(self) -> Estimate:
+        found = self.values.get(self.probability)
+        if found is not None:
+            return found
+        return fragility(self.grid, self.table, (self.probability,), samples=1, evaluations=0).values[self.probability]
+
+    @property
+    def rising(self) -> bool:
+        return bool(self.table[-1].mean() >= self.table[0].mean())
+
+
+def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any]:
+    """A table for results.json; parts that are not known hold a reason."""
+    value = where.value
+    known = value.value is not None
+    about: dict[str, Any] = {
+        "probability": where.probability,
+        "value": value.as_dict(),
+        "factors": safety_factors(work, sampled, where.limit),
+    }
+    try:
+        about["lost_to"] = _lost_to(work, where) if known else {"reason": value.reason}
+    except OutOfBudget:
+        about["lost_to"] = {"reason": "the time was over"}
+    strength = where.limit.strength
+    if isinstance(strength, Law) and is_fitted(strength):
+        try:
+            about["ignorance"] = _ignorance(work, where, strength) if known else {"reason": value.reason}
+            about["more_tests"] = _more_tests(work, sampled, where, strength, about["ignorance"])
+        except LawError as error:
+            about["ignorance"] = {"reason": str(error)}
+    about["split"] = _split(where, about.get("ignorance"))
+    if work.study.margins is not None and work.study.margins.bars_elastic:
+        about["bars"] = _bars(work, where)
+    return about
+
+
+# --- factors -------------------------------------------------------------------------------------------
+
+
+def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> dict[str, Any]:
+    """Strength over demand as planned: of their medians, and of the two fractiles that lie against the aim.
+
+    To survive: 5 % of the strength over 95 % of the demand, above 1 where it is safe; to break: 95 % over 5 %, below 1.
+    """
+    state = state_of(work, limit, sampled.points, sampled.sample)
+    demands = state.demands[~state.broken & ~state.late]
+    if demands.size < 20:
+        return {"reason": "too few demands are known"}
+    against = (0.05, 0.95) if limit.aim == "survive" else (0.95, 0.05)
+    strengths = {p: _strength_at(limit.strength, p) for p in (0.5, against[0])}
+    middle, far = (float(q) for q in np.quantile(demands, [0.5, against[1]]))
+    if not (middle > 0.0 and far > 0.0):
+        return {"reason": "the demand may be zero"}
+    return {
+        "medians": strengths[0.5] / middle,
+        "fractiles": strengths[against[0]] / far,
+        "fractiles_of": {"strength": against[0], "demand": against[1]},
+    }
+
+
+def _strength_at(strength: Law | float, p: float) -> float:
+    return float(ppf(strength, np.array([p]))[0]) if isinstance(strength, Law) else strength
+
+
+def _study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
+    """The work and the limit with the free scalar at a value, for a search of its own."""
+    assert work.study.margins is not None
+    solve, study = work.study.margins.solve, work.study
+    if strength_solved(solve) is not None:
+        if strength_solved(solve) != limit.name:
+            return work, limit
+        if isinstance(limit.model_factor, Law):
+            return "the strength is the free number and the model factor is random"
+        nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
+        return work, replace(limit, model_factor=limit.model_factor * nominal / value)
+    if solve == ENERGY:
+        means = study.at_means()
+        mass = float(sphere_mass(means["sphere.radius"], means["sphere.density"]))
+        striker = means["bars.density"] * float(section(means["bars.diameter"])) * means["striker.length"]
+        solve, value = "striker.speed", math.sqrt(2.0 * value * mass / striker)
+        if solve in study.random and "mean" not in study.given[solve]:
+            return "the speed scatters by a law that is not given by its mean"
+    return replace(work, study=moved_study(study, solve, value)), limit
+
+
+def _lost_to(work: Work, where: Where) -> dict[str, Any]:
+    """Importance factors of the design point at the value, and the partial factors there."""
+    assert where.value.value is not None
+    placed = _study_at(work, where.limit, where.value.value)
+    if isinstance(placed, str):
+        return {"reason": placed}
+    moved, limit = placed
+    own = f"limits.{limit.name}.strength"
+    found = find_design(moved, limit)
+    if isinstance(found, str):
+        if found.startswith("nothing but") and isinstance(limit.strength, Law):
+            return {"shares": {own: 1.0}, "partial": {}}
+        return {"reason": found}
+    laws = {**dict(zip(moved.drawn.names, moved.drawn.laws, strict=True))}
+    if isinstance(limit.strength, Law):
+        laws[own] = limit.strength
+    partial = {}
+    for name, design in found.values.items():
+        if name == own:
+            low = 0.05 if limit.aim == "survive" else 0.95
+            typical = _strength_at(limit.strength, low)
+            partial[name] = {"design": design, "characteristic": typical, "factor": typical / design}
+        elif (middle := median(laws[name])) != 0.0:
+            partial[name] = {"design": design, "characteristic": middle, "factor": design / middle}
+    return {"shares": found.shares, "partial": partial}
+
+
+# --- scatter, ignorance, numerical error ---------------------------------------------------------------
+
+
+def _split(where: Where, ignorance: dict[str, Any] | None) -> dict[str, float | None]:
+    """Standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing."""
+    fitted = fit_lognormal_curve(where.grid, where.table, evaluations=0) if where.grid[0] > 0.0 else "no logarithm"
+    value = where.value
+    numerical = None
+    if value.value is not None and value.std_error is not None and where.grid[0] > 0.0:
+        numerical = value.std_error / value.value
+    return {
+        "scatter": None if isinstance(fitted, str) else fitted.dispersion.value,
+        "ignorance": None if ignorance is None else ignorance.get("sd_log"),
+        "numerical": numerical,
+    }
+
+
+def _roots(places: Array, curves: Array, probability: float, rising: bool) -> Array:
+    """Places (laws,) at which monotone curves (laws, J) take a probability; -inf and inf beyond the ends."""
+    from scipy.special import ndtri
+
+    scores = ndtri(np.clip(curves, 1e-300, 1.0 - 1e-16))
+    scores = np.maximum.accumulate(scores if rising else -scores, axis=1)
+    wanted = float(ndtri(probability)) * (1.0 if rising else -1.0)
+    return np.array([np.interp(wanted, row, places, left=-math.inf, right=math.inf) for row in scores])
+
+
+def _ignorance(work: Work, where: Where, strength: Law) -> dict[str, Any]:
+    """Where the value may lie over the laws that the tests allow, the value that is sure, and the mean law's.
+
+    Raises
+    ------
+    LawError
+        Where it is not known which laws the tests allow.
+    """
+    nodes = where.nodes
+    if nodes is None:
+        return {
+            "tests": count_tests(strength),
+            "reason": "the demands are not known in full, so that no curve was interpolated",
+        }
+    generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{where.limit.name}.strength")
+    laws = possible_laws(strength, LAWS, generator)
+    places = nodes.nodes
+    logarithmic = places[0] > 0.0
+    space = np.geomspace if logarithmic else np.linspace
+    values = space(places[0], places[-1], VALUES)
+    values[0], values[-1] = places[0], places[-1]
+    states = nodes.states(where.limit, values, FEW)
+    curves = law_curves(states, laws)
+    u = np.log(values) if logarithmic else values
+    back: Callable[[float], float] = math.exp if logarithmic else float
+    roots = _roots(u, curves, where.probability, where.rising)
+    # on these few rows the law itself answers a little differently: what is known better is kept
+    own = float(_roots(u, law_curves(states, [strength]), where.probability, where.rising)[0])
+    value = where.value.value
+    shift = 0.0 if value is None or not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
+    ends = np.quantile(roots, [0.025, 0.975], method="nearest") + shift
+    safe = where.limit.aim == "survive"
+    share = 1.0 - SURE if safe == where.rising else SURE
+    sure = float(np.quantile(roots, share, method="nearest")) + shift
+    mean_law = float(_roots(u, curves.mean(axis=0)[None, :], where.probability, where.rising)[0]) + shift
+    known = roots[np.isfinite(roots)]
+    return {
+        "tests": count_tests(strength), "stopped": len(strength.censored), "laws": LAWS,
+        "low": _told(ends[0], back), "high": _told(ends[1], back), "sure": _told(sure, back), "confidence": SURE,
+        "mean_law": _told(mean_law, back),
+        "sd_log": float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * LAWS else None,
+        "beyond": float(1.0 - known.size / LAWS),
+    }  # fmt: skip
+
+
+def _told(place: float, back: Callable[[float], float]) -> float | None:
+    """The value at a place; None beyond the range that was looked at."""
+    return back(float(place)) if math.isfinite(place) else None
+
+
+# --- how many more tests would settle it ---------------------------------------------------------------
+
+
+def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignorance: dict[str, Any]) -> dict[str, Any]:
+    """How many more tests decide the target as planned, and how many give the value to within `KNOWN`.
+
+    Both take it that further tests come out as those so far: the answer is the size of the effort, no promise.
+    """
+    tests = count_tests(strength)
+    found: dict[str, Any] = {"tests": tests, "known_to": KNOWN}
+    spread = ignorance.get("sd_log")
+    if spread is not None:
+        # the range shrinks with the root of the number of tests
+        found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
+    limit = where.limit
+    if limit.target is None:
+        return found
+    state = state_of(work, limit, sampled.points, sampled.sample)
+    keep = slice(0, FEW)
+    few = replace(
+        state, demands=state.demands[:, keep], shift=None if state.shift is None else state.shift[:, keep],
+        tie=None if state.tie is None else replace(state.tie, given=state.tie.given[:, keep]),
+        censored=None if state.censored is None else state.censored[:, keep],
+        failed=None if state.failed is None else state.failed[:, keep],
+    )  # fmt: skip
+
+    def decided(laws: Sequence[Law]) -> bool:
+        p = law_curves([few], laws)[:, 0]
+        missed = p if limit.aim == "survive" else 1.0 - p
+        low, high = np.quantile(missed, [0.025, 0.975])
+        assert limit.target is not None
+        return bool(high < limit.target or low > limit.target)
+
+    def simulated(count: int) -> list[Law]:
+        generator = random_generator(seed=work.study.seed, task=f"more tests {limit.name} {count}")
+        return laws_of_more_tests(strength, count, LAWS, generator)
+
+    generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{limit.name}.strength")
+    if decided(possible_laws(strength, LAWS, generator)):
+        return {**found, "to_settle": 0}
+    low, high = tests, max(2 * tests, 6)
+    while not decided(simulated(high)):
+        low, high = high, 2 * high
+        if high > MOST_TESTS:
+            return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
+    while high - low > max(1, low // 20):
+        middle = (low + high) // 2
+        low, high = (low, middle) if decided(simulated(middle)) else (middle, high)
+    return {**found, "to_settle": high - tests}
+
+
+# --- bars that must stay elastic -----------------------------------------------------------------------
+
+
+def _bars(work: Work, where: Where) -> dict[str, Any]:
+    """The values at which the bars yield: in the pulse, and under the contact with the same probability.
+
+    The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield 1.6 times the yield strength.
+    """
+    study = work.study
+    assert study.margins is not None
+    means = study.at_means()
+    strength = means["bars.yield_strength"]
+    stress = float(pulse_stress(means["striker.speed"], means["bars.E"], means["bars.density"]))
+    found: dict[str, Any] = {
+        "yield_strength": strength,
+        "pulse_stress": stress,
+        "pulse_elastic": stress < strength,
+        "pulse_value": means["striker.speed"] * strength / stress if study.margins.solve == "striker.speed" else None,
+    }
+    nodes, accepted = where.nodes, min(where.probability, 1.0 - where.probability)
+    if nodes is None or strength_solved(study.margins.solve) is not None:
+        return {**found, "contact": None, "reason": "no curve of the contact pressure was interpolated"}
+    places = nodes.nodes
+    space = np.geomspace if places[0] > 0.0 else np.linspace
+    values = space(places[0], places[-1], VALUES)
+    values[0], values[-1] = places[0], places[-1]
+    pressures = nodes.columns("p_max", values)
+    limit = YIELD_FACTOR * _yield_of(work, nodes, strength)
+    share = (pressures > limit).mean(axis=2)
+    answered = fragility(values, share, (accepted,), samples=nodes.count, evaluations=0).values[accepted]
+    found["contact_probability"] = accepted
+    found["contact"] = answered.as_dict()
+    if answered.value is None:
+        p = share.mean(axis=1)
+        always, never = bool((p > accepted).all()), bool((p < accepted).all())
+        found["contact_everywhere"] = "yields" if always else "elastic" if never else None
+    return found
+
+
+def _yield_of(work: Work, nodes: NodeSet, fixed: float) -> Array:
+    """Yield strength of every row (1, R, n), or the number for all of them."""
+    names = work.drawn.names
+    if "bars.yield_strength" not in names:
+        return np.full((1, 1, 1), fixed)
+    return np.asarray(nodes.points.physical[None, :, :, names.index("bars.yield_strength")])
