@@ -10,20 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, Demands, demand
+from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.dynamics import MODES, _march, scaled_arguments, thread_count
 from uqsphere.mechanics.layout import ANSWER_END, WANT_ENERGY, empty_answers
+from uqsphere.mechanics.loading import Path
 from uqsphere.mechanics.scene import Scene
 
-__all__ = ["PATHS", "Fractures", "Path", "first_fractures", "path_of"]
+__all__ = ["Fractures", "first_fractures"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -39,56 +39,8 @@ _BLOCK: Final = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class Path:
-    """How a quantity follows the loading.
-
-    Attributes
-    ----------
-    over : str
-        `force` or `energy`: the quantity rises with the largest one so far.
-    criterion : str or None
-        Key of `CRITERIA` whose formula it is; None for the force or energy itself.
-    parameters : mapping of str to float
-        Those of the criterion without `rate_0`, whose factor is one number per sample.
-    early : bool
-        Only what comes before the first reflected wave counts.
-    """
-
-    over: str
-    criterion: str | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    early: bool = False
-
-
-#: quantities of interest whose exceedance can mean fracture
-PATHS: Final[dict[str, Path]] = {
-    "P_max": Path(over="force"),
-    "first_peak": Path(over="force", criterion="contact_pressure", early=True),
-    "energy": Path(over="energy"),
-    **{
-        entry.quantity: Path(over="energy" if name == "specific_energy" else "force", criterion=name)
-        for name, entry in CRITERIA.items()
-        if entry.quantity is not None
-    },
-}
-
-
-def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
-    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
-
-    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_time")
-    ('force', 'energy', None)
-    """
-    if quantity not in demands:
-        return PATHS.get(quantity)
-    name, parameters = demands[quantity]
-    kept = {key: value for key, value in parameters.items() if key != "rate_0"}
-    return Path(over="energy" if name == "specific_energy" else "force", criterion=name, parameters=kept)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Fractures:
-    """Fracture of n rows by L criteria.
+    """Fracture of n specimens by L criteria.
 
     Attributes
     ----------
@@ -228,19 +180,22 @@ def first_fractures(
     shares: Array,
     paths: Sequence[Path],
     *,
+    rows: Index | None = None,
     tolerance: float = 1e-5,
     threads: int | None = None,
 ) -> Fractures:
-    """The moment at which each row first reaches a strength, by the full model.
+    """The moment at which each of n specimens first reaches a strength, by the full model.
 
     Parameters
     ----------
     scene : Scene
-        n rows.
+        k rows.
     shares : (n, L) array
         Strength over the largest demand of the record; 1 and above is not reached, 0 and below at first touch.
     paths : L of Path
         How the criteria follow the loading.
+    rows : (n,) array of int, optional
+        The row of the scene that a specimen is loaded by; each by its own if None.
     tolerance : float
         Relative error of the integration.
     threads : int, optional
@@ -248,27 +203,30 @@ def first_fractures(
     Returns
     -------
     Fractures
-        A row that cannot be integrated reaches nothing.
+        A specimen whose row cannot be integrated reaches nothing.
 
     Raises
     ------
     ValueError
         If shares is not (n, L).
     """
-    n = len(scene)
+    rows = np.arange(len(scene)) if rows is None else np.asarray(rows)
+    n = len(rows)
     if shares.shape != (n, len(paths)):
         raise ValueError(f"shares must be ({n}, {len(paths)}), found {shares.shape}")
     times = np.full(shares.shape, np.inf)
     force, energy, imbalance = (np.full(shares.shape, np.nan) for _ in range(3))
-    rows = np.flatnonzero((scene.status == 0) & (shares < 1.0).any(axis=1))
+    loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
     wanted = WANT_ENERGY if any(path.over == "energy" for path in paths) else 0
-    for block, courses in _courses(scene, rows, tolerance, wanted, threads):
+    for block, courses in _courses(scene, loaded, tolerance, wanted, threads):
+        known = {int(row): course for row, course in zip(block, courses, strict=True) if course is not None}
+        here = np.isin(rows, list(known))
         for at, path in enumerate(paths):
-            chosen = [k for k in range(len(block)) if courses[k] is not None and shares[block[k], at] < 1.0]
-            if not chosen:
+            picked = np.flatnonzero(here & (shares[:, at] < 1.0))
+            if len(picked) == 0:
                 continue
-            picked, motions = block[chosen], [course for k in chosen if (course := courses[k]) is not None]
-            found = _cross(scene, picked, motions, path, shares[picked, at])
+            motions = [known[int(row)] for row in rows[picked]]
+            found = _cross(scene, rows[picked], motions, path, shares[picked, at])
             times[picked, at], force[picked, at], energy[picked, at], imbalance[picked, at] = found
     governing = np.argmin(times, axis=1)
     every = np.arange(n)
@@ -281,7 +239,7 @@ def first_fractures(
         force=force[every, governing],
         energy=energy[every, governing],
         imbalance=imbalance[every, governing],
-        early=~none & (time < scene.first_echo),
+        early=~none & (time < scene.first_echo[rows]),
     )
 
 

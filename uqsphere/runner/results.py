@@ -53,6 +53,7 @@ class Findings:
     seconds: list[float] = field(default_factory=list)
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
+    fracture: dict[str, Any] | None = None
 
 
 def _share(p: float) -> str:
@@ -166,6 +167,12 @@ def _margins(margins: dict[str, MarginAnswer]) -> dict[str, Any]:
     }
 
 
+def _judged(check: dict[str, Any], fracture: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A validity check, at fracture where that is known, since the peaks of a sphere that breaks are never reached."""
+    found = (fracture or {}).get("check")
+    return dict(found) if found and found["check"] == check["check"] else check
+
+
 def versions() -> dict[str, str]:
     """Versions that an answer depends on."""
     found = {"uqsphere": uqsphere.__version__, "python": platform.python_version()}
@@ -205,6 +212,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             for name, limit in found.sampled.limits.items()
         },
         "margins": _margins(found.margins),
+        **({} if found.fracture is None else {"fracture": found.fracture}),
         "model": {
             "chosen": found.pilot.chosen,
             "why": found.pilot.why,
@@ -215,7 +223,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             "numbers": found.pilot.numbers,
             **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
-        "validity": found.pilot.validity,
+        "validity": [_judged(check, found.fracture) for check in found.pilot.validity],
         "speed_error": found.history,
         "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
         "warnings": list(study.warnings),
