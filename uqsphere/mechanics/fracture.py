@@ -103,9 +103,7 @@ def _course(arguments: Mapping[str, Any], row: int, tolerance: float, wanted: in
     status, steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     answers = empty_answers(n)
     only = np.array([row])
-    found = _march(
-        dict(arguments), only, MODES["full"], tolerance, True, answers, status, steps, keep=1, wanted=wanted
-    )
+    found = _march(dict(arguments), only, MODES["full"], tolerance, True, answers, status, steps, keep=1, wanted=wanted)
     if status[row] != 0 or found is None or len(found.start) == 0:
         return None
     # contact may be lost inside the last step
@@ -156,9 +154,7 @@ def _demands(scene: Scene, rows: Index, path: Path, value: Array) -> Array:
         radius = scales.effective_radius[rows]
         columns["P_max"] = value
         columns["p_max"] = contact.pressure_at_force(value, scales.modulus[rows], radius)
-        columns["a_max"] = contact.contact_radius(
-            contact.approach_at_force(value, scales.hertz_constant[rows]), radius
-        )
+        columns["a_max"] = contact.contact_radius(contact.approach_at_force(value, scales.hertz_constant[rows]), radius)
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 

@@ -281,11 +281,13 @@ def check_at_fracture(imbalance: Array, weights: Array) -> Check:
         return _result(rule, np.zeros(3), None, "not checked: no specimen breaks")
     measured, mass = imbalance[known], weights[known] / weights[known].sum()
     worst = float(measured.max())
-    shares = np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:]
+    shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
     numbers = {"worst": f"{worst:.3g}", "limit": f"{rule.limit:.3g}"}
     if not shares.any():
         return _result(rule, shares, worst, rule.fine.format(**numbers))
-    broken = f"{_percent(float(min(shares.sum(), 1.0)))} specimens that break".replace("all specimens", "all the specimens")
+    broken = f"{_percent(float(min(shares.sum(), 1.0)))} specimens that break".replace(
+        "all specimens", "all the specimens"
+    )
     return _result(rule, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 

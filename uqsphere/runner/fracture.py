@@ -8,7 +8,7 @@ break (`uqsphere.mechanics.fracture`), by the full model.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -53,7 +53,9 @@ PART: Final = 0.05
 FEWEST: Final = 8
 #: points of each replicate at one value of the free scalar, and values at most
 CURVE_POINTS: Final = 64
-CURVE_VALUES: Final = 25
+CURVE_VALUES: Final = 17
+#: a probability of fracture this close to 0 or 1 needs no more points of the curve
+NEGLIGIBLE: Final = 1e-6
 #: orders that are listed
 ORDERS: Final = 8
 #: share of specimens whose loading could not be followed, above which nothing is said
@@ -235,14 +237,10 @@ def _first(points: Draw, count: int) -> Draw:
 
 
 def _first_of(sample: Sample, count: int) -> Sample:
-    return Sample(
-        values=sample.values[:, :count], censored=sample.censored[:, :count], status=sample.status[:, :count]
-    )
+    return Sample(values=sample.values[:, :count], censored=sample.censored[:, :count], status=sample.status[:, :count])
 
 
-def _moments(
-    work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Array, union: Estimate
-) -> dict[str, Any]:
+def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Array, union: Estimate) -> dict[str, Any]:
     """What is governing, the order, and the state at fracture; a reason where nothing can be said."""
     pool = _pool(work, sampled)
     specimens = _affordable(work, SPECIMENS)
@@ -253,9 +251,7 @@ def _moments(
     together = _union(pool.work, limits, factor, pool.points, pool.sample)
     rng = random_generator(seed=work.study.seed, task="fracture.specimens")
     drawn = draw_breaking(together, specimens, rng)
-    found: dict[str, Any] = {
-        "first_loading": _first_loading(pool, sampled, limits, factor, union, together).as_dict()
-    }
+    found: dict[str, Any] = {"first_loading": _first_loading(pool, sampled, limits, factor, union, together).as_dict()}
     if drawn is None:
         return {**found, "reason": "no sample breaks"}
     return {**found, **_at_fracture(pool, limits, drawn)}
@@ -299,8 +295,7 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
     graded = np.repeat(weights, shape[1]) * (result.first >= 0)
     return {
         "governed_by": {
-            limit.name: share_of(first == k, weights, _METHOD, evaluations).as_dict()
-            for k, limit in enumerate(limits)
+            limit.name: share_of(first == k, weights, _METHOD, evaluations).as_dict() for k, limit in enumerate(limits)
         },
         "order": _orders(result.times, weights, shape, limits, evaluations),
         **state,
@@ -336,7 +331,7 @@ def _orders(
     ranked = np.argsort(times, axis=1, kind="stable")
     reached = np.isfinite(times).sum(axis=1)
     orders = [tuple(row[:count].tolist()) for row, count in zip(ranked, reached, strict=True)]
-    mass: Counter[tuple[int, ...]] = Counter()
+    mass: defaultdict[tuple[int, ...], float] = defaultdict(float)
     for order, weight in zip(orders, np.repeat(weights, shape[1]), strict=True):
         mass[order] += float(weight)
     listed = [order for order, _ in sorted(mass.items(), key=lambda item: (-item[1], item[0])) if order][:ORDERS]
@@ -421,12 +416,10 @@ def _times(union: Estimate, share: float, spread: float, method: str, evaluation
 # --- along the free scalar ----------------------------------------------------------------------------
 
 
-def _curve(
-    work: Work, limits: Sequence[Limit], factor: Array, margins: Mapping[str, MarginAnswer]
-) -> dict[str, Any]:
+def _curve(work: Work, limits: Sequence[Limit], factor: Array, margins: Mapping[str, MarginAnswer]) -> dict[str, Any]:
     """Probability of fracture by any limit over the free scalar of the margins; empty where there is no such curve."""
     asked = work.study.margins
-    grid = sorted({float(point[0]) for limit in limits if limit.name in margins for point in margins[limit.name].curve})
+    grid = _grid([margins[limit.name].curve for limit in limits if limit.name in margins])
     if asked is None or len(grid) < 2 or len(limits) < 2:
         return {}
     if len(grid) > CURVE_VALUES:
@@ -447,6 +440,16 @@ def _curve(
         "values": {f"{p:.15g}": estimate.as_dict() for p, estimate in found.values.items()},
         "curve": [list(point) for point in found.curve],
     }
+
+
+def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
+    """The values at which one of the curves is neither surely broken nor surely whole, and one beside on each side."""
+    points = [point for curve in curves for point in curve]
+    grid = sorted({float(point[0]) for point in points})
+    # the limit that is reached first decides when fracture is sure
+    worst = {value: max(float(p[1]) for p in points if float(p[0]) == value) for value in grid}
+    open_at = [k for k, value in enumerate(grid) if NEGLIGIBLE < worst[value] < 1.0 - NEGLIGIBLE]
+    return grid[max(open_at[0] - 1, 0) : open_at[-1] + 2] if open_at else []
 
 
 def _at_value(work: Work, name: str, value: float, limits: Sequence[Limit], factor: Array) -> Array:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.copulas import conditional_scores
@@ -32,6 +33,8 @@ __all__ = [
     "union_state",
     "weighted_quantile",
 ]
+
+Index = npt.NDArray[np.int64]
 
 #: normal scores beyond which a tail is taken for certain
 _FAR = 37.0
@@ -55,7 +58,7 @@ class Union:
     @property
     def broken(self) -> Flags:
         """Samples without an answer (R, n)."""
-        return np.logical_or.reduce([state.broken for state in self.states])
+        return np.asarray(np.logical_or.reduce([state.broken for state in self.states]), dtype=bool)
 
     @property
     def any(self) -> Array:
@@ -153,7 +156,7 @@ class Breaking:
     what a replicate's samples stand for, mean 1.
     """
 
-    rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+    rows: Index
     shares: Array
     weights: Array
 
@@ -161,7 +164,8 @@ class Breaking:
 def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breaking | None:
     """Samples and strengths from their joint law given that a limit is exceeded; None where none can be.
 
-    Samples are picked by systematic resampling with the probability that any limit is exceeded there.
+    Samples are picked with the probability that any limit is exceeded there, by systematic resampling in a random
+    order: every eighth point of a Sobol' sequence lies in one slab of the cube.
     """
     from scipy.special import ndtri
 
@@ -174,17 +178,16 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     rows = np.zeros((replicates, count), dtype=np.int64)
     for r in range(replicates):
         if mass[r] > 0.0:
-            course = np.cumsum(p[r]) / p[r].sum()
-            rows[r] = np.minimum(np.searchsorted(course, (np.arange(count) + rng.random()) / count), n - 1)
-            # places are in the order of the sequence; shuffled, each share of them is a sample of its own
-            rows[r] = rng.permutation(rows[r])
+            order = rng.permutation(n)
+            course = np.cumsum(p[r, order]) / p[r].sum()
+            place = np.searchsorted(course, (np.arange(count) + rng.random()) / count)
+            rows[r] = order[np.minimum(place, n - 1)]
     pick = np.arange(replicates)[:, None], rows
     chances, normals = union.chances[:, *pick], union.holding[:, *pick].copy()
     # which limit, in the order of the list, is the first not to hold
     held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - chances]), axis=0)
-    total = np.maximum((held[:-1] * chances).sum(axis=0), _TINY)
-    place = rng.random(rows.shape) * total
-    first = np.minimum((np.cumsum(held[:-1] * chances, axis=0) <= place).sum(axis=0), size - 1)
+    course = np.cumsum(held[:-1] * chances, axis=0)
+    first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
     for j in range(size):
         with np.errstate(divide="ignore"):
             lower = np.clip(ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
@@ -202,7 +205,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
 
 
-def _strengths(state: LimitState, score: Array, pick: tuple[Array, Array]) -> Array:
+def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Array:
     """Strengths (R, m) at normal scores given the inputs of the picked samples."""
     law = state.strength
     if not isinstance(law, Law):
