@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.report import canvas, decision, drivers, figures, progress, sections
+from uqsphere.report import canvas, decision, drivers, figures, fracture, progress, sections
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, verdicts
@@ -188,6 +188,15 @@ def _margins(contents: Contents) -> list[Block]:
         if table is not None:
             heading = f"The likeliest way to miss the aim of {limit_name(name)}"
             blocks.append(Block(heading=heading, finding=drivers.design_finding(contents, name), table=table))
+    if contents.results.get("fracture"):
+        blocks.append(
+            Block(
+                heading="Fracture",
+                finding=fracture.fracture_finding(contents),
+                picture=fracture.interplay_figure(contents),
+                table=fracture.fracture_table(contents),
+            )
+        )
     for name in contents.results["margins"]:
         blocks.append(
             Block(

@@ -34,7 +34,7 @@ from uqsphere.study import Limit
 from uqsphere.uq.estimates import Estimate, absent, student
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sampling import random_generator
-from uqsphere.uq.union import Breaking, Union, draw_breaking, share_of, weighted_quantile
+from uqsphere.uq.union import Breaking, Union, draw_breaking, make_union, share_of, weighted_quantile
 
 __all__ = ["find_fracture"]
 

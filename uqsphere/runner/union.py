@@ -22,7 +22,7 @@ from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState, exceedance, pick_replicates
 from uqsphere.uq.sampling import random_generator
-from uqsphere.uq.union import Union, residual_correlation, union_state
+from uqsphere.uq.union import Union, make_union, residual_correlation, union_state
 
 __all__ = ["fracture_limits", "strength_factor", "tied_otherwise", "union_at", "union_curve", "union_estimate"]
 
