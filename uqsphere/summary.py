@@ -52,7 +52,7 @@ def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Probability of fracture, which limit comes first, and the median state in which it comes."""
     if not found:
         return []
-    rows = [("probability over the record", _estimate(found["union"]))]
+    rows: list[tuple[str, ...]] = [("probability over the record", _estimate(found["union"]))]
     if "first_loading" in found:
         rows.append(("probability in the first loading", _estimate(found["first_loading"])))
     if len(found["limits"]) > 1:

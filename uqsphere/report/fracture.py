@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import _probability_axis, _score, _x_scale
+from uqsphere.report.decision import _probability_axis, _x_scale
 from uqsphere.report.figures import axis_label
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
@@ -41,6 +42,13 @@ _COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 _STYLES: Final = ("-", "--", "-.", ":")
 #: limits that are drawn
 MOST_CURVES: Final = 8
+
+
+def _score(p: Any) -> npt.NDArray[np.float64]:
+    """Normal scores of probabilities, so far out that a curve leaves the picture where it would."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), 1e-14, 1.0 - 1e-14)))
 
 
 def _found(contents: Contents) -> Mapping[str, Any]:
@@ -146,8 +154,15 @@ def interplay_figure(contents: Contents) -> Picture | None:
         axes.set_ylim(float(_score(1e-6)), float(_score(1.0 - 1e-4)))
         if here is not None and lowest <= here <= highest:
             axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
-            axes.annotate("as planned", (here * factor, axes.get_ylim()[0]), xytext=(4, 4),
-                          textcoords="offset points", fontsize=9.0)  # fmt: skip
+            left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.7
+            axes.annotate(
+                "as planned",
+                (here * factor, axes.get_ylim()[0]),
+                xytext=(-4 if left else 4, 4),
+                ha="right" if left else "left",
+                textcoords="offset points",
+                fontsize=9.0,
+            )
         _probability_axis(axes)
         axes.legend(loc="upper left")
         word = "mean " if solve in contents.resolved["random"] else ""
