@@ -97,13 +97,13 @@ def _stored(approach: Array) -> Array:
     return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
 
 
-def _course(arguments: Mapping[str, Any], row: int, tolerance: float, wanted: int) -> _Course | None:
+def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float, wanted: int) -> _Course | None:
     """The motion of one row up to the loss of contact, or until no larger force or energy can come; None if failed."""
     n = len(arguments["mass"])
     status, steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     answers = empty_answers(n)
     only = np.array([row])
-    found = _march(dict(arguments), only, MODES["full"], tolerance, True, answers, status, steps, keep=1, wanted=wanted)
+    found = _march(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
     if status[row] != 0 or found is None or len(found.start) == 0:
         return None
     # contact may be lost inside the last step
@@ -124,7 +124,7 @@ def _course(arguments: Mapping[str, Any], row: int, tolerance: float, wanted: in
 
 
 def _courses(
-    scene: Scene, rows: Index, tolerance: float, wanted: int, threads: int | None
+    scene: Scene, rows: Index, mode: int, tolerance: float, wanted: int, threads: int | None
 ) -> Iterator[tuple[Index, list[_Course | None]]]:
     """The motions of the rows, a block at a time."""
     workers = thread_count(threads)
@@ -133,7 +133,7 @@ def _courses(
         arguments = scaled_arguments(scene, block)
 
         def one(k: int, arguments: Mapping[str, Any] = arguments) -> _Course | None:
-            return _course(arguments, k, tolerance, wanted)
+            return _course(arguments, k, mode, tolerance, wanted)
 
         if workers == 1:
             yield block, [one(k) for k in range(len(block))]
@@ -177,10 +177,11 @@ def first_fractures(
     paths: Sequence[Path],
     *,
     rows: Index | None = None,
+    fidelity: str = "full",
     tolerance: float = 1e-5,
     threads: int | None = None,
 ) -> Fractures:
-    """The moment at which each of n specimens first reaches a strength, by the full model.
+    """The moment at which each of n specimens first reaches a strength.
 
     Parameters
     ----------
@@ -192,6 +193,8 @@ def first_fractures(
         How the criteria follow the loading.
     rows : (n,) array of int, optional
         The row of the scene that a specimen is loaded by; each by its own if None.
+    fidelity : str
+        `full` or `massless`.
     tolerance : float
         Relative error of the integration.
     threads : int, optional
@@ -204,8 +207,10 @@ def first_fractures(
     Raises
     ------
     ValueError
-        If shares is not (n, L).
+        If shares is not (n, L), or the fidelity has no Hertz contact.
     """
+    if fidelity not in ("full", "massless"):
+        raise ValueError(f"fracture needs the fidelity full or massless, found {fidelity!r}")
     rows = np.arange(len(scene)) if rows is None else np.asarray(rows)
     n = len(rows)
     if shares.shape != (n, len(paths)):
@@ -214,7 +219,7 @@ def first_fractures(
     force, energy, imbalance = (np.full(shares.shape, np.nan) for _ in range(3))
     loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
     wanted = WANT_ENERGY if any(path.over == "energy" for path in paths) else 0
-    for block, courses in _courses(scene, loaded, tolerance, wanted, threads):
+    for block, courses in _courses(scene, loaded, MODES[fidelity], tolerance, wanted, threads):
         known = {int(row): course for row, course in zip(block, courses, strict=True) if course is not None}
         here = np.isin(rows, list(known))
         for at, path in enumerate(paths):
