@@ -79,7 +79,7 @@ def test_refining_the_integration_converges() -> None:
 def test_against_the_history_of_the_scene() -> None:
     """The same moments read off a history on a fine grid, which shares neither the search nor the levels."""
     one = scene()
-    history = trace(one, points=200_001)
+    history = trace(one, points=40_001)
     kept = history.time <= history.record_end
     time, a, b = history.time[kept], history.force_a[kept], history.force_b[kept]
     largest = np.maximum.accumulate(np.maximum(a, b))
@@ -216,7 +216,7 @@ TIE
 [analysis]
 quantities = ["p_max"]
 methods = METHODS
-budget = { evaluations = 200_000, time = "5 min" }
+budget = { evaluations = 60_000, time = "5 min" }
 accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.2, probability = 0.03 }
 """
 
@@ -309,7 +309,7 @@ def several(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> uqsphe
     folder = tmp_path_factory.mktemp("several")
     path = folder / "several.toml"
     margins = '[margins]\nsolve = "striker.speed"\nbetween = ["1 m/s", "12 m/s"]\nfor_probability = [0.1, 0.5]\n'
-    text = small_text.replace("evaluations = 30_000", "evaluations = 120_000")
+    text = small_text.replace("evaluations = 30_000", "evaluations = 60_000")
     path.write_text(text.replace("[analysis]", MORE + "[analysis]") + margins, encoding="utf-8")
     run = uqsphere.run(uqsphere.load_study(path), out=folder / "r")
     build_report(run.folder)
@@ -364,11 +364,6 @@ def test_fracture_in_report_tables_and_summary(several: uqsphere.Run) -> None:
     assert "time,q0.5,s" in table
     assert "any," in tables(several.results)["fragility.csv"]
     assert "share in which core comes first" in summary_of(several.results)
-
-
-def test_a_run_repeats_bit_by_bit(several: uqsphere.Run, tmp_path: Path) -> None:
-    again = uqsphere.run(uqsphere.load_study(several.folder / "study.toml"), out=tmp_path / "r", threads=1)
-    assert again.results["fracture"] == several.results["fracture"]
 
 
 @pytest.fixture(scope="module")

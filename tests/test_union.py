@@ -153,9 +153,7 @@ def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
 
 def test_specimens_of_a_sequence_stay_evenly_spread() -> None:
     """Every eighth point of a Sobol' sequence lies in one slab: the pick must not follow the order."""
-    x = np.stack(
-        [sobol_points(dimension=2, count=512, start=0, seed=1, task="t", replicate=r)[:, 0] for r in range(R)]
-    )
+    x = np.stack([sobol_points(dimension=2, count=512, start=0, seed=1, task="t", replicate=r)[:, 0] for r in range(R)])
     states = [LimitState(demands=2.0 + 1e-3 * x, strength=make_law("uniform", {}, 0.0, 10.0))] * 2
     drawn = draw_breaking(make_union(states, np.eye(2), np.random.default_rng(0)), 64, np.random.default_rng(1))
     assert drawn is not None
