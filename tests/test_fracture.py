@@ -309,7 +309,7 @@ def several(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> uqsphe
     folder = tmp_path_factory.mktemp("several")
     path = folder / "several.toml"
     margins = '[margins]\nsolve = "striker.speed"\nbetween = ["1 m/s", "12 m/s"]\nfor_probability = [0.1, 0.5]\n'
-    text = small_text.replace("evaluations = 30_000", "evaluations = 60_000")
+    text = small_text.replace("evaluations = 30_000", "evaluations = 120_000")
     path.write_text(text.replace("[analysis]", MORE + "[analysis]") + margins, encoding="utf-8")
     run = uqsphere.run(uqsphere.load_study(path), out=folder / "r")
     build_report(run.folder)
