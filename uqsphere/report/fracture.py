@@ -154,7 +154,7 @@ def interplay_figure(contents: Contents) -> Picture | None:
         axes.set_ylim(float(_score(1e-6)), float(_score(1.0 - 1e-4)))
         if here is not None and lowest <= here <= highest:
             axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
-            left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.7
+            left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.3
             axes.annotate(
                 "as planned",
                 (here * factor, axes.get_ylim()[0]),
