@@ -52,6 +52,29 @@ def _cautions(results: dict[str, Any]) -> list[str]:
     return found
 
 
+def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Probability of fracture, which limit comes first, and the median state in which it comes."""
+    if not found:
+        return []
+    rows: list[tuple[str, ...]] = [("probability over the record", _estimate(found["union"]))]
+    if "first_loading" in found:
+        rows.append(("probability in the first loading", _estimate(found["first_loading"])))
+    if len(found["limits"]) > 1:
+        rows += [
+            (f"share in which {plain(n)} comes first", _estimate(e)) for n, e in found.get("governed_by", {}).items()
+        ]
+    for key, words, like in (
+        ("time", "median time", "contact_time"),
+        ("energy", "median energy in the contacts", "energy"),
+        ("imbalance", "median difference of the forces", "force_imbalance"),
+    ):
+        if key in found:
+            rows.append((f"{words} at fracture", _estimate(found[key]["median"], like)))
+    if found.get("reason"):
+        rows.append(("not known further", plain(found["reason"])))
+    return rows
+
+
 def _verdicts(results: dict[str, Any]) -> list[str]:
     """A line for every limit: the verdict in words first, then probability, target and margin."""
     rows = []
@@ -115,6 +138,9 @@ def summary_of(results: dict[str, Any]) -> str:
     answers = [plain(text) for name in results["margins"] if (text := margin_answer(results, name))]
     parts = [plain(results["study"]["title"]), "", *answers, *([""] if answers else [])]
     parts += [*_verdicts(results), *_governing(results)]
+    broken = _fracture_rows(results.get("fracture") or {})
+    if broken:
+        parts += [table(("fracture", "value (95 % interval)"), broken), ""]
     rows: list[tuple[str, ...]] = []
     for name, entry in results["quantities"].items():
         rows.append((name, "mean", _estimate(entry["mean"], name)))

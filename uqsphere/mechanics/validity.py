@@ -17,7 +17,7 @@ from uqsphere.mechanics import bars
 from uqsphere.mechanics.dynamics import Answers
 from uqsphere.mechanics.scene import Scene, answered
 
-__all__ = ["GRADES", "RULES", "Check", "Rule", "check_validity", "grades"]
+__all__ = ["GRADES", "RULES", "Check", "Rule", "check_at_fracture", "check_validity", "grades"]
 
 Array = npt.NDArray[np.float64]
 
@@ -230,6 +230,16 @@ RULES: Final[tuple[Rule, ...]] = (
 )  # fmt: skip
 
 
+#: takes the place of force_balance where it is known when the sphere breaks
+_AT_FRACTURE: Final = Rule(
+    name="force_balance", meaning="difference of the two forces at fracture over the largest so far",
+    measure=_imbalance, information=0.05, warning=0.1,
+    words="the two forces differ by up to {worst} of the largest when it comes to fracture (limit {limit}): one gauge "
+          "does not stand for both faces, and the stress inside is not that of equal forces",
+    fine="forces in balance when the sphere breaks: they differ by at most {worst} of the largest (limit {limit})",
+)  # fmt: skip
+
+
 def grades(rule: Rule, measured: Array) -> npt.NDArray[np.int64]:
     """Grade 0 to 3 of every row; a row without a number is graded 0.
 
@@ -255,6 +265,36 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
         raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
     good = answered(answers.status)
     return [_check(rule, scene, answers, good) for rule in RULES]
+
+
+def check_at_fracture(imbalance: Array, weights: Array) -> Check:
+    """The balance of the forces where it matters: at the fracture of n specimens, and not at a peak never reached.
+
+    Parameters
+    ----------
+    imbalance : (n,) array
+        Difference of the two forces over the largest so far at the moment of fracture; NaN is left out.
+    weights : (n,) array
+        What each specimen stands for.
+
+    >>> check = check_at_fracture(np.array([0.01, 0.02, 0.2, 0.07]), np.array([3.0, 3.0, 1.0, 1.0]))
+    >>> check.share_warning, check.share_information
+    (0.125, 0.125)
+    """
+    rule = _AT_FRACTURE
+    known = ~np.isnan(imbalance) & (weights > 0.0)
+    if not known.any():
+        return _result(rule, np.zeros(3), None, "not checked: no specimen breaks")
+    measured, mass = imbalance[known], weights[known] / weights[known].sum()
+    worst = float(measured.max())
+    shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
+    numbers = {"worst": f"{worst:.3g}", "limit": f"{rule.limit:.3g}"}
+    if not shares.any():
+        return _result(rule, shares, worst, rule.fine.format(**numbers))
+    broken = f"{_percent(float(min(shares.sum(), 1.0)))} specimens that break".replace(
+        "all specimens", "all the specimens"
+    )
+    return _result(rule, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 
 def _check(rule: Rule, scene: Scene, answers: Answers, good: npt.NDArray[np.bool_]) -> Check:

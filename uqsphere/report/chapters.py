@@ -13,6 +13,7 @@ from uqsphere.report import (
     drivers,
     figures,
     force_band,
+    fracture,
     limit_surface,
     method,
     origins,
@@ -124,6 +125,16 @@ def margins_chapter(contents: Contents) -> Chapter:
         parts = parts_table(contents, name)
         heading = f"What the margin of {limit_name(name)} is made of"
         blocks.append(Block(heading=heading, finding=parts_finding(contents, name) if parts else "", table=parts))
+    if contents.results.get("fracture"):
+        blocks.append(
+            Block(
+                heading="Fracture",
+                finding=fracture.fracture_finding(contents),
+                picture=fracture.interplay_figure(contents),
+                table=fracture.fracture_table(contents),
+                files=("tables/fracture.csv",),
+            )
+        )
     shown = _decided(contents)
     blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
     for name in limits:

@@ -189,6 +189,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.runner.courses import save_courses
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
+    from uqsphere.runner.fracture import find_fracture
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
@@ -218,6 +219,8 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     tolerance = find_tolerance(work)
     margins = find_margins(work, sampled)
     ledger.seconds["margins"] = ledger.elapsed
+    fracture = find_fracture(work, sampled, margins)
+    ledger.seconds["fracture"] = ledger.elapsed
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
     )
@@ -234,6 +237,7 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         drivers=drivers,
         index_control=index_control,
         margins=margins,
+        fracture=fracture,
         tolerance=tolerance,
         history=sampled.history + history,
         seconds=sampled.seconds + seconds,

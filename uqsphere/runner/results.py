@@ -54,6 +54,7 @@ class Findings:
     seconds: list[float] = field(default_factory=list)
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
+    fracture: dict[str, Any] | None = None
 
 
 def _share(p: float) -> str:
@@ -176,6 +177,12 @@ def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities
     }
 
 
+def _judged(check: dict[str, Any], fracture: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A validity check, at fracture where that is known, since the peaks of a sphere that breaks are never reached."""
+    found = (fracture or {}).get("check")
+    return dict(found) if found and found["check"] == check["check"] else check
+
+
 def versions() -> dict[str, str]:
     """Versions that an answer depends on."""
     found = {"uqsphere": uqsphere.__version__, "python": platform.python_version()}
@@ -219,6 +226,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             study.margins.family if study.margins else None,
             {limit.name: limit.quantity for limit in study.limits},
         ),
+        **({} if found.fracture is None else {"fracture": found.fracture}),
         "model": {
             "chosen": found.pilot.chosen,
             "why": found.pilot.why,
@@ -229,7 +237,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             "numbers": found.pilot.numbers,
             **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
-        "validity": found.pilot.validity,
+        "validity": [_judged(check, found.fracture) for check in found.pilot.validity],
         "speed_error": found.history,
         "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
         "warnings": list(study.warnings),

@@ -74,6 +74,17 @@ def _tolerance_rows(name: str, entry: Mapping[str, Any]) -> list[list[Any]]:
     ]
 
 
+def _fracture_rows(found: Mapping[str, Any]) -> list[list[Any]]:
+    """Probabilities of fracture, shares by limit and by order, and the state at fracture: what, of which, unit, EST."""
+    rows = [[what, "", "", *_row(found[what])] for what in ("union", "first_loading", "over_record") if what in found]
+    rows += [["governed_by", name, "", *_row(e)] for name, e in found.get("governed_by", {}).items()]
+    rows += [["order", " > ".join(entry["limits"]), "", *_row(entry["share"])] for entry in found.get("order", ())]
+    for what in ("time", "force", "energy", "specific_energy", "imbalance"):
+        entry = found.get(what, {})
+        rows += [[what, f"q{p}", entry["unit"], *_row(e)] for p, e in entry.get("quantiles", {}).items()]
+    return rows
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -115,6 +126,10 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "validity": (("check", "share", "worst", "text"), checks),
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
+    if results.get("fracture"):
+        fracture = results["fracture"]
+        found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(fracture))
+        curve_rows += [["any", *point] for point in fracture.get("curve", ())]
     if results.get("paper"):
         found["paper"] = (
             ("quantity", "unit", "as_printed", "corrected", "full", "note"),

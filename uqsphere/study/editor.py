@@ -232,6 +232,7 @@ def _limit() -> Node:
             "aim": _words(get_args(Aim), "survive: stay below the strength; break: exceed it"),
             "model_factor": _number_or_law("number") | {"description": "discrepancy of the model on this quantity"},
             "target": _SHARE | {"description": "largest accepted probability of missing the aim"},
+            "fracture": _FLAG | {"description": "whether exceeding it breaks the sphere"},
         },
         ("strength",),
     )

@@ -45,7 +45,8 @@ ENERGY: Final = "striker.specific_energy"
 class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
-    With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.
+    With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
+    whether exceeding it breaks the sphere; None leaves that to the quantity.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Limit:
     target: float | None = None
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    fracture: bool | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,6 +349,7 @@ def _limit_json(limit: Limit) -> dict[str, Any]:
         "model_factor": fixed(limit.model_factor),
         "target": limit.target,
         **({"criterion": limit.criterion, "parameters": dict(limit.parameters)} if limit.criterion else {}),
+        **({} if limit.fracture is None else {"fracture": limit.fracture}),
     }
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from uqsphere.mechanics.loading import PATHS
 from uqsphere.quantities import OUTPUTS, Quantity, lookup
 from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, with_modulus_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
@@ -61,6 +62,7 @@ class LimitReading:
             aim=self.table.aim,
             model_factor=self.model_factor.value,
             target=self.table.target,
+            fracture=self.table.fracture,
         )
 
 
@@ -128,6 +130,7 @@ def read_limits(
             model_factor = Reading(value=1.0)
         if table.target is not None and not 0.0 < table.target < 1.0:
             findings.add((*place, "target"), f"found {table.target!r}, a probability between 0 and 1 is due")
+        check_fracture(table, quantity, place, findings)
         found.append(
             LimitReading(
                 name=name,
@@ -139,6 +142,16 @@ def read_limits(
             )
         )
     return found
+
+
+def check_fracture(table: LimitTable, quantity: str | None, place: Place, findings: Findings) -> None:
+    """Refuse a limit that is said to mean fracture and is held against something that cannot."""
+    if not table.fracture or quantity is None or table.criterion is not None or quantity in PATHS:
+        return
+    findings.add(
+        (*place, "fracture"),
+        f"exceeding {quantity} breaks no sphere: fracture = true is for a criterion or one of {one_of(sorted(PATHS))}",
+    )
 
 
 _NAME_RULE: Final = "a name takes up to 64 letters, digits, _ and -, and begins with a letter"

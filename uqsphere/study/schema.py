@@ -132,6 +132,7 @@ class LimitTable(Table):
     aim: Aim = "survive"
     model_factor: Number = None
     target: float | None = None
+    fracture: bool | None = None
 
 
 class DependenceTable(Table):

@@ -1,0 +1,289 @@
+"""When a sphere breaks: the first moment at which a criterion's course over the loading reaches its strength.
+
+Nearly every criterion is a rising function of the largest contact force so far, the others of the energy stored so
+far.  A strength is therefore a level of force or energy, and the fracture the first time at which the motion comes
+to it.  What the record of the quantities of interest holds is held here too: the loading ends with the first loss of
+contact.  Criteria that grow their strength with the rate take the one rate of the sample, that of the whole record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.criteria import CRITERIA, demand
+from uqsphere.mechanics.dynamics import MODES, _march, scaled_arguments, thread_count
+from uqsphere.mechanics.layout import ANSWER_END, WANT_ENERGY, empty_answers
+from uqsphere.mechanics.loading import Path
+from uqsphere.mechanics.scene import Scene
+
+__all__ = ["Fractures", "first_fractures"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+#: parts of a step of the integrator that are looked at before a crossing is refined, and halvings that refine it
+_PARTS: Final = 16
+_HALVINGS: Final = 45
+_SHARES: Final = np.arange(1, _PARTS + 1) / _PARTS
+_POWERS: Final = _SHARES[None, :] ** np.arange(17)[:, None]
+#: rows whose motions are held in memory together
+_BLOCK: Final = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fractures:
+    """Fracture of n specimens by L criteria.
+
+    Attributes
+    ----------
+    times : (n, L) array
+        First time at which each criterion reaches its strength [s], as if the sphere held the others; infinite where
+        it does not.
+    first : (n,) array of int
+        The criterion that is reached first; -1 where none is, and the numbers below are NaN.
+    time, force, energy, imbalance : (n,) arrays
+        At the first: time [s], the larger contact force [N], energy stored in both contacts [J], and the difference
+        of the two forces at that moment over the largest force so far.
+    early : (n,) array of bool
+        Whether it comes before the first reflected wave is back.
+    """
+
+    times: Array
+    first: Index
+    time: Array
+    force: Array
+    energy: Array
+    imbalance: Array
+    early: Flags
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Course:
+    """One row's motion in scaled variables: start and length (m,), approaches (m, 2, 17), and its nodes.
+
+    `times` (16 m,) of the nodes, which divide every step into 16 parts, `force` and `energy` (16 m,) the largest
+    approach and the largest energy so far.
+    """
+
+    start: Array
+    length: Array
+    states: Array
+    times: Array
+    force: Array
+    energy: Array
+
+    def along(self, over: str) -> Array:
+        return self.force if over == "force" else self.energy
+
+
+def _values(states: Array, share: Array) -> Array:
+    """Approaches (..., 2) at a share (...) of the steps with the coefficients (..., 2, 17); never negative."""
+    total = states[..., -1]
+    for k in range(states.shape[-1] - 2, -1, -1):
+        total = total * share[..., None] + states[..., k]
+    return np.maximum(total, 0.0)
+
+
+def _stored(approach: Array) -> Array:
+    """Energy of both contacts in scaled variables, theory (17): (2/5) sum x^(5/2)."""
+    return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
+
+
+def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float, wanted: int) -> _Course | None:
+    """The motion of one row up to the loss of contact, or until no larger force or energy can come; None if failed."""
+    n = len(arguments["mass"])
+    status, steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    answers = empty_answers(n)
+    only = np.array([row])
+    found = _march(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
+    if status[row] != 0 or found is None or len(found.start) == 0:
+        return None
+    # contact may be lost inside the last step
+    end = answers[row, ANSWER_END]
+    inside = found.start < end
+    start, states = found.start[inside], found.states[inside, :2]
+    length = np.minimum(found.length[inside], end - start)
+    states = states * (length / found.length[inside])[:, None, None] ** np.arange(states.shape[2])
+    approach = np.maximum(states @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
+    return _Course(
+        start=start,
+        length=length,
+        states=states,
+        times=(start[:, None] + length[:, None] * _SHARES).ravel(),
+        force=np.maximum.accumulate(approach.max(axis=1)),
+        energy=np.maximum.accumulate(_stored(approach)),
+    )
+
+
+def _courses(
+    scene: Scene, rows: Index, mode: int, tolerance: float, wanted: int, threads: int | None
+) -> Iterator[tuple[Index, list[_Course | None]]]:
+    """The motions of the rows, a block at a time."""
+    workers = thread_count(threads)
+    for begin in range(0, len(rows), _BLOCK):
+        block = rows[begin : begin + _BLOCK]
+        arguments = scaled_arguments(scene, block)
+
+        def one(k: int, arguments: Mapping[str, Any] = arguments) -> _Course | None:
+            return _course(arguments, k, mode, tolerance, wanted)
+
+        if workers == 1:
+            yield block, [one(k) for k in range(len(block))]
+        else:
+            with ThreadPoolExecutor(workers) as pool:
+                yield block, list(pool.map(one, range(len(block))))
+
+
+def _demands(scene: Scene, rows: Index, path: Path, value: Array) -> Array:
+    """The demand at a force [N] or a stored energy [J] of each row."""
+    if path.criterion is None:
+        return value
+    columns: dict[str, Any] = {name: column[rows] for name, column in scene.columns.items()}
+    scales = scene.scales
+    if path.over == "energy":
+        columns["specific_energy"] = value / scales.mass[rows]
+    else:
+        radius = scales.effective_radius[rows]
+        columns["P_max"] = value
+        columns["p_max"] = contact.pressure_at_force(value, scales.modulus[rows], radius)
+        columns["a_max"] = contact.contact_radius(contact.approach_at_force(value, scales.hertz_constant[rows]), radius)
+    return demand(CRITERIA[path.criterion], columns, path.parameters)
+
+
+def _levels(scene: Scene, rows: Index, path: Path, top: Array, share: Array) -> Array:
+    """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,) of its largest."""
+    wanted = share * _demands(scene, rows, path, top)
+    low, high = np.zeros(len(rows)), np.ones(len(rows))
+    if path.criterion is None:
+        return np.asarray(share)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        below = _demands(scene, rows, path, middle * top) < wanted
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return high
+
+
+def first_fractures(
+    scene: Scene,
+    shares: Array,
+    paths: Sequence[Path],
+    *,
+    rows: Index | None = None,
+    fidelity: str = "full",
+    tolerance: float = 1e-5,
+    threads: int | None = None,
+) -> Fractures:
+    """The moment at which each of n specimens first reaches a strength.
+
+    Parameters
+    ----------
+    scene : Scene
+        k rows.
+    shares : (n, L) array
+        Strength over the largest demand of the record; 1 and above is not reached, 0 and below at first touch.
+    paths : L of Path
+        How the criteria follow the loading.
+    rows : (n,) array of int, optional
+        The row of the scene that a specimen is loaded by; each by its own if None.
+    fidelity : str
+        `full` or `massless`.
+    tolerance : float
+        Relative error of the integration.
+    threads : int, optional
+
+    Returns
+    -------
+    Fractures
+        A specimen whose row cannot be integrated reaches nothing.
+
+    Raises
+    ------
+    ValueError
+        If shares is not (n, L), or the fidelity has no Hertz contact.
+    """
+    if fidelity not in ("full", "massless"):
+        raise ValueError(f"fracture needs the fidelity full or massless, found {fidelity!r}")
+    rows = np.arange(len(scene)) if rows is None else np.asarray(rows)
+    n = len(rows)
+    if shares.shape != (n, len(paths)):
+        raise ValueError(f"shares must be ({n}, {len(paths)}), found {shares.shape}")
+    times = np.full(shares.shape, np.inf)
+    force, energy, imbalance = (np.full(shares.shape, np.nan) for _ in range(3))
+    loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
+    wanted = WANT_ENERGY if any(path.over == "energy" for path in paths) else 0
+    for block, courses in _courses(scene, loaded, MODES[fidelity], tolerance, wanted, threads):
+        known = {int(row): course for row, course in zip(block, courses, strict=True) if course is not None}
+        here = np.isin(rows, list(known))
+        for at, path in enumerate(paths):
+            picked = np.flatnonzero(here & (shares[:, at] < 1.0))
+            if len(picked) == 0:
+                continue
+            motions = [known[int(row)] for row in rows[picked]]
+            found = _cross(scene, rows[picked], motions, path, shares[picked, at])
+            times[picked, at], force[picked, at], energy[picked, at], imbalance[picked, at] = found
+    governing = np.argmin(times, axis=1)
+    every = np.arange(n)
+    time = times[every, governing]
+    none = np.isinf(time)
+    return Fractures(
+        times=times,
+        first=np.where(none, -1, governing),
+        time=np.where(none, np.nan, time),
+        force=force[every, governing],
+        energy=energy[every, governing],
+        imbalance=imbalance[every, governing],
+        early=~none & (time < scene.first_echo[rows]),
+    )
+
+
+def _cross(
+    scene: Scene, rows: Index, courses: Sequence[_Course], path: Path, shares: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each row."""
+    scales = scene.scales
+    unit = scales.time[rows]
+    last = [
+        int(np.searchsorted(c.times, e)) if path.early else len(c.times)
+        for c, e in zip(courses, scene.first_echo[rows] / unit, strict=True)
+    ]
+    tops = np.array([c.along(path.over)[max(end - 1, 0)] for c, end in zip(courses, last, strict=True)])
+    to_si = scales.force[rows] * (tops**1.5 if path.over == "force" else scales.approach[rows] * tops)
+    at_level = _levels(scene, rows, path, to_si, np.clip(shares, 0.0, 1.0))
+    levels = tops * (at_level ** (2.0 / 3.0) if path.over == "force" else at_level)
+    at = np.array(
+        [
+            min(int(np.searchsorted(c.along(path.over), level)), len(c.times) - 1)
+            for c, level in zip(courses, levels, strict=True)
+        ]
+    )
+    step = at // _PARTS
+    states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
+    high = _SHARES[at % _PARTS]
+    low = high - 1.0 / _PARTS
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        approach = _values(states, middle)
+        below = (approach.max(axis=1) if path.over == "force" else _stored(approach)) < levels
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    approach = _values(states, high)
+    begin = np.array([c.start[k] for c, k in zip(courses, step, strict=True)])
+    length = np.array([c.length[k] for c, k in zip(courses, step, strict=True)])
+    before = np.array([c.force[k - 1] if k else 0.0 for c, k in zip(courses, at, strict=True)])
+    push = approach**1.5
+    largest = np.maximum(before**1.5, push.max(axis=1))
+    with np.errstate(invalid="ignore"):
+        imbalance = np.where(largest > 0.0, np.abs(push[:, 0] - push[:, 1]) / largest, 0.0)
+    return (
+        (begin + high * length) * unit,
+        scales.force[rows] * push.max(axis=1),
+        scales.force[rows] * scales.approach[rows] * _stored(approach),
+        imbalance,
+    )

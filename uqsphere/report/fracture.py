@@ -1,0 +1,178 @@
+"""Fracture by any limit: the probabilities, which limit comes first, the state it comes in, and the interplay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.quantities import display_unit
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
+from uqsphere.report.contents import Contents
+from uqsphere.report.decision import probability_axis, x_scale
+from uqsphere.report.figures import axis_label
+from uqsphere.report.sections import Table
+from uqsphere.report.wording import (
+    ABSENT,
+    absent_reason,
+    estimate_text,
+    input_name,
+    limit_name,
+    listed,
+    plain_percent,
+    probability_text,
+    rounded,
+)
+
+__all__ = ["fracture_finding", "fracture_table", "interplay_figure"]
+
+#: what is shown of the state at fracture: words, and a quantity with the same unit
+_STATE: Final = {
+    "time": ("time of fracture", "contact_time"),
+    "force": ("force at fracture", "P_max"),
+    "energy": ("energy in both contacts at fracture", "energy"),
+    "specific_energy": ("the same per mass of the sphere", "specific_energy"),
+    "imbalance": ("difference of the two forces at fracture, over the larger so far", "force_imbalance"),
+}
+_SHARES: Final = {"0.05": "5 %", "0.5": "median", "0.95": "95 %"}
+_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
+_STYLES: Final = ("-", "--", "-.", ":")
+#: limits that are drawn
+MOST_CURVES: Final = 8
+
+
+def _score(p: Any) -> npt.NDArray[np.float64]:
+    """Normal scores of probabilities, so far out that a curve leaves the picture where it would."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), 1e-14, 1.0 - 1e-14)))
+
+
+def _found(contents: Contents) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = contents.results.get("fracture") or {}
+    return found
+
+
+def _cell(estimate: Mapping[str, Any], name: str = "") -> str:
+    if estimate["value"] is None:
+        return f"{ABSENT} ({absent_reason(estimate)})"
+    return estimate_text(estimate, name) if name else probability_text(estimate)
+
+
+def fracture_finding(contents: Contents) -> str:
+    """Whether it breaks, when, by what and in which state, in a few sentences."""
+    found = _found(contents)
+    union, first = found.get("union"), found.get("first_loading")
+    if not union or union["value"] is None:
+        return f"No answer: {found.get('reason') or absent_reason(union or {})}."
+    text = f"The sphere breaks with a probability of {probability_text(union)} over the record"
+    if first and first["value"] is not None:
+        text += f", of {probability_text(first)} in the first loading, before the first reflected wave is back"
+    parts = [text + "."]
+    governed = {n: e for n, e in found.get("governed_by", {}).items() if e["value"]}
+    if len(found["limits"]) > 1 and governed:
+        ranked = sorted(governed.items(), key=lambda item: -item[1]["value"])
+        named = [f"{limit_name(n)} in {plain_percent(e['value'])}" for n, e in ranked]
+        parts.append(f"Of the spheres that break, the strength reached first is {listed(named)}.")
+    if "time" in found:
+        time, force, energy = (rounded(found[key]["median"], _STATE[key][1], 3) for key in ("time", "force", "energy"))
+        imbalance = plain_percent(float(f"{found['imbalance']['median']['value']:.2g}"))
+        parts.append(
+            f"In the median they break at {time}, at {force} and {energy} in the contacts; the two forces then differ "
+            f"by {imbalance}."
+        )
+    elif found.get("reason"):
+        parts.append(f"When it breaks is not known: {found['reason']}.")
+    if found.get("left_out"):
+        parts.append(f"Not counted as fracture: {listed([limit_name(n) for n in found['left_out']])}.")
+    return " ".join(parts)
+
+
+def fracture_table(contents: Contents) -> Table | None:
+    """Probabilities, shares, orders, and the state at fracture."""
+    found = _found(contents)
+    if not found:
+        return None
+    several = len(found["limits"]) > 1
+    rows = [("probability of fracture over the record" + (", by any limit" if several else ""), _cell(found["union"]))]
+    if "first_loading" in found:
+        rows.append(("probability of fracture in the first loading", _cell(found["first_loading"])))
+    if several:
+        rows += [
+            (f"share of fractures in which {limit_name(name)} is reached first", _cell(estimate))
+            for name, estimate in found.get("governed_by", {}).items()
+        ]
+        rows += [
+            ("share in the order " + ", then ".join(limit_name(n) for n in entry["limits"]), _cell(entry["share"]))
+            for entry in found.get("order", ())
+            if len(entry["limits"]) > 1
+        ]
+    for key, (words, like) in _STATE.items():
+        for p, e in found.get(key, {}).get("quantiles", {}).items():
+            rows.append((f"{words}, {_SHARES.get(p, p)}", _cell(e, like)))
+    return Table(
+        caption="Fracture, with 95 % intervals; what follows the probabilities is of the spheres that break",
+        header=("", "value (95 % interval)"),
+        rows=tuple(rows),
+    )
+
+
+def interplay_figure(contents: Contents) -> Picture | None:
+    """Probability of exceeding each limit, and of fracture by any, over the free scalar."""
+    found = _found(contents)
+    if len(found.get("curve", ())) < 2:
+        return None
+    solve = str(found["solve"])
+    factor = display_unit(solve)[1]
+    union = np.array(found["curve"], dtype=float)
+    curves = {
+        name: np.array(contents.results["margins"][name]["curve"], dtype=float)
+        for name in found["limits"][:MOST_CURVES]
+        if len(contents.results["margins"].get(name, {}).get("curve", ())) > 1
+    }
+    here = contents.at_mean(solve)
+    lowest, highest = float(union[0, 0]), float(union[-1, 0])
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(4.3)
+        axes.fill_between(
+            union[:, 0] * factor, _score(union[:, 2]), _score(union[:, 3]), color=GREY, alpha=0.35, linewidth=0.0
+        )
+        axes.plot(union[:, 0] * factor, _score(union[:, 1]), color=INK, linewidth=3.0, alpha=0.55, label="any of them")
+        for k, (name, curve) in enumerate(curves.items()):
+            kept = curve[(curve[:, 0] >= lowest * 0.999) & (curve[:, 0] <= highest * 1.001)]
+            axes.plot(
+                kept[:, 0] * factor,
+                _score(kept[:, 1]),
+                color=_COLOURS[k % len(_COLOURS)],
+                linestyle=_STYLES[k % len(_STYLES)],
+                label=canvas.shorten(limit_name(name), 28),
+            )
+        x_scale(axes, union[:, 0] * factor)
+        axes.set_ylim(float(_score(1e-6)), float(_score(1.0 - 1e-4)))
+        if here is not None and lowest <= here <= highest:
+            axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
+            left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.3
+            axes.annotate(
+                "as planned",
+                (here * factor, axes.get_ylim()[0]),
+                xytext=(-4 if left else 4, 4),
+                ha="right" if left else "left",
+                textcoords="offset points",
+                fontsize=9.0,
+            )
+        probability_axis(axes)
+        axes.legend(loc="upper left")
+        word = "mean " if solve in contents.resolved["random"] else ""
+        axes.set_xlabel(axis_label(solve, word + canvas.shorten(input_name(solve), 50)))
+        axes.set_ylabel("probability of reaching the strength")
+    finding = f"Which criterion breaks the sphere, over {input_name(solve)}: {_half(found)}"
+    return Picture(name="interplay", title="Interplay of the limits", finding=finding, figure=figure)
+
+
+def _half(found: Mapping[str, Any]) -> str:
+    known = {p: e for p, e in found.get("values", {}).items() if e["value"] is not None}
+    parts = [f"{plain_percent(float(p))} at {rounded(e, found['solve'])}" for p, e in known.items()]
+    return f"by any of them {', '.join(parts)}." if parts else "no value has the probabilities asked for."

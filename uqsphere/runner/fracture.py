@@ -1,0 +1,293 @@
+"""Several limits that mean fracture: the probability of any, which comes first, and the state in which it comes.
+
+The union is averaged over everything that was sampled, the strengths integrated (`uqsphere.uq.union`).  What needs
+the moment of fracture is read off the loading of a few hundred specimens, drawn with their strengths from those that
+break (`uqsphere.mechanics.fracture`), by the full model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.model import scene_of
+from uqsphere.runner.limits import state_of
+from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.union import (
+    fracture_limits,
+    strength_factor,
+    tied_otherwise,
+    union_at,
+    union_curve,
+    union_estimate,
+)
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_draw
+from uqsphere.study import Limit
+from uqsphere.uq.estimates import Estimate, absent, student
+from uqsphere.uq.reliability import LimitState
+from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.union import Breaking, Union, draw_breaking, make_union, share_of, weighted_quantile
+
+__all__ = ["find_fracture"]
+
+Array = npt.NDArray[np.float64]
+
+#: samples of each replicate whose strengths are drawn from, and specimens drawn from them
+POOL: Final = 512
+SPECIMENS: Final = 64
+#: share of what is left of the budget that each of the steps may take, and the fewest samples that are worth it
+PART: Final = 0.05
+FEWEST: Final = 8
+#: orders that are listed
+ORDERS: Final = 8
+#: share of specimens whose loading could not be followed, above which nothing is said
+MOST_LOST: Final = 0.05
+_QUANTILES: Final = (0.05, 0.5, 0.95)
+_UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": ""}
+_METHOD: Final = "specimens that break, on the loading path of the full model"
+
+
+def find_fracture(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnswer]) -> dict[str, Any] | None:
+    """Plain JSON of the fracture by any limit; None where no limit of the study means fracture."""
+    limits = fracture_limits(work.study)
+    if not limits:
+        return None
+    names = [limit.name for limit in limits]
+    answer: dict[str, Any] = {
+        "limits": names,
+        "left_out": [limit.name for limit in work.study.limits if limit.name not in names],
+    }
+    tied = tied_otherwise(work, names)
+    if tied:
+        reason = f"the strengths of {' and '.join(tied)} depend on each other by a copula that is not Gaussian"
+        return {**answer, "union": absent(reason, _METHOD, 0).as_dict(), "reason": reason}
+    factor = strength_factor(work, limits)
+    try:
+        union = union_estimate(work, sampled, limits, factor)
+        answer |= {"union": union.as_dict(), "over_record": union.as_dict()}
+        answer |= _moments(work, sampled, limits, factor, union)
+        answer |= union_curve(work, limits, factor, margins)
+    except OutOfBudget:
+        work.ledger.stopped_by_time = True
+        answer["reason"] = "the time was over"
+    return answer
+
+
+# --- the moment of fracture ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pool:
+    """Some of the sampled points with their answers by the full model."""
+
+    points: Draw
+    sample: Sample
+    work: Work
+
+
+def _affordable(work: Work, most: int) -> int:
+    """Rows of each replicate that one step may take; 0 where it is not worth it."""
+    left = work.study.analysis.budget.evaluations - work.ledger.total
+    found = min(most, int(PART * left / REPLICATES))
+    return found if found >= FEWEST else 0
+
+
+def _pool(work: Work, sampled: Sampled) -> _Pool | None:
+    full = replace(work, fidelity="full", fallback=None, spare=True)
+    if work.fidelity == "full":
+        count = min(POOL, sampled.sample.status.shape[1])
+        return _Pool(points=_first(sampled.points, count), sample=_first_of(sampled.sample, count), work=full)
+    count = _affordable(work, min(POOL, sampled.sample.status.shape[1]))
+    if count == 0:
+        return None
+    points = _first(sampled.points, count)
+    return _Pool(points=points, sample=evaluate_draw(full, "fracture.full", points), work=full)
+
+
+def _first(points: Draw, count: int) -> Draw:
+    return Draw(normals=points.normals[:, :count], physical=points.physical[:, :count])
+
+
+def _first_of(sample: Sample, count: int) -> Sample:
+    return Sample(values=sample.values[:, :count], censored=sample.censored[:, :count], status=sample.status[:, :count])
+
+
+def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Array, union: Estimate) -> dict[str, Any]:
+    """What is governing, the order, and the state at fracture; a reason where nothing can be said."""
+    pool = _pool(work, sampled)
+    specimens = _affordable(work, SPECIMENS)
+    if pool is None or specimens == 0:
+        return {"reason": "the budget of evaluations leaves nothing for the loading of specimens"}
+    if find_spec("numba") is None:
+        return {"reason": "the loading over time needs the compiled integrator (numba)"}
+    together = union_at(pool.work, limits, factor, pool.points, pool.sample)
+    rng = random_generator(seed=work.study.seed, task="fracture.specimens")
+    drawn = draw_breaking(together, specimens, rng)
+    found: dict[str, Any] = {"first_loading": _first_loading(pool, sampled, limits, factor, union, together).as_dict()}
+    if drawn is None:
+        return {**found, "reason": "no sample breaks"}
+    return {**found, **_at_fracture(pool, limits, drawn)}
+
+
+def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[str, Any]:
+    """Shares, order and quantiles over the specimens drawn."""
+    from uqsphere.mechanics.fracture import first_fractures
+    from uqsphere.mechanics.loading import path_of
+    from uqsphere.mechanics.validity import check_at_fracture
+
+    work, shape = pool.work, drawn.rows.shape
+    flat = (np.arange(shape[0])[:, None] * pool.sample.status.shape[1] + drawn.rows).ravel()
+    distinct, rows = np.unique(flat, return_inverse=True)
+    names, d = work.scene_names, len(work.scene_names)
+    if d == 0:
+        distinct, rows = distinct[:1], np.zeros_like(rows)
+    physical = pool.points.physical[:, :, :d].reshape(-1, d)[distinct]
+    scene = scene_of(work.study, {name: physical[:, k] for k, name in enumerate(names)}, len(distinct))
+    paths = [path for limit in limits if (path := path_of(limit.quantity, work.study.demands)) is not None]
+    shares = drawn.shares.reshape(len(limits), -1).T
+    result = first_fractures(scene, shares, paths, rows=rows, threads=work.threads)
+    work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(distinct)
+    lost = float((result.first < 0).mean())
+    if lost > MOST_LOST:
+        return {"reason": f"the loading of {lost:.0%} of the specimens could not be followed"}
+    weights, evaluations = drawn.weights, int(flat.size)
+    known = {
+        "time": result.time,
+        "force": result.force,
+        "energy": result.energy,
+        "specific_energy": result.energy / scene.scales.mass[rows],
+        "imbalance": result.imbalance,
+    }
+    first = result.first.reshape(shape)
+    state = {
+        name: {"unit": _UNITS[name], **_quantiles(values.reshape(shape), weights, evaluations)}
+        for name, values in known.items()
+    }
+    early = share_of(result.early.reshape(shape), weights, _METHOD, evaluations)
+    graded = np.repeat(weights, shape[1]) * (result.first >= 0)
+    return {
+        "governed_by": {
+            limit.name: share_of(first == k, weights, _METHOD, evaluations).as_dict() for k, limit in enumerate(limits)
+        },
+        "order": _orders(result.times, weights, shape, limits, evaluations),
+        **state,
+        "share_in_first_loading": early.as_dict(),
+        "specimens": evaluations,
+        "distinct_rows": len(distinct),
+        "lost_share": lost,
+        "check": _check_json(check_at_fracture(result.imbalance, graded)),
+    }
+
+
+def _check_json(check: Any) -> dict[str, Any]:
+    return {
+        "check": check.check,
+        "share": check.share_warning + check.share_failure,
+        "share_information": check.share_information,
+        "share_warning": check.share_warning,
+        "share_failure": check.share_failure,
+        "worst": check.worst,
+        "text": check.text,
+    }
+
+
+def _quantiles(values: Array, weights: Array, evaluations: int) -> dict[str, Any]:
+    found = {f"{p:g}": weighted_quantile(values, weights, p, _METHOD, evaluations).as_dict() for p in _QUANTILES}
+    return {"median": found["0.5"], "quantiles": found}
+
+
+def _orders(
+    times: Array, weights: Array, shape: tuple[int, ...], limits: Sequence[Limit], evaluations: int
+) -> list[dict[str, Any]]:
+    """The commonest orders in which the strengths are reached, were the sphere to hold; unreached ones left out."""
+    ranked = np.argsort(times, axis=1, kind="stable")
+    reached = np.isfinite(times).sum(axis=1)
+    orders = [tuple(row[:count].tolist()) for row, count in zip(ranked, reached, strict=True)]
+    mass: defaultdict[tuple[int, ...], float] = defaultdict(float)
+    for order, weight in zip(orders, np.repeat(weights, shape[1]), strict=True):
+        mass[order] += float(weight)
+    listed = [order for order, _ in sorted(mass.items(), key=lambda item: (-item[1], item[0])) if order][:ORDERS]
+    return [
+        {
+            "limits": [limits[k].name for k in order],
+            "share": share_of(
+                np.array([other == order for other in orders]).reshape(shape), weights, _METHOD, evaluations
+            ).as_dict(),
+        }
+        for order in listed
+    ]
+
+
+# --- first loading ------------------------------------------------------------------------------------
+
+
+def _first_loading(
+    pool: _Pool, sampled: Sampled, limits: Sequence[Limit], factor: Array, union: Estimate, over_record: Union
+) -> Estimate:
+    """Probability of fracture before the first reflected wave is back: the union's, times what share of it that is.
+
+    The demands of the first loading are no larger than those of the record, also where the rate differs.
+    """
+    work = pool.work
+    study = work.study
+    ends = [study.at_means().get(f"bars.{bar}_end", 0.0) for bar in ("incident", "receiving")]
+    echoes = any(f"bars.{bar}_end" in study.random for bar in ("incident", "receiving")) or any(ends)
+    if study.options["bars.infinite"] or study.model.first_loading_only or not echoes:
+        return union
+    method = "common random numbers, the record ended by the first reflected wave"
+    if union.value is None:
+        return absent(union.reason or "the union is not known", method, 0)
+    count = _affordable(work, pool.sample.status.shape[1])
+    if count == 0:
+        return absent("the budget of evaluations leaves nothing for the first loading", method, 0)
+    points, whole = _first(pool.points, count), _first_of(pool.sample, count)
+    moved = replace(work, study=replace(study, model=replace(study.model, first_loading_only=True)))
+    early = evaluate_draw(moved, "fracture.first", points)
+    states = [_no_larger(state_of(work, limit, points, early), state_of(work, limit, points, whole))
+              for limit in limits]  # fmt: skip
+    rng = random_generator(seed=study.seed, task="fracture.holding")
+    if over_record.factor.any() and count != over_record.chances.shape[2]:
+        over_record = union_at(work, limits, factor, points, whole)
+    p, q = make_union(states, factor, rng).any.mean(axis=1), over_record.any.mean(axis=1)
+    if not q.sum() > 0.0:
+        return replace(union, method=method)
+    share = min(float(p.sum() / q.sum()), 1.0)
+    spread = math.sqrt(float(np.square(p - share * q).sum()) / (REPLICATES * (REPLICATES - 1))) / float(q.mean())
+    return _times(union, share, spread, method, union.evaluations + REPLICATES * count)
+
+
+def _no_larger(early: LimitState, whole: LimitState) -> LimitState:
+    return replace(
+        early,
+        demands=np.where(early.broken | whole.broken, np.nan, np.minimum(early.demands, whole.demands)),
+        censored=None,
+    )
+
+
+def _times(union: Estimate, share: float, spread: float, method: str, evaluations: int) -> Estimate:
+    """The union's estimate times a share with a standard error of its own; the interval in logarithms."""
+    assert union.value is not None
+    if share <= 0.0 or union.value <= 0.0 or union.low is None or union.high is None or union.std_error is None:
+        top = (union.high or 0.0) * min(1.0, share + student(REPLICATES) * spread)
+        return Estimate(value=union.value * share, low=0.0, high=top, std_error=union.std_error, method=method,
+                        evaluations=evaluations)  # fmt: skip
+    own = student(REPLICATES) * spread / share
+    value = union.value * share
+    below = math.hypot(math.log(union.value / union.low) if union.low > 0.0 else 600.0, own)
+    above = math.hypot(math.log(union.high / union.value), own)
+    return Estimate(
+        value=value,
+        low=value * math.exp(-min(below, 600.0)),
+        high=min(value * math.exp(min(above, 600.0)), union.high),
+        std_error=math.hypot(union.std_error * share, spread * union.value),
+        method=method,
+        evaluations=evaluations,
+    )

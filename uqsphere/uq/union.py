@@ -1,0 +1,266 @@
+"""Several limits at once: the probability that any of them is exceeded, and which strengths go with that.
+
+Given the inputs, strengths that do not depend on each other are exceeded independently, and the probability of any is
+1 - prod(1 - F_i): smooth in the inputs, without a strength drawn.  Strengths that do, by the Gaussian copula, are
+taken one after the other, each given that those before it have held, with one draw for those per sample (Geweke 1991,
+Hajivassiliou and McFadden 1998, Keane 1994): unbiased, and for independent strengths the product itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.archimedean import FARTHEST
+from uqsphere.uq.copulas import conditional_scores
+from uqsphere.uq.distribution import Law, from_normal
+from uqsphere.uq.estimates import Estimate, Flags, none_of, student
+from uqsphere.uq.families import Array
+from uqsphere.uq.laws import make_law
+from uqsphere.uq.reliability import LimitState, tails
+
+__all__ = [
+    "Breaking",
+    "Union",
+    "draw_breaking",
+    "make_union",
+    "residual_correlation",
+    "share_of",
+    "union_state",
+    "weighted_quantile",
+]
+
+Index = npt.NDArray[np.int64]
+
+#: normal scores beyond which a tail is taken for certain
+_FAR = 37.0
+_TINY = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Union:
+    """L limits at the same (R, n) samples.
+
+    `chances` (L, R, n): that a limit is exceeded given the inputs and that those before it hold; `holding` (L, R, n):
+    the independent normals behind strengths that hold; `factor` (L, L): lower Cholesky factor of the correlation of
+    the strengths' normal scores given the inputs.
+    """
+
+    states: tuple[LimitState, ...]
+    chances: Array
+    holding: Array
+    factor: Array
+
+    @property
+    def broken(self) -> Flags:
+        """Samples without an answer (R, n)."""
+        return np.asarray(np.logical_or.reduce([state.broken for state in self.states]), dtype=bool)
+
+    @property
+    def any(self) -> Array:
+        """Probability that any limit is exceeded, given the inputs (R, n); 0 for samples without an answer."""
+        with np.errstate(divide="ignore"):
+            found = -np.expm1(np.log1p(-self.chances).sum(axis=0))
+        return np.where(self.broken, 0.0, found)
+
+
+def residual_correlation(covariance: Array) -> Array:
+    """Lower Cholesky factor of the correlation that belongs to a covariance (L, L); a variance of 0 stands alone.
+
+    >>> residual_correlation(np.array([[4.0, 0.0], [0.0, 0.0]])).tolist()
+    [[1.0, 0.0], [0.0, 1.0]]
+    """
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = deviation > 1e-7
+    scale = np.where(known, deviation, 1.0)
+    correlation = np.where(np.outer(known, known), covariance / np.outer(scale, scale), 0.0)
+    np.fill_diagonal(correlation, 1.0)
+    # strengths that are one and the same given the inputs leave a factor of rank less than L
+    return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))
+
+
+def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator) -> Union:
+    """The limits taken together.
+
+    Parameters
+    ----------
+    states : L limit states at the same (R, n) samples
+    factor : (L, L) array
+        Of `residual_correlation`; the identity for strengths that do not depend on each other given the inputs.
+    rng : numpy.random.Generator
+        Draws the strengths that hold; without it there is no answer where strengths depend on each other.
+
+    Raises
+    ------
+    ValueError
+        For no states, or states of different samples.
+    """
+    from scipy.special import ndtr, ndtri
+
+    shapes = {state.demands.shape for state in states}
+    if len(shapes) != 1:
+        raise ValueError(f"the limits of a union need the same samples, found shapes {sorted(shapes)}")
+    shape = (len(states), *next(iter(shapes)))
+    chances, holding = np.zeros(shape), np.zeros(shape)
+    for j, state in enumerate(states):
+        below, above = tails(state)
+        if np.any(factor[j, :j]):
+            with np.errstate(divide="ignore"):
+                score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
+            score = (score - np.tensordot(factor[j, :j], holding[:j], axes=1)) / factor[j, j]
+            below, above = ndtr(score), ndtr(-score)
+        chances[j] = np.where(state.broken, 0.0, below)
+        # a point of the upper tail
+        with np.errstate(divide="ignore"):
+            drawn = -ndtri(np.maximum(rng.random(shape[1:]) * above, _TINY))
+        holding[j] = np.clip(drawn, -_FAR, _FAR)
+    return Union(states=tuple(states), chances=chances, holding=holding, factor=factor)
+
+
+def union_state(union: Union) -> LimitState:
+    """The union as one limit, so that all that serves a limit serves it: a score against a standard normal.
+
+    Without any random strength it is the largest demand over its strength, against 1.
+    """
+    from scipy.special import ndtri
+
+    policy = union.states[0].on_failure
+    if not any(isinstance(state.strength, Law) for state in union.states):
+        over = np.where(union.any > 0.5, 2.0, 0.5)
+        return LimitState(demands=over, strength=1.0, failed=union.broken, on_failure=policy)
+    p = union.any
+    with np.errstate(divide="ignore"):
+        held = np.log1p(-union.chances).sum(axis=0)
+        score = np.where(p <= 0.5, ndtri(p), -ndtri(np.exp(held)))
+    return LimitState(
+        demands=np.clip(score, -_FAR, _FAR),
+        strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
+        failed=union.broken,
+        on_failure=policy,
+        method="randomised quasi-Monte Carlo, strengths integrated",
+    )
+
+
+# --- samples in which something breaks ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Breaking:
+    """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
+
+    `rows` (R, m): which samples; `shares` (L, R, m): strength over demand, below 1 where exceeded; `weights` (R,):
+    what a replicate's samples stand for, mean 1.
+    """
+
+    rows: Index
+    shares: Array
+    weights: Array
+
+
+def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breaking | None:
+    """Samples and strengths from their joint law given that a limit is exceeded; None where none can be.
+
+    Samples are picked with the probability that any limit is exceeded there, by systematic resampling in a random
+    order: every eighth point of a Sobol' sequence lies in one slab of the cube.
+    """
+    from scipy.special import ndtri
+
+    p = union.any
+    mass = p.mean(axis=1)
+    if not mass.sum() > 0.0:
+        return None
+    replicates, n = p.shape
+    size = len(union.states)
+    rows = np.zeros((replicates, count), dtype=np.int64)
+    for r in range(replicates):
+        if mass[r] > 0.0:
+            order = rng.permutation(n)
+            course = np.cumsum(p[r, order]) / p[r].sum()
+            place = np.searchsorted(course, (np.arange(count) + rng.random()) / count)
+            rows[r] = order[np.minimum(place, n - 1)]
+    pick = np.arange(replicates)[:, None], rows
+    chances, normals = union.chances[:, *pick], union.holding[:, *pick].copy()
+    # which limit, in the order of the list, is the first not to hold
+    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - chances]), axis=0)
+    course = np.cumsum(held[:-1] * chances, axis=0)
+    first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
+    for j in range(size):
+        with np.errstate(divide="ignore"):
+            lower = np.clip(ndtri(np.maximum(rng.random(rows.shape) * chances[j], _TINY)), -_FAR, _FAR)
+        free = rng.standard_normal(rows.shape)
+        normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
+    scores = np.tensordot(union.factor, normals, axes=1)
+    shares = np.empty_like(scores)
+    for j, state in enumerate(union.states):
+        strengths = _strengths(state, scores[j], pick)
+        demands = state.demands[pick]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf))
+        # rounding must not let the limit that has been drawn as exceeded hold
+        shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
+    return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
+
+
+def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Array:
+    """Strengths (R, m) at normal scores given the inputs of the picked samples."""
+    law = state.strength
+    if not isinstance(law, Law):
+        return np.full(score.shape, float(law))
+    if state.tie is not None:
+        given = state.tie.given[pick]
+        known = given.reshape(-1, given.shape[-1])
+        near = np.clip(score, -FARTHEST, FARTHEST).reshape(-1, 1)
+        last = state.tie.copula.size - 1
+        score = conditional_scores(state.tie.copula, range(last), known, near).reshape(score.shape)
+    elif state.shift is not None:
+        score = state.shift[pick] + state.remaining_sd * score
+    return np.asarray(from_normal(law, score))
+
+
+# --- estimates over those samples ---------------------------------------------------------------------
+
+
+def share_of(flags: Flags, weights: Array, method: str, evaluations: int) -> Estimate:
+    """Share of True in (R, m) where a replicate stands for its weight (R,), mean 1; interval in logits."""
+    replicates, m = flags.shape
+    if not flags.any() or flags.all():
+        none = none_of(flags.size, method)
+        if flags.any():
+            none = replace(none, value=1.0, low=1.0 - (none.high or 0.0), high=1.0)
+        return replace(none, evaluations=evaluations)
+    rows = flags.mean(axis=1)
+    p = float((weights * rows).mean())
+    error = _ratio_error(rows, weights, p, max(p * (1.0 - p), 0.25 / m) / m)
+    half = min(student(replicates) * error / (p * (1.0 - p)), 600.0)
+    low, high = (p * math.exp(-half) / (1.0 - p + p * math.exp(-half)), p / ((1.0 - p) * math.exp(-half) + p))
+    return Estimate(value=p, low=low, high=high, std_error=error, method=method, evaluations=evaluations)
+
+
+def _ratio_error(rows: Array, weights: Array, pooled: float, variance: float) -> float:
+    """Standard error of a weighted mean of replicates; not less than half of what independent samples would have."""
+    replicates = len(rows)
+    spread = math.sqrt(float(np.square(weights * (rows - pooled)).sum()) / (replicates * (replicates - 1)))
+    return max(spread, 0.5 * math.sqrt(variance / replicates))
+
+
+def weighted_quantile(values: Array, weights: Array, p: float, method: str, evaluations: int) -> Estimate:
+    """Quantile of (R, m) samples where a replicate stands for its weight (R,); interval after Woodruff (1952)."""
+    replicates, m = values.shape
+    order = np.argsort(values, axis=None, kind="stable")
+    ordered = values.ravel()[order]
+    mass = np.repeat(weights, m)[order]
+    course = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
+
+    def at(share: float) -> float:
+        return float(np.interp(share, course, ordered))
+
+    value = at(p)
+    error = _ratio_error((values <= value).mean(axis=1), weights, p, p * (1.0 - p) / m)
+    half = student(replicates) * error
+    low, high = at(max(p - half, 0.0)), at(min(p + half, 1.0))
+    return Estimate(value=value, low=low, high=high, std_error=0.5 * (high - low) / student(replicates),
+                    method=method, evaluations=evaluations)  # fmt: skip
