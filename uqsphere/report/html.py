@@ -6,16 +6,20 @@ import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.report import canvas, decision, drivers, figures, progress, sections
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.report.wording import begin, call, capital, limit_name, symbol
+from uqsphere.runner.sums import write_sums
 from uqsphere.store import write_atomically
 
-__all__ = ["MOST_BYTES", "Block", "build_report"]
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = ["MOST_BYTES", "Block", "build_report", "new_environment", "page_style"]
 
 #: a page is never larger than this
 MOST_BYTES: Final = 3_000_000
@@ -70,6 +74,7 @@ def build_report(folder: Path) -> Path:
         write_atomically(folder / "figures" / f"{name}.svg", svg)
     page = folder / "report.html"
     write_atomically(page, _page(contents, parts, drawn))
+    write_sums(folder, ["report.html", *(f"figures/{name}.svg" for name in drawn)], keep=True)
     return page
 
 
@@ -221,8 +226,22 @@ def _plain(value: Any) -> Any:
     return _UNIT.sub("\u00a0", canvas.shorten(value, LONGEST))
 
 
-def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict[str, str]) -> str:
+def new_environment() -> Environment:
+    """Templates that escape every text and refuse what is not there."""
     from jinja2 import Environment, StrictUndefined
+
+    return Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
+    )
+
+
+def page_style() -> str:
+    """The style sheet of the report, for pages that look like it."""
+    text = resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8")
+    return text.partition("<style>")[2].partition("</style>")[0]
+
+
+def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict[str, str]) -> str:
     from markupsafe import Markup
 
     room = MOST_INLINED
@@ -236,9 +255,7 @@ def _page(contents: Contents, parts: dict[str, list[Block]], figures_drawn: dict
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element)
 
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
-    )
+    environment = new_environment()
     environment.filters["drawn"] = drawn
     template = environment.from_string(resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8"))
     return (
