@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.compare import PERHAPS, SURE, difference_text, headline, subject_of
+from uqsphere.compare import PERHAPS, SURE, headline, subject_of
 from uqsphere.compare import pictures as drawn
 from uqsphere.errors import FolderError
 from uqsphere.report import canvas
@@ -15,7 +15,16 @@ from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import read_contents
 from uqsphere.report.html import Block, new_environment, page_style
 from uqsphere.report.sections import Table
-from uqsphere.report.wording import begin, call, estimate_text, limit_name, number_text, plain_percent, symbol
+from uqsphere.report.wording import (
+    ABSENT,
+    begin,
+    call,
+    estimate_text,
+    limit_name,
+    number_text,
+    probability_text,
+    symbol,
+)
 from uqsphere.store import write_atomically
 
 __all__ = ["write_page"]
@@ -71,16 +80,35 @@ def write_page(before: Path, after: Path, found: Mapping[str, Any], out: Path) -
 def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
     """Before, after and difference of every answer of a section."""
     rows = [
-        (str(c["statistic"]), estimate_text(c["before"], subject_of(c)), estimate_text(c["after"], subject_of(c)),
-         number_text(difference_text(c)), str(c["verdict"]))
+        (str(c["statistic"]), _cell(c, "before"), _cell(c, "after"), _difference(c), _share(c), str(c["verdict"]))
         for c in found["changes"]
         if c["section"] == section and (not name or c["name"] == name)
     ]  # fmt: skip
     return Table(
         caption="Before, after, and after minus before, with 95 % intervals",
-        header=("answer", "before", "after", "difference", "change"),
+        header=("answer", "before", "after", "difference", "in per cent", "change"),
         rows=tuple(rows[:MOST_ROWS]),
     )
+
+
+def _cell(change: Mapping[str, Any], side: str) -> str:
+    if change["statistic"] in ("censored share", "probability of missing the aim"):
+        return probability_text(change[side])
+    return estimate_text(change[side], subject_of(change))
+
+
+def _difference(change: Mapping[str, Any]) -> str:
+    if change["difference"] is None:
+        return ABSENT
+    if change["difference"] == 0.0:
+        return "none"
+    return estimate_text({"value": change["difference"], "low": change["low"], "high": change["high"]}, subject_of(change))
+
+
+def _share(change: Mapping[str, Any]) -> str:
+    if change["relative"] is None or change["section"] == "sensitivity":
+        return ABSENT
+    return number_text(f"{100.0 * change['relative']:+.3g}") + " %"
 
 
 def _limits(found: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -92,7 +120,7 @@ def _limits(found: Mapping[str, Any]) -> list[dict[str, Any]]:
             _WORDS[entry[side]] if entry[f"target_{side}"] is not None else "no target" for side in ("before", "after")
         ]
         miss = next(c for c in found["changes"] if c["name"] == f"limits.{name}" and c["section"] == "limits")
-        texts = [_probability(miss[side]) for side in ("before", "after")]
+        texts = [probability_text(miss[side]) for side in ("before", "after")]
         line = f"Probability of missing its aim: {texts[0]} before, {texts[1]} after."
         if miss["verdict"] in (SURE, PERHAPS) and miss["relative"] is not None:
             sign = "more" if miss["relative"] > 0.0 else "less"
@@ -103,12 +131,6 @@ def _limits(found: Mapping[str, Any]) -> list[dict[str, Any]]:
             line += " No difference is seen above the intervals."
         boxes.append({"name": canvas.shorten(name, 80), "before": words[0], "after": words[1], "line": line})
     return boxes
-
-
-def _probability(estimate: Mapping[str, Any]) -> str:
-    from uqsphere.report.wording import probability_text
-
-    return probability_text(estimate)
 
 
 def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
@@ -155,7 +177,6 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
             parts=parts,
             runs=runs,
             alone=[("before", found["only_before"][:200]), ("after", found["only_after"][:200])],
-            chance=plain_percent(0.05),
             compared=found["compared"],
             perhaps=found["perhaps"],
             same_seed=found["before"]["seed"] == found["after"]["seed"],

@@ -43,7 +43,9 @@ def moved_rows(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         if c["section"] != "sensitivity" and c["relative"] is not None and c["verdict"] in (SURE, PERHAPS)
     ]
     order = sorted(rows, key=lambda c: (c["section"] != "limits", c["significance"], -abs(c["relative"])))
-    return order[:_MOST_ROWS]
+    kept = order[:_MOST_ROWS]
+    names = list(dict.fromkeys(c["name"] for c in kept))
+    return sorted(kept, key=lambda c: names.index(c["name"]))
 
 
 def moved_picture(found: Mapping[str, Any]) -> Picture | None:
@@ -95,8 +97,8 @@ def _percent_ticks(axes: Axes) -> None:
     powers = [10.0**k for k in range(-3, 12)]
     for tick in [*(-p for p in reversed(powers)), 0.0, *powers]:
         x = float(place((tick, 0.0))[0])
-        if low <= tick <= high and (x - last > 55.0 or tick == 0.0):
-            kept = [k for k in kept if tick != 0.0 or x - float(place((k, 0.0))[0]) > 55.0]
+        if low <= tick <= high and (x - last > 34.0 or tick == 0.0):
+            kept = [k for k in kept if tick != 0.0 or x - float(place((k, 0.0))[0]) > 34.0]
             kept.append(tick)
             last = x
     axes.xaxis.set_major_locator(FixedLocator(kept))
