@@ -42,7 +42,15 @@ MOST_FILES: Final = 200_000
 #: folders that a result folder has
 FOLDERS: Final = ("evaluations", "tables", "figures", "export")
 _DEVICES: Final = frozenset(
-    ("con", "prn", "aux", "nul", "conin$", "conout$", *(f"{port}{k}" for port in ("com", "lpt") for k in "123456789¹²³"))
+    (
+        "con",
+        "prn",
+        "aux",
+        "nul",
+        "conin$",
+        "conout$",
+        *(f"{port}{k}" for port in ("com", "lpt") for k in "123456789¹²³"),
+    )
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -24,17 +25,55 @@ WORDS = [
     *('{ dist = "empirical", file = "tests.csv", column = "x" }', '{ dist = "empirical", file = "/etc/passwd" }'),
     *('{ dist = "empirical", file = "../x.csv", column = "x" }', '{ dist = "empirical", file = "NUL", column = "x" }'),
     *('{ dist = "frechet", shape = 0.1, scale = 1 }', '{ dist = "student_t", dof = 0.5, location = 0, scale = 1 }'),
-    *("sphere", "bars", "striker", "pulse", "model", "limits", "dependence", "analysis", "margins", "inputs", "outputs"),
+    *(
+        "sphere",
+        "bars",
+        "striker",
+        "pulse",
+        "model",
+        "limits",
+        "dependence",
+        "analysis",
+        "margins",
+        "inputs",
+        "outputs",
+    ),
     *("E", "nu", "radius", "density", "material", "diameter", "speed", "length", "shape", "rise", "fall", "target"),
     *("quantity", "strength", "aim", "of", "spearman", "kendall", "copula", "dof", "quantities", "accuracy", "budget"),
-    *("quantiles", "methods", "on_failure", "solve", "between", "for_probability", "lower", "upper", "mean", "sd", "cov"),
+    *(
+        "quantiles",
+        "methods",
+        "on_failure",
+        "solve",
+        "between",
+        "for_probability",
+        "lower",
+        "upper",
+        "mean",
+        "sd",
+        "cov",
+    ),
     *("\\u202e", "\\u0000", "\x1b[31m", "\u2028", "\ufeff", "=cmd()", "<script>", "a.b.c.d.e.f.g.h", '"a\\nb"', "\r"),
 ]
 _TOKEN = re.compile(r'"[^"\n]*"|[A-Za-z_][\w-]*|[-+]?[\d.][\w.+-]*|[\[\]{}=,.#\n]')
 
 NUMBERS: list[Any] = [
     *(0, -1, 1, 2**63, -(2**63), 10**400, 0.0, -0.0, 1e308, -1e308, 5e-324, float("nan"), float("inf")),
-    *(True, False, None, "", "x", "\x1b[2J", "=1+1", "<script>alert(1)</script>", "\ud800", "\u202e", "a" * 5000, [], {}),
+    *(
+        True,
+        False,
+        None,
+        "",
+        "x",
+        "\x1b[2J",
+        "=1+1",
+        "<script>alert(1)</script>",
+        "\ud800",
+        "\u202e",
+        "a" * 5000,
+        [],
+        {},
+    ),
     *([[]], {"value": 1}, {"": None}, [None], [1, "a"], {"std_error": 1}),
 ]
 
@@ -116,7 +155,7 @@ def damage_json(document: Any, generator: Generator) -> Any:
         elif kind == 2:
             other, name = _pick(generator, places)
             value = other[name] if (name in other if isinstance(other, dict) else name < len(other)) else None
-            parent[key] = None if isinstance(value, (dict, list)) and (parent is value or other is parent) else value
+            parent[key] = copy.deepcopy(value)
         else:
             parent[key] = _pick(generator, NUMBERS)
     return document

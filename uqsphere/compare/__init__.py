@@ -115,9 +115,13 @@ def _answers(results: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str],
             words = f"{entry['solve']} at {100.0 * float(p):.12g} % exceedance"
             yield (f"limits.{name}", "margins", words), entry["unit"], estimate
     for name, entry in results["sensitivity"].items():
-        for kind, found in (("Shapley effect", entry.get("shapley") or {}),) if entry.get("shapley") else (
-            ("first index", entry["first"]),
-            ("total index", entry["total"]),
+        for kind, found in (
+            (("Shapley effect", entry.get("shapley") or {}),)
+            if entry.get("shapley")
+            else (
+                ("first index", entry["first"]),
+                ("total index", entry["total"]),
+            )
         ):
             for variable, estimate in found.items():
                 yield (name, "sensitivity", f"{kind} of {variable}"), "", estimate
@@ -155,7 +159,9 @@ def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[list[
         for entry, verdict in zip(raw, verdicts, strict=True)
     ]
     shared = {(c.name, c.section, c.statistic) for c in changes}
-    lone = [[f"{name}: {what}" for name, _, what in found if (name, _, what) not in shared] for found in (first, second)]
+    lone = [
+        [f"{name}: {what}" for name, _, what in found if (name, _, what) not in shared] for found in (first, second)
+    ]
     return changes, lone[0], lone[1]
 
 
@@ -210,8 +216,11 @@ def _said(value: Any, name: str) -> str:
         base = lookup(name).unit
         return f"{value['dist']}: {', '.join(parts)}" + (f" ({base})" if base else "")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return {True: "yes", False: "no", None: "none"}.get(value, str(value)) if not isinstance(value, (list, dict)) \
+        return (
+            {True: "yes", False: "no", None: "none"}.get(value, str(value))
+            if not isinstance(value, (list, dict))
             else ", ".join(map(str, value))
+        )
     return f"{value * factor:.6g} {unit}".rstrip()
 
 

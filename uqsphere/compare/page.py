@@ -102,7 +102,9 @@ def _difference(change: Mapping[str, Any]) -> str:
         return ABSENT
     if change["difference"] == 0.0:
         return "none"
-    return estimate_text({"value": change["difference"], "low": change["low"], "high": change["high"]}, subject_of(change))
+    return estimate_text(
+        {"value": change["difference"], "low": change["low"], "high": change["high"]}, subject_of(change)
+    )
 
 
 def _share(change: Mapping[str, Any]) -> str:

@@ -62,7 +62,9 @@ def maybe(shape: Shape) -> Shape:
 def word(*allowed: Any) -> Shape:
     """One of the words, or of the constants."""
     return lambda node, place: (
-        "" if any(node is a or (isinstance(a, str) and node == a) for a in allowed) else f"{place}: not one of {allowed}"
+        ""
+        if any(node is a or (isinstance(a, str) and node == a) for a in allowed)
+        else f"{place}: not one of {allowed}"
     )
 
 
@@ -147,8 +149,10 @@ def _probable(node: Any, place: str) -> str:
 
 _ESTIMATES: Final = named(ESTIMATE)
 _IGNORANCE: Final = maybe(
-    table({"from": many(table({"input": text, "tests": count}))}, {"reason": text, "miss": many(share, 2, 2),
-          "alone": named(many(share, 2, 2)), "met": word(True, False, None)})  # fmt: skip
+    table(
+        {"from": many(table({"input": text, "tests": count}))},
+        {"reason": text, "miss": many(share, 2, 2), "alone": named(many(share, 2, 2)), "met": word(True, False, None)},
+    )  # fmt: skip
 )
 
 
@@ -247,7 +251,13 @@ _CHECK: Final = table(
 )
 _CONSIDERED: Final = table({"error": named(maybe(number)), "correlation": named(maybe(number)), "cost": number})
 _MODEL: Final = table(
-    {"chosen": text, "why": text, "measured_error": named(maybe(number)), "evaluations": named(count), "failures": count},
+    {
+        "chosen": text,
+        "why": text,
+        "measured_error": named(maybe(number)),
+        "evaluations": named(count),
+        "failures": count,
+    },
     {
         "failure_reasons": named(count, names=lambda key: bool(re.fullmatch(r"-?\d{1,6}", key))),
         "numbers": named(maybe(number)),
@@ -262,8 +272,7 @@ _SPEED: Final = table(
     {"method": text, "quantity": text, "evaluations": count, "error": maybe(number), "error_kind": text}
 )
 _PAPER: Final = table(
-    {"quantity": text, "unit": text, "note": text}
-    | {key: maybe(number) for key in ("as_printed", "corrected", "full")}
+    {"quantity": text, "unit": text, "note": text} | {key: maybe(number) for key in ("as_printed", "corrected", "full")}
 )
 _QUANTITY: Final = table(
     {"unit": text, "mean": ESTIMATE, "sd": ESTIMATE, "quantiles": named(ESTIMATE, names=_is_share),
