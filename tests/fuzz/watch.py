@@ -18,7 +18,7 @@ __all__ = ["ALLOWED", "LONGEST", "Outcome", "faults_of", "guarded", "watched"]
 #: exit codes that damaged input may give
 ALLOWED = (0, 2, 5, 6)
 #: seconds that a command may take: of its own work, and all in all on a machine that has other things to do
-LONGEST, PATIENCE = 5.0, 30.0
+LONGEST, PATIENCE = 5.0, 120.0
 
 _roots: list[str] = []
 _seen: list[str] = []

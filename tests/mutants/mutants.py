@@ -20,7 +20,7 @@ MUTANTS: list[tuple[str, str, str, str]] = [
     (CONTACT, "(1.0 - nu * nu) / E", "(1.0 + nu * nu) / E", "test_contact.py"),
     (CONTACT, "1.0 / radius + 1.0 / np.asarray(end_radius", "1.0 / radius - 1.0 / np.asarray(end_radius", "test_contact.py"),
     (CONTACT, "(4.0 / 3.0) * modulus * np.sqrt", "(2.0 / 3.0) * modulus * np.sqrt", "test_contact.py"),
-    (CONTACT, "(4.0 / 3.0) * math.pi * radius**3", "(4.0 / 3.0) * math.pi * radius**2", "test_contact.py"),
+    (CONTACT, "(4.0 / 3.0) * math.pi * radius**3", "(4.0 / 3.0) * math.pi * radius**2", "test_scene.py"),
     (CONTACT, "np.cbrt(np.square(force / beta))", "np.cbrt(force / beta)", "test_contact.py"),
     (CONTACT, "np.cbrt(6.0 * force", "np.cbrt(3.0 * force", "test_contact.py"),
     (CONTACT, "(1.0 - 2.0 * nu) / 3.0 * pressure", "(1.0 - nu) / 3.0 * pressure", "test_contact.py"),

@@ -122,8 +122,9 @@ def read_contents(folder: Path) -> Contents:
         if fault:
             raise FolderError(f"{folder / name} is not what a run writes: {fault}")
     strange = [name for name in results["limits"] if name not in resolved["limits"]]
+    strange += [name for name in results["inputs"] if name not in resolved["random"]]
     if strange:
-        raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: limit {strange[0]!r}")
+        raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
     inputs, quantities, rows = read_points(folder)
     d, q = len(inputs), len(quantities)
     good = rows[:, -1] == 0.0

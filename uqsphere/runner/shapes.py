@@ -224,7 +224,7 @@ _LIMIT: Final = table(
         "exceedance": _probable,
         "miss": _probable,
         "reliability_index": maybe(number),
-        "margin": named(ESTIMATE, names=lambda key: key in ("median", "0.05", "0.95")),
+        "margin": table(dict.fromkeys(("median", "0.05", "0.95"), ESTIMATE)),
         "design_point": maybe(named(number)),
         "governing_inputs": maybe(named(number)),
         "met": word(True, False, None),
