@@ -180,7 +180,9 @@ def test_the_page_escapes_what_a_stranger_wrote(
 ) -> None:
     for name in ("results.json", "study.resolved.json"):
         path = pair[1] / name
-        path.write_text(path.read_text().replace("crushing", "<b onload=x>\\u001b[31m").replace("A study", "</style><script>"))
+        path.write_text(
+            path.read_text().replace("crushing", "<b onload=x>\\u001b[31m").replace("A study", "</style><script>")
+        )
     before = write_folder(tmp_path / "again", limits={"<b onload=x>\u001b[31m": limit(0.0123, 0.02, True)})
     text, _ = page_of((before, pair[1]), tmp_path / "out", capsys)
     assert "<b onload" not in text

@@ -72,7 +72,7 @@ def test_faults_of_a_command_are_seen(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
     monkeypatch.setattr("uqsphere.cli.main", stumble)
     assert faults_of(watched(["show"], tmp_path))
-    fine = dict(arguments=("show",), code=0, out="text\n", err="", seconds=0.1, forbidden=())
+    fine = {"arguments": ("show",), "code": 0, "out": "text\n", "err": "", "seconds": 0.1, "forbidden": ()}
     assert faults_of(Outcome(**fine)) == []  # type: ignore[arg-type]
     for change in ({"code": 1, "err": "x"}, {"code": 5}, {"out": "\x1b[2J"}, {"seconds": 9.0}, {"forbidden": ("open",)},
                    {"err": "Traceback"}):  # fmt: skip

@@ -45,11 +45,13 @@ def load_text(text: str | bytes) -> str:
         try:
             load_study(path)
         except StudyError as error:
-            assert error.problems
-            lines = len(path.read_bytes().split(b"\n"))
-            assert all(1 <= problem.line <= lines and problem.column >= 1 for problem in error.problems)
-            return str(error)
-    return "valid"
+            found = error
+        else:
+            return "valid"
+        lines = len(path.read_bytes().split(b"\n"))
+    assert found.problems
+    assert all(1 <= problem.line <= lines and problem.column >= 1 for problem in found.problems)
+    return str(found)
 
 
 @QUIET
@@ -186,7 +188,9 @@ def test_a_row_of_texts_comes_back_from_csv_but_for_formulas(cells: Sequence[str
     import io
 
     assume(not any("\r" in cell or "\0" in cell for cell in cells))
-    header, row = list(csv.reader(io.StringIO(csv_text(cells, [cells]), newline="")))[:2] if any(cells) else (cells, cells)
+    header, row = (
+        list(csv.reader(io.StringIO(csv_text(cells, [cells]), newline="")))[:2] if any(cells) else (cells, cells)
+    )
     for found in (header, row):
         for cell, given_cell in zip(found, cells, strict=True):
             assert cell in (given_cell, "'" + given_cell)
@@ -269,7 +273,9 @@ def test_a_larger_probability_has_a_smaller_index(p: float, q: float) -> None:
 
 @QUIET
 @given(st.floats(0.5, 0.999), st.floats(0.5, 0.999), st.integers(1, 4), st.sampled_from([1, 2]))
-def test_tolerance_limits_take_the_least_number_of_runs(coverage: float, confidence: float, order: int, sides: int) -> None:
+def test_tolerance_limits_take_the_least_number_of_runs(
+    coverage: float, confidence: float, order: int, sides: int
+) -> None:
     runs = least_runs(coverage, confidence, order=order, sides=sides)
     assert attained_confidence(runs, coverage, order=order, sides=sides) >= confidence
     assert attained_confidence(runs - 1, coverage, order=order, sides=sides) < confidence

@@ -112,7 +112,9 @@ def test_device_names_are_known_on_every_system() -> None:
     assert not any(is_device_name(name) for name in ["null.csv", "com.csv", "com10", "console", "a.nul", ".csv"])
 
 
-@pytest.mark.parametrize("name", ["NUL", "con.csv", "/etc/passwd", "../x.csv", "C:x.csv", "a/../../x.csv", "link.csv", "\\\\host\\x"])
+@pytest.mark.parametrize(
+    "name", ["NUL", "con.csv", "/etc/passwd", "../x.csv", "C:x.csv", "a/../../x.csv", "link.csv", "\\\\host\\x"]
+)
 def test_a_study_reads_no_device_and_nothing_outside(tmp_path: Path, name: str) -> None:
     from uqsphere.errors import StudyError
 
@@ -124,7 +126,7 @@ def test_a_study_reads_no_device_and_nothing_outside(tmp_path: Path, name: str) 
     (home / "link.csv").symlink_to(tmp_path / "x.csv")
     text = f"[inputs]\nx = {{ dist = 'empirical', file = '{name}', column = 'load' }}\n[outputs]\nnames = ['y']\n"
     (home / "s.toml").write_text(text)
-    with pytest.raises(StudyError, match="own folder|leaves the study|device"):
+    with pytest.raises(StudyError, match=r"own folder|leaves the study|device"):
         load_study(home / "s.toml")
 
 
@@ -178,7 +180,9 @@ def test_entries_are_counted_before_they_are_sorted(folder: Path, monkeypatch: p
 def every_place(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The way to every entry of a document, of long lists the first two."""
     found = []
-    entries = list(node.items()) if isinstance(node, dict) else list(enumerate(node))[:2] if isinstance(node, list) else []
+    entries = (
+        list(node.items()) if isinstance(node, dict) else list(enumerate(node))[:2] if isinstance(node, list) else []
+    )
     for key, value in entries:
         found += [(*place, key), *every_place(value, (*place, key))]
     return found
@@ -250,7 +254,9 @@ def test_a_temporary_file_is_private(tmp_path: Path, monkeypatch: pytest.MonkeyP
         replace(source, target)
 
     before = os.fsync
-    monkeypatch.setattr(os, "fsync", lambda handle: modes.append(stat.S_IMODE(os.fstat(handle).st_mode)) or before(handle))
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: modes.append(stat.S_IMODE(os.fstat(handle).st_mode)) or before(handle)
+    )
     monkeypatch.setattr(os, "replace", look)
     write_atomically(tmp_path / "x", "text")
     assert modes[0] == 0o600

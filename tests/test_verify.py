@@ -123,7 +123,9 @@ def test_the_report_enters_its_own_files(box: Path) -> None:
 # --- damaged --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["results.json", "manifest.json", "study.toml", "tables/quantities.csv", "samples.npy"])
+@pytest.mark.parametrize(
+    "name", ["results.json", "manifest.json", "study.toml", "tables/quantities.csv", "samples.npy"]
+)
 def test_a_changed_byte_is_found(box: Path, name: str) -> None:
     path = box / "run" / name
     data = bytearray(path.read_bytes())

@@ -219,7 +219,7 @@ def _same_place(run: Any, notes: list[str]) -> bool:
     changed = [name for name, version in versions().items() if run.results["versions"].get(name) != version]
     if moved or changed:
         notes.append(
-            f"made with another {', '.join([*changed, *moved])}: answers are compared within the tolerance of the study, "
+            f"made with another {', '.join([*changed, *moved])}: answers are compared within the study's tolerance, "
             "and results are not repeated bit for bit"
         )
     return not moved and not changed

@@ -95,7 +95,7 @@ def _guided(seconds: float, keep: Path | None) -> None:
     folder = Path(tempfile.mkdtemp(dir="/dev/shm" if os.path.isdir("/dev/shm") else None))
 
     def one(data: bytes) -> None:
-        found, faults = try_study(data, folder)
+        _found, faults = try_study(data, folder)
         if faults:
             if keep is not None:
                 keep.mkdir(parents=True, exist_ok=True)

@@ -23,8 +23,8 @@ LONGEST, PATIENCE = 5.0, 120.0
 _roots: list[str] = []
 _seen: list[str] = []
 #: what opening a stranger's file never has a reason to do
-_NEVER = ("socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "pickle.find_class",
-          "os.symlink", "os.link", "ctypes.dlopen")  # fmt: skip
+_NEVER = ("socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn",
+          "pickle.find_class",          "os.symlink", "os.link", "ctypes.dlopen")  # fmt: skip
 #: position of the path, or of both paths, among the arguments of an event
 _WRITES = {"os.mkdir": (0,), "os.rename": (0, 1), "os.remove": (0,), "os.rmdir": (0,), "os.truncate": (0,),
            "os.chmod": (0,), "os.chown": (0,), "os.utime": (0,), "shutil.rmtree": (0,)}  # fmt: skip

@@ -141,9 +141,14 @@ def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[list[
     for key, (unit, estimate) in first.items():
         if key not in second or second[key][0] != unit:
             continue
-        entry: dict[str, Any] = dict(
-            section=key[1], name=key[0], statistic=key[2], unit=unit, before=estimate, after=second[key][1]
-        )
+        entry: dict[str, Any] = {
+            "section": key[1],
+            "name": key[0],
+            "statistic": key[2],
+            "unit": unit,
+            "before": estimate,
+            "after": second[key][1],
+        }
         a, b = _triple(estimate), _triple(second[key][1])
         if a is not None and b is not None:
             difference, low, high, significance = difference_interval(a, b)

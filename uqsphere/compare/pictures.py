@@ -68,8 +68,15 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
             axes.plot([low, high], [k, k], color=INK, linewidth=1.2, marker="|", markersize=7)
             axes.plot(value, k, marker="o", markersize=7, color=BLUE, markerfacecolor=BLUE if sure else PAPER)
             side = 1 if value >= 0.0 else -1
-            axes.annotate(number_text(f"{value:+.3g}") + " %", (high if side > 0 else low, k), xytext=(6 * side, 0),
-                          textcoords="offset points", va="center", ha="left" if side > 0 else "right", fontsize=8.5)  # fmt: skip
+            axes.annotate(
+                number_text(f"{value:+.3g}") + " %",
+                (high if side > 0 else low, k),
+                xytext=(6 * side, 0),
+                textcoords="offset points",
+                va="center",
+                ha="left" if side > 0 else "right",
+                fontsize=8.5,
+            )
         axes.set_yticks(range(len(rows)), [canvas.wrap(f"{row['name']}: {row['statistic']}", 34) for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.6)
         axes.tick_params(axis="y", length=0)
@@ -241,8 +248,9 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
         axes.spines["left"].set_visible(False)
         axes.grid(axis="x")
         axes.set_xlabel(f"{kind} on {symbol(quantity, 24)}, with 95 % interval")
-        _legend(axes, [Line2D([], [], color=BLUE, marker="o", linestyle="", label="before"),
-                       Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after")])  # fmt: skip
+        marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="before")]
+        marks.append(Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after"))
+        _legend(axes, marks)
     return Picture(name=slug("drivers", quantity), title=f"What drives {symbol(quantity)}, before and after",
                    finding=index_finding(tables, names, kind, quantity), figure=figure)  # fmt: skip
 

@@ -43,6 +43,9 @@ def _frames(run: Run) -> dict[str, pd.DataFrame]:
     import pandas as pd
 
     found = sorted(tables(run.results).items())
+    for name, _ in found:
+        if not (run.folder / "tables" / name).is_file():
+            raise FolderError(f"{run.folder} has no tables/{name}: it is damaged; run the study again")
     frames = {name.removesuffix(".csv"): pd.read_csv(io.StringIO(text)) for name, text in found}
     return {"samples": run.samples(), **frames}
 

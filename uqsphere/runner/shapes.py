@@ -152,7 +152,7 @@ _IGNORANCE: Final = maybe(
     table(
         {"from": many(table({"input": text, "tests": count}))},
         {"reason": text, "miss": many(share, 2, 2), "alone": named(many(share, 2, 2)), "met": word(True, False, None)},
-    )  # fmt: skip
+    )
 )
 
 
@@ -353,7 +353,7 @@ RESOLVED: Final = table(
         "materials": named(text),
         "sources": named(table({"text": text, "seen": flag})),
         "dependence": many(
-            table({"of": many(text, 1), "copula": text}, {key: maybe(number) for key in ("spearman", "kendall", "dof")}),
+            table({"of": many(text, 1), "copula": text}, dict.fromkeys(("spearman", "kendall", "dof"), maybe(number))),
             most=1000,
         ),
         "overrides": many(text, most=1000),

@@ -159,7 +159,9 @@ def _variation(law: Law) -> float:
         if law.kind == "gamma":
             return 1.0 / math.sqrt(p["shape"])
         if law.kind == "weibull" and p["threshold"] == 0.0:
-            return math.sqrt(math.expm1(math.lgamma(1.0 + 2.0 / p["modulus"]) - 2.0 * math.lgamma(1.0 + 1.0 / p["modulus"])))
+            return math.sqrt(
+                math.expm1(math.lgamma(1.0 + 2.0 / p["modulus"]) - 2.0 * math.lgamma(1.0 + 1.0 / p["modulus"]))
+            )
     except (OverflowError, ZeroDivisionError, ValueError):
         return math.inf
     return 0.0
