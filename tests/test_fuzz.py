@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.fuzz import folders, studies
 from tests.fuzz.mutate import damage_bytes, damage_json, damage_text
