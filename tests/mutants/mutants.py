@@ -208,4 +208,5 @@ MUTANTS: list[tuple[str, str, str, str]] = [
 #: mutants that no test can see, by their replacement, with the reason
 EQUIVALENT: dict[str, str] = {
     "os.rename(temporary, path)": "the same system call on POSIX; on Windows alone it refuses to replace",
+    "small + 0.4 * small**2.5": "a value to start from: the iteration that follows ends at the same root",
 }
