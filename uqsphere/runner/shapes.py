@@ -16,7 +16,7 @@ Shape = Callable[[Any, str], str]
 
 #: entries of one table or list, and characters of one name
 MOST_ENTRIES: Final = 100_000
-LONGEST_NAME: Final = 300
+LONGEST_NAME: Final = 5000
 
 
 def _said(node: Any) -> str:
