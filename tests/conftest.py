@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,9 @@ from threadpoolctl import threadpool_limits
 
 import uqsphere
 from uqsphere.study import Study
+
+#: `tests.fuzz` is run as a program too, and goes by its whole name
+sys.path.insert(0, str(Path(__file__).parent.parent))
 
 #: heavy enough for both faces, reflections and every analysis; light enough to be run in a second or two
 SMALL = """\

@@ -15,6 +15,7 @@ ROOT = Path(uqsphere.__file__).parent
 FLOORS = {
     "uqsphere.errors": 0,
     "uqsphere.quantities": 1,
+    "uqsphere.files": 1,
     "uqsphere.mechanics": 2,
     "uqsphere.uq": 2,
     "uqsphere.materials": 3,
@@ -31,7 +32,11 @@ FLOORS = {
     "uqsphere.attend": 8,
     "uqsphere.given": 8,
     "uqsphere.experiment": 8,
+    "uqsphere.verify": 8,
+    "uqsphere.compare": 8,
+    "uqsphere.doctor": 8,
     "uqsphere.commands": 9,
+    "uqsphere.inspection": 9,
     "uqsphere.cli": 10,
     "uqsphere.__main__": 11,
 }

@@ -8,7 +8,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 
@@ -54,6 +54,7 @@ def build_parser() -> argparse.ArgumentParser:
         "template", nargs="?", default="granite", metavar="TEMPLATE", help="name of a shipped study (default: granite)"
     )
     new.add_argument("-o", "--output", required=True, metavar="FILE", type=Path)
+    new.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
     check = command("check", "validate a study; print the resolved scene and what a run will cost")
     run = command("run", "run a study and write its report")
@@ -81,12 +82,21 @@ def build_parser() -> argparse.ArgumentParser:
     report = command("report", "build the report again from what is stored")
     show = command("show", "the answers of a run as a table")
     export = command("export", "samples and tables of a run in another format")
-    for folder in (report, show, export):
+    verify = command("verify", "checksums of everything stored, and some of it evaluated again")
+    for folder in (report, show, export, verify):
         folder.add_argument("folder", metavar="DIR", type=Path)
         folder.add_argument("--json", action="store_true", help="print one JSON document on stdout")
     report.add_argument("--pdf", action="store_true", help="also as report.pdf (needs the extra: uqsphere[pdf])")
     export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
     export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
+    verify.add_argument("--chunks", type=int, default=3, metavar="N", help="chunks to evaluate again (default 3)")
+    verify.add_argument("--seed", type=int, default=0, help="which of them (default 0)")
+    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black box; THIS RUNS THE FILE")
+    compare = command("compare", "two runs side by side: what changed, by how much, and whether that is significant")
+    compare.add_argument("before", metavar="DIR", type=Path)
+    compare.add_argument("after", metavar="DIR", type=Path)
+    compare.add_argument("--out", type=Path, metavar="FILE.html", help="write a page with figures")
+    compare.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
     given = command("analyse", "laws, dependence and drivers from a table of runs that were made already")
     given.add_argument("data", metavar="DATA.csv", type=Path)
@@ -111,7 +121,8 @@ def build_parser() -> argparse.ArgumentParser:
     bench.add_argument("--reference", action="store_true", help="with --sweep: against the reference integrator")
     bench.add_argument("--seed", type=int, default=1, help="with --sweep: seed of the scenes (default 1)")
     bench.add_argument("--json", action="store_true", help="print one JSON document on stdout")
-    command("schema", "print the JSON schema of study files, for editors")
+    schema = command("schema", "print the JSON schema of study files, for editors")
+    schema.add_argument("--json", action="store_true", help="the same: a schema is a JSON document")
     doctor = command("doctor", "check this installation")
     doctor.add_argument("--json", action="store_true", help="print one JSON document on stdout")
     return parser
@@ -119,6 +130,15 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _terminate(number: int, frame: FrameType | None) -> None:
     raise _Terminated
+
+
+def _function(command: str) -> Callable[[argparse.Namespace], int]:
+    """What a command does: those that run studies stand in one module, those that look at results in another."""
+    from uqsphere import commands, inspection
+
+    name = f"command_{command}"
+    found: Callable[[argparse.Namespace], int] = getattr(commands, name, None) or getattr(inspection, name)
+    return found
 
 
 def _go_on(chosen: argparse.Namespace | None, arguments: Sequence[str]) -> str:
@@ -146,13 +166,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         handler = signal.signal(signal.SIGTERM, _terminate)
     try:
         chosen = build_parser().parse_args(given)
-        from uqsphere import commands
-
-        code = int(getattr(commands, f"command_{chosen.command}")(chosen))
+        code = int(_function(chosen.command)(chosen))
         sys.stdout.flush()
         return code
     except UqsphereError as error:
-        print(f"uqsphere: {error}" if not hasattr(error, "problems") else str(error), file=sys.stderr)
+        from uqsphere.console import plain_lines
+
+        text = plain_lines(str(error))
+        print(f"uqsphere: {text}" if not hasattr(error, "problems") else text, file=sys.stderr)
         return error.exit_code
     except (KeyboardInterrupt, _Terminated) as error:
         print(f"\nuqsphere: {_go_on(chosen, given)}", file=sys.stderr)

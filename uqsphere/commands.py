@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from uqsphere.attend import attend
 from uqsphere.console import plain, table
+from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
@@ -19,12 +19,6 @@ from uqsphere.summary import summary_of
 
 #: exit code of a finished run that misses a target
 MISSED = 3
-
-
-def _document(content: Any) -> None:
-    # a stdout that cannot take every character still gets one whole document
-    narrow = (sys.stdout.encoding or "ascii").lower().replace("-", "") != "utf8"
-    print(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=narrow))
 
 
 def _warn(study: Study) -> None:
@@ -38,12 +32,18 @@ def command_new(chosen: argparse.Namespace) -> int:
     if chosen.template not in found:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
-    print(f"wrote {chosen.output}; next: uqsphere check {chosen.output}")
+    written = [str(chosen.output)]
     model = found[chosen.template].with_suffix(".py")
     target = chosen.output.parent / model.name
     if model.is_file() and not target.exists():
         _write_new(target, model)
-        print(f"wrote {target}, its model")
+        written.append(str(target))
+    if chosen.json:
+        _document({"written": written})
+        return 0
+    print(f"wrote {written[0]}; next: uqsphere check {written[0]}")
+    for path in written[1:]:
+        print(f"wrote {path}, its model")
     return 0
 
 
@@ -149,52 +149,6 @@ def command_run(chosen: argparse.Namespace) -> int:
         # what is there has been told; the command line says how to go on
         raise KeyboardInterrupt
     return 0 if found.met else MISSED
-
-
-def command_report(chosen: argparse.Namespace) -> int:
-    """Build the report again from what is stored."""
-    from uqsphere.report import build_report
-    from uqsphere.runner import open_run
-
-    found = open_run(chosen.folder)
-    if chosen.pdf:
-        from uqsphere.report.pdf import build_pdf, check_pdf
-
-        check_pdf()
-    written = {"report": str(build_report(found.folder))}
-    if chosen.pdf:
-        written["pdf"] = str(build_pdf(found.folder))
-    if chosen.json:
-        _document(written)
-    else:
-        print("\n".join(f"{name}: {path}" for name, path in written.items()))
-    return 0
-
-
-def command_show(chosen: argparse.Namespace) -> int:
-    """The answers of a run as a table."""
-    from uqsphere.runner import open_run
-
-    found = open_run(chosen.folder)
-    if chosen.json:
-        _document(found.results)
-    else:
-        print(summary_of(found.results))
-    return 0
-
-
-def command_export(chosen: argparse.Namespace) -> int:
-    """Samples and tables of a run in another format."""
-    from uqsphere.runner import open_run
-    from uqsphere.runner.export import export_run
-
-    found = open_run(chosen.folder)
-    written = export_run(found, chosen.format, chosen.out or chosen.folder / "export")
-    if chosen.json:
-        _document({"written": [str(path) for path in written]})
-    else:
-        print("\n".join(str(path) for path in written))
-    return 0
 
 
 # --- history --------------------------------------------------------------------------------------
@@ -383,29 +337,3 @@ def command_schema(chosen: argparse.Namespace) -> int:
     """Print the JSON schema of study files."""
     _document(json_schema())
     return 0
-
-
-def command_doctor(chosen: argparse.Namespace) -> int:
-    """Check this installation."""
-    from uqsphere.mechanics.compiled import cache_folder
-    from uqsphere.runner.results import versions
-
-    found = versions()
-    folder = cache_folder()
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    missing = [name for name, version in found.items() if version == "missing"]
-    content = {
-        "versions": found,
-        "processors": processors,
-        "missing": missing,
-        "compiled_code_cache": str(folder) if folder else None,
-    }
-    if chosen.json:
-        _document(content)
-    else:
-        print(table(("package", "version"), list(found.items())))
-        print(f"\nprocessors: {processors}")
-        print(f"cache of compiled code: {folder or 'none that is private and writable, so every process compiles'}")
-        if missing:
-            print(f"missing: {', '.join(missing)}")
-    return 1 if missing else 0

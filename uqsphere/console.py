@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -10,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["Progress", "bar", "plain", "table"]
+__all__ = ["Progress", "bar", "plain", "plain_lines", "print_document", "table"]
 
 #: seconds between two lines of progress where there is no terminal
 _LINE_EVERY = 5.0
@@ -20,6 +21,25 @@ _BAR = 24
 def plain(text: str) -> str:
     """A text without control characters, so that a study cannot steer the terminal."""
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def print_document(content: Any) -> None:
+    """Print one JSON document; what would steer a terminal stands there as its code."""
+    # a stdout that cannot take every character still gets one whole document
+    narrow = (sys.stdout.encoding or "ascii").lower().replace("-", "") != "utf8"
+    text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=narrow)
+    if not narrow and not text.replace("\n", "").isprintable():
+        text = "".join(c if c == "\n" or c.isprintable() else json.dumps(c)[1:-1] for c in text)
+    print(text)
+
+
+def plain_lines(text: str) -> str:
+    """The same of a text of several lines, which stay lines.
+
+    >>> plain_lines("a\\x1b[31m\\nb")
+    'a?[31m\\nb'
+    """
+    return "\n".join(plain(line) for line in text.split("\n"))
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

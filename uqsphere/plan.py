@@ -6,6 +6,7 @@ import math
 import os
 from typing import Any
 
+from uqsphere.errors import UsageError
 from uqsphere.model import scene_of
 from uqsphere.study import Study
 
@@ -29,6 +30,8 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
         record = min(record, (theta if math.isfinite(theta) else record) + 7.0)
     else:
         record = min(record, 2.0 * float(scene.round_trips[0].max()) / time)
+    if not 0.0 < mu < math.inf or not theta > 0.0 or not math.isfinite(record):
+        raise UsageError("the scene at its means cannot be computed: its numbers are beyond floating point")
     phase = record * math.sqrt(3.0 * math.sqrt(min(1.0, theta)) / mu)
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
 
@@ -39,6 +42,11 @@ def _rows(study: Study) -> int:
     if not any(sum(name in study.random for name in group.of) > 1 for group in study.dependence):
         return d + 2 + (d if study.analysis.second_order else 0) + len(study.analysis.groups)
     return 2**d if d <= 10 else 3 * d - 1
+
+
+def _finer(asked: float) -> float:
+    """How much finer than 1 % is asked for; beyond any budget it is all the same."""
+    return 0.01 / max(asked, 1e-50)
 
 
 def plan_run(study: Study) -> dict[str, Any]:
@@ -55,10 +63,10 @@ def plan_run(study: Study) -> dict[str, Any]:
         evaluations = 1
     else:
         rough = any(name in _ROUGH for name in study.analysis.quantities)
-        sampling = 65_536 * (0.01 / asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
+        sampling = 65_536 * _finer(asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
         analysis = study.analysis
         blocks = _rows(study)
-        sensitivity = blocks * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
+        sensitivity = blocks * (80_000 * _finer(asked.sobol) ** 2 if rough else 4_096 * _finer(asked.sobol) ** 1.2)
         margins = 20_000 if study.margins is not None else 0
         planned = max(2_048.0, sampling) + max(1_024.0 * blocks, sensitivity) + margins
         planned += analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0

@@ -25,11 +25,24 @@ import numpy.typing as npt
 
 import uqsphere
 from uqsphere.errors import AccessError, FolderError
+from uqsphere.files import LARGEST_ARRAY, array_of, load_document, read_whole, refuse_links
 
-__all__ = ["Store", "open_store", "read_json", "write_atomically", "write_json"]
+__all__ = ["CHUNK_NAME", "Store", "open_store", "read_json", "write_atomically", "write_json"]
 
-_CHUNK = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
+#: name of a stored chunk: its key and the first 16 digits of the checksum of its content
+CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
 _MARK = "study.resolved.json"
+
+
+def _mode() -> int:
+    """Permissions of a finished file: others may read it where the user's own mask lets them."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return 0o644 & ~mask
+
+
+#: looked at once: the mask belongs to the process, and asking for it sets it
+_MODE = _mode()
 
 
 @contextlib.contextmanager
@@ -58,7 +71,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
+            os.chmod(temporary, _MODE)
             os.replace(temporary, path)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -79,14 +92,7 @@ def read_json(path: Path) -> Any:
     FolderError
         When it is missing, damaged or not JSON.
     """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FolderError(f"{path.parent} is not a result folder: it has no {path.name}") from error
-    except (ValueError, RecursionError) as error:
-        raise FolderError(f"{path} is damaged: {error}") from error
-    except OSError as error:
-        raise AccessError(f"{path}: {error.strerror}") from error
+    return load_document(path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,14 +109,13 @@ class Store:
     def load(self, key: str) -> npt.NDArray[np.float64] | None:
         """The stored chunk of a key, or None if there is none that is whole."""
         for path in sorted((self.folder / "evaluations").glob(f"{key}_*.npy")):
-            match = _CHUNK.fullmatch(path.name)
+            match = CHUNK_NAME.fullmatch(path.name)
             if match is None or match["key"] != key or path.is_symlink():
                 continue
-            with _system_errors(path):
-                data = path.read_bytes()
+            data = read_whole(path, LARGEST_ARRAY)
             if hashlib.sha256(data).hexdigest()[:16] == match["digest"]:
-                with contextlib.suppress(ValueError, EOFError):
-                    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False), dtype=np.float64)
+                with contextlib.suppress(ValueError):
+                    return array_of(data)
         return None
 
     def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
@@ -183,6 +188,7 @@ def open_store(
         occupied = folder.exists() and not folder.is_dir()
     if occupied:
         raise FolderError(f"{folder} is not a folder")
+    refuse_links(folder)
     _check_owner(folder, study_hash, model, fresh)
     with _system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

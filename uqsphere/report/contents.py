@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from uqsphere.errors import FolderError
 from uqsphere.runner.samples import read_points
+from uqsphere.runner.shapes import MANIFEST, RESOLVED, RESULTS, fault_of
 from uqsphere.store import read_json
 from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
 
@@ -117,6 +118,16 @@ def read_contents(folder: Path) -> Contents:
         if missing or not isinstance(found, dict):
             raise FolderError(f"{folder / name} is not what a run writes: it has no {', '.join(missing) or 'table'}")
     results, manifest, resolved = files
+    for name, found, shape in zip(
+        ("results.json", "manifest.json", "study.resolved.json"), files, (RESULTS, MANIFEST, RESOLVED), strict=True
+    ):
+        fault = fault_of(found, shape)
+        if fault:
+            raise FolderError(f"{folder / name} is not what a run writes: {fault}")
+    strange = [name for name in results["limits"] if name not in resolved["limits"]]
+    strange += [name for name in results["inputs"] if name not in resolved["random"]]
+    if strange:
+        raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
     inputs, quantities, rows = read_points(folder)
     d, q = len(inputs), len(quantities)
     good = rows[:, -1] == 0.0

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.report import canvas, method
 from uqsphere.report.blocks import Block, Chapter
@@ -18,10 +18,14 @@ from uqsphere.report.glance import glances
 from uqsphere.report.margin_verdict import margin_verdicts
 from uqsphere.report.tables import Table
 from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.runner.sums import write_sums
 from uqsphere.runner.tables import csv_text
 from uqsphere.store import write_atomically
 
-__all__ = ["MOST_BYTES", "build_report"]
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = ["MOST_BYTES", "build_report", "new_environment", "page_style"]
 
 #: a page is never larger than this
 MOST_BYTES: Final = 3_000_000
@@ -55,15 +59,18 @@ def build_report(folder: Path) -> Path:
     """
     contents = read_contents(folder)
     chapters = _distinct(build_chapters(contents))
+    written = []
     for block in _blocks(chapters):
         if block.picture is not None and block.picture.header:
             table = csv_text(block.picture.header, block.picture.rows)
-            write_atomically(folder / "figures" / f"{block.picture.name}.csv", table)
+            written.append(f"figures/{block.picture.name}.csv")
+            write_atomically(folder / written[-1], table)
     drawn = {b.picture.name: canvas.render(b.picture) for b in _blocks(chapters) if b.picture is not None}
     for name, svg in drawn.items():
         write_atomically(folder / "figures" / f"{name}.svg", svg)
     page = folder / "report.html"
     write_atomically(page, _page(contents, chapters, drawn))
+    write_sums(folder, ["report.html", *written, *(f"figures/{name}.svg" for name in drawn)], keep=True)
     return page
 
 
@@ -104,9 +111,23 @@ def _plain(value: Any) -> Any:
     return _UNIT.sub("\u00a0", canvas.shorten(value, LONGEST))
 
 
+def new_environment() -> Environment:
+    """Templates that escape every text and refuse what is not there."""
+    from jinja2 import Environment, StrictUndefined
+
+    return Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
+    )
+
+
+def page_style() -> str:
+    """The style sheet of the report, for pages that look like it."""
+    text = resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8")
+    return text.partition("<style>")[2].partition("</style>")[0]
+
+
 def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[str, str]) -> str:
     """The text of the page; the figures that it has no room for stay files."""
-    from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     room = MOST_INLINED
@@ -130,9 +151,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         if block.picture is not None:
             figure_numbers[block.picture.name] = len(figure_numbers) + 1
     order = iter(range(sum(1 for _ in _blocks(chapters))))
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
-    )
+    environment = new_environment()
     environment.filters["drawn"] = drawn
     template = environment.from_string(resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8"))
     return (

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.errors import FolderError, UsageError
+from uqsphere.files import refuse_links
 from uqsphere.model import BlackBox, load_black_box, model_digest
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.store import Store, open_store, read_json
@@ -69,10 +70,12 @@ def open_run(folder: str | Path) -> Run:
         When the folder is no result folder, or its run has not finished.
     """
     from uqsphere.runner.results import damage_of
+    from uqsphere.runner.shapes import MANIFEST, fault_of
 
     path = Path(folder)
     if not path.is_dir():
         raise FolderError(f"{path} is not a result folder")
+    refuse_links(path)
     if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
         raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
     results = read_json(path / "results.json")
@@ -80,8 +83,9 @@ def open_run(folder: str | Path) -> Run:
     if damage:
         raise FolderError(f"{path / 'results.json'} is not what a run writes: {damage}")
     manifest = read_json(path / "manifest.json")
-    if not isinstance(manifest, dict):
-        raise FolderError(f"{path / 'manifest.json'} is not what a run writes")
+    damage = fault_of(manifest, MANIFEST)
+    if damage:
+        raise FolderError(f"{path / 'manifest.json'} is not what a run writes: {damage}")
     return Run(folder=path, results=results, manifest=manifest)
 
 
@@ -136,6 +140,7 @@ def run(
     from threadpoolctl import threadpool_limits
 
     from uqsphere.model import NO_DAMPER
+    from uqsphere.runner.log import logged
     from uqsphere.runner.work import Ledger, OutOfBudget, Work
 
     if study.receiving_damper is not None:
@@ -176,15 +181,18 @@ def run(
             reached=reached,
         )
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-        with threadpool_limits(limits=1, user_api="blas"):
-            return _run(work, store, notice)
+        with threadpool_limits(limits=1, user_api="blas"), logged(folder, hash=study.hash, fresh=fresh) as log:
+            found = analyse(replace(work, progress=log.watch(progress)), store, log.listen(notice))
+            log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
+            return found
     except OutOfBudget as nothing:
         raise KeyboardInterrupt from nothing
     finally:
         store.close()
 
 
-def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
+def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
+    """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
     from uqsphere.quantities import format_estimate
     from uqsphere.runner.courses import save_courses
     from uqsphere.runner.dependent import share_variance

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.runner.tables import tables
+from uqsphere.runner.tables import plain_cell, tables
 from uqsphere.store import write_atomically
 
 if TYPE_CHECKING:
@@ -39,13 +39,20 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
 
 
 def _frames(run: Run) -> dict[str, pd.DataFrame]:
-    names = sorted(name.removesuffix(".csv") for name in tables(run.results))
-    return {"samples": run.samples(), **{name: read_table(run.folder, name) for name in names}}
+    """Samples, and the tables as results.json has them: what stands in tables/ may have been changed since."""
+    import pandas as pd
+
+    found = sorted(tables(run.results).items())
+    for name, _ in found:
+        if not (run.folder / "tables" / name).is_file():
+            raise FolderError(f"{run.folder} has no tables/{name}: it is damaged; run the study again")
+    frames = {name.removesuffix(".csv"): pd.read_csv(io.StringIO(text)) for name, text in found}
+    return {"samples": run.samples(), **frames}
 
 
 def _content(frame: pd.DataFrame, form: str) -> bytes:
     if form == "csv":
-        return frame.to_csv(index=False).encode()
+        return frame.rename(columns=plain_cell).to_csv(index=False).encode()
     if form == "json":
         return (json.dumps(json.loads(frame.to_json(orient="records", double_precision=15)), indent=1) + "\n").encode()
     buffer = io.BytesIO()

@@ -18,6 +18,8 @@ from uqsphere.runner.margins import MarginAnswer, lognormal_table
 from uqsphere.runner.pilot import Pilot
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.shapes import RESULTS, fault_of
+from uqsphere.runner.sums import write_sums
 from uqsphere.runner.tables import tables
 from uqsphere.runner.work import Ledger, Work
 from uqsphere.store import Store, write_atomically, write_json
@@ -266,20 +268,6 @@ def savings(model: Mapping[str, Any]) -> list[tuple[str, str]]:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def _unlike_estimates(node: Any) -> bool:
-    """Whether anything below `node` that should be an estimate is none."""
-    if isinstance(node, list):
-        return any(_unlike_estimates(entry) for entry in node)
-    if not isinstance(node, dict):
-        return False
-    if "std_error" not in node:
-        return any(_unlike_estimates(entry) for entry in node.values())
-    return not all(
-        node[key] is None or (isinstance(node[key], (int, float)) and not isinstance(node[key], bool))
-        for key in ("value", "low", "high", "std_error")
-    )
-
-
 def damage_of(results: Any) -> str:
     """What is wrong with the content of a results.json, or an empty text.
 
@@ -288,31 +276,14 @@ def damage_of(results: Any) -> str:
     """
     if not isinstance(results, dict):
         return f"it holds a {type(results).__name__}"
-    lacking = [key for key, kind in _PARTS.items() if not isinstance(results.get(key), kind)]
-    if lacking:
-        return f"it lacks {', '.join(lacking)}"
+    fault = fault_of(results, RESULTS)
+    if fault:
+        return fault
     try:
         tables(results)
-        if _unlike_estimates(results):
-            return "an estimate holds no numbers"
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         return f"{type(error).__name__}: {error}"
     return ""
-
-
-#: parts of results.json that everything reads
-_PARTS = {
-    "study": dict,
-    "inputs": dict,
-    "quantities": dict,
-    "sensitivity": dict,
-    "limits": dict,
-    "margins": dict,
-    "model": dict,
-    "validity": list,
-    "speed_error": list,
-    "accuracy": dict,
-}
 
 
 def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
@@ -321,6 +292,8 @@ def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any
         write_atomically(store.folder / "tables" / name, text)
     write_json(store.folder / "manifest.json", manifest)
     write_json(store.folder / "results.json", results)
+    fixed = ("manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml")
+    write_sums(store.folder, [*(f"tables/{name}" for name in tables(results)), *fixed])
 
 
 def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str, Any]:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import FolderError
+from uqsphere.errors import AccessError, FolderError
+from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
 from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.shapes import SAMPLES, fault_of
 from uqsphere.runner.work import Work
 from uqsphere.store import Store, read_json, write_atomically, write_json
 
@@ -50,13 +52,18 @@ def read_points(folder: Path) -> tuple[list[str], list[str], npt.NDArray[np.floa
         When they are missing or damaged.
     """
     names = read_json(folder / "samples.json")
+    fault = fault_of(names, SAMPLES)
+    if fault:
+        raise FolderError(f"{folder / 'samples.json'} is damaged: {fault}")
+    inputs, quantities = names["inputs"], names["quantities"]
     try:
-        rows = np.load(folder / "samples.npy", allow_pickle=False)
-        inputs, quantities = list(map(str, names["inputs"])), list(map(str, names["quantities"]))
-    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
+        rows = array_of(read_whole(folder / "samples.npy", LARGEST_ARRAY))
+    except (AccessError, ValueError) as error:
         raise FolderError(f"the samples in {folder} are damaged: {error}") from error
     if rows.ndim != 2 or rows.shape[1] != len(inputs) + 2 * len(quantities) + 1:
         raise FolderError(f"the samples in {folder} are damaged: found an array of shape {rows.shape}")
+    if not np.isfinite(rows[rows[:, -1] == 0.0]).all() or not np.isfinite(rows[:, -1]).all():
+        raise FolderError(f"the samples in {folder} are damaged: a row without fault holds no numbers")
     return inputs, quantities, rows
 
 

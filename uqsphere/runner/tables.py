@@ -7,22 +7,34 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["csv_text", "tables"]
+__all__ = ["csv_text", "plain_cell", "tables"]
+
+#: what a formula begins with, wide forms included
+_FORMULA = "=+-@\t\r\n＝＋－＠"
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
+    writer.writerow([plain_cell(name) for name in header])
     for row in rows:
         writer.writerow([_cell(value) for value in row])
     return buffer.getvalue()
 
 
+def plain_cell(text: str) -> str:
+    """A text that no spreadsheet takes for a formula.
+
+    >>> plain_cell("=1+1"), plain_cell("a=1")
+    ("'=1+1", 'a=1')
+    """
+    return "'" + text if text[:1] in _FORMULA and text else text
+
+
 def _cell(value: Any) -> Any:
-    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
-        return "'" + value
+    if isinstance(value, str):
+        return plain_cell(value)
     return repr(value) if isinstance(value, float) else value
 
 

@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final, TypeAlias
 
 from uqsphere.errors import AccessError
+from uqsphere.files import is_device_name
 from uqsphere.quantities import UNITS, Quantity, units_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.reading import read_bytes
@@ -122,6 +123,9 @@ def inside_folder(name: str, place: Place, findings: Findings, folder: Path) -> 
         there = path.exists()
     except (OSError, RuntimeError, ValueError):
         findings.add(place, f"found {shown(name)}, which cannot be read")
+        return None
+    if any(is_device_name(part) for part in posix.parts):
+        findings.add(place, f"found {shown(name)}: some system takes that for a device; rename the file")
         return None
     if not path.is_relative_to(home):
         findings.add(place, f"{shown(name)} is a link that leaves the study's folder")

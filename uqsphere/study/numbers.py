@@ -21,6 +21,9 @@ BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 _FILE_KEYS: Final = ("file", "column", "unit", "fit", "censored", "unbiased")
 #: More than this share of a law outside what has a meaning is worth a warning.
 _SHARE_WORTH_A_WORD: Final = 1e-6
+#: standard deviation over mean of a positive number that is worth a warning, and that is refused
+_WIDE: Final = 3.0
+_TOO_WIDE: Final = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +135,43 @@ def _read_law(
     except LawError as error:
         findings.add((*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind))
         return None
+    if not _sensible_scatter(law, place, raw, findings):
+        return None
     return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+
+
+def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Any], findings: Findings) -> bool:
+    """Whether the scatter of a law of positive numbers lets moments be computed; a large one is warned of."""
+    cov = _variation(law)
+    if cov <= _WIDE:
+        return True
+    said = f"the standard deviation is {cov:.3g} times the mean"
+    truncated = math.isfinite(law.lower) or math.isfinite(law.upper)
+    if cov <= _TOO_WIDE or truncated:
+        effect = "" if truncated else ": mean and standard deviation of the answers may never become accurate"
+        findings.warn(place, f"{said}{effect}; is that meant?")
+        return True
+    key = next((key for key in ("cov", "sd", "log_sd", "shape", "modulus") if key in raw), "")
+    hint = "; a share is due, such as cov = 0.12 for 12 %" if key == "cov" else ""
+    findings.add((*place, key) if key else place, f"{said}, at most {_TOO_WIDE:g} can be computed with{hint}")
+    return False
+
+
+def _variation(law: Law) -> float:
+    """Standard deviation over mean before truncation, where it is known without special functions; else 0."""
+    p = law.parameters
+    try:
+        if law.kind == "lognormal":
+            return math.sqrt(math.expm1(p["log_sd"] ** 2))
+        if law.kind == "gamma":
+            return 1.0 / math.sqrt(p["shape"])
+        if law.kind == "weibull" and p["threshold"] == 0.0:
+            return math.sqrt(
+                math.expm1(math.lgamma(1.0 + 2.0 / p["modulus"]) - 2.0 * math.lgamma(1.0 + 1.0 / p["modulus"]))
+            )
+    except (OverflowError, ZeroDivisionError, ValueError):
+        return math.inf
+    return 0.0
 
 
 def _no_dist(raw: Mapping[str, Any]) -> str:

@@ -1,0 +1,257 @@
+"""Whether a result folder is whole: checksums, tables, and evaluations done again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.cli import main
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.runner.rehearsal import _undo, stored_study
+from uqsphere.runner.sums import read_sums
+from uqsphere.verify import verify_folder, verify_text
+
+MODEL = "def f(x):\n    return {'y': x['x1'] + 0.1 * x['x2']}\n"
+STUDY = """\
+seed = 3
+[inputs]
+x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
+x2 = { dist = "empirical", file = "tests.csv", column = "load, N", fit = "kde" }
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = 0.9
+[analysis]
+quantiles = [0.5]
+accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.3, probability = 0.5 }
+budget = { evaluations = 6000, time = "1 min" }
+"""
+
+
+@pytest.fixture(scope="module")
+def box_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a black-box study of its own, its model, its observations, and the finished run in `run`."""
+    place = tmp_path_factory.mktemp("box")
+    (place / "ball.toml").write_text(STUDY)
+    (place / "model.py").write_text(MODEL)
+    rows = "\n".join(f'{0.1 * k * k:.6f},"x"' for k in range(1, 30))
+    (place / "tests.csv").write_text(f'"load, N",remark\n{rows}\n')
+    uqsphere.run(uqsphere.load_study(place / "ball.toml"), out=place / "run", model=f"{place / 'model.py'}:f")
+    return place
+
+
+@pytest.fixture
+def box(box_run: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    return Path(shutil.copytree(box_run, tmp_path / "box"))
+
+
+def forged(folder: Path, name: str, data: bytes) -> None:
+    """Change a file and enter its checksum, as a person could who knows how."""
+    (folder / name).write_bytes(data)
+    lines = [line.split("  ") for line in (folder / "SHA256SUMS").read_text().splitlines()]
+    sums = {path: digest for digest, path in lines} | {name: hashlib.sha256(data).hexdigest()}
+    (folder / "SHA256SUMS").write_text("".join(f"{digest}  {path}\n" for path, digest in sorted(sums.items())))
+
+
+# --- whole ----------------------------------------------------------------------------------------
+
+
+def test_a_whole_run_is_called_whole_and_stays_untouched(box: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (box / "run").rglob("*")}
+    found = verify_folder(box / "run", chunks=4, model=f"{box / 'model.py'}:f")
+    assert (found["verdict"], found["faults"], found["results"]) == ("whole", [], "the same")
+    assert len(found["repeated"]) == 4
+    assert all(entry["same"] for entry in found["repeated"])
+    assert {path: path.stat().st_mtime_ns for path in (box / "run").rglob("*")} == before
+    assert "whole" in verify_text(found)
+
+
+def test_the_chunks_are_drawn_by_the_seed(box: Path) -> None:
+    def chosen(seed: int) -> list[str]:
+        found = verify_folder(box / "run", chunks=2, seed=seed, model=f"{box / 'model.py'}:f")
+        return sorted(entry["chunk"] for entry in found["repeated"])
+
+    assert chosen(1) == chosen(1)
+    assert len({tuple(chosen(seed)) for seed in range(4)}) > 1
+
+
+def test_no_code_is_run_without_a_model(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uqsphere.model.load_black_box", None)
+    found = verify_folder(box / "run")
+    assert (found["verdict"], found["repeated"], found["results"]) == ("whole", [], "the same")
+    assert any("--model" in note for note in found["notes"])
+
+
+def test_another_model_is_not_run(box: Path) -> None:
+    (box / "model.py").write_text(MODEL + "raise SystemExit\n")
+    with pytest.raises(UsageError, match="not run"):
+        verify_folder(box / "run", model=f"{box / 'model.py'}:f")
+
+
+def test_a_scene_is_evaluated_again(finished: Path) -> None:
+    found = verify_folder(finished, chunks=2, seed=1)
+    assert (found["verdict"], found["results"]) == ("whole", "the same")
+    assert len(found["repeated"]) == 2
+
+
+def test_the_checksums_are_those_of_sha256sum(box: Path) -> None:
+    done = subprocess.run(["sha256sum", "--quiet", "--check", "SHA256SUMS"], cwd=box / "run", check=False)
+    assert done.returncode == 0
+    sums = read_sums(box / "run")
+    assert sums is not None
+    assert {"results.json", "manifest.json", "study.toml", "samples.npy", "tables/quantities.csv"} <= set(sums)
+
+
+def test_the_report_enters_its_own_files(box: Path) -> None:
+    assert main(["report", str(box / "run"), "--json"]) == 0
+    sums = read_sums(box / "run")
+    assert sums is not None
+    assert {"report.html", "figures/distribution-y.svg"} <= set(sums)
+    assert verify_folder(box / "run")["verdict"] == "whole"
+
+
+# --- damaged --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["results.json", "manifest.json", "study.toml", "tables/quantities.csv", "samples.npy"]
+)
+def test_a_changed_byte_is_found(box: Path, name: str) -> None:
+    path = box / "run" / name
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+    found = verify_folder(box / "run")
+    assert found["verdict"] == "damaged"
+    assert f"{name} has been changed since it was written" in found["faults"]
+
+
+@pytest.mark.parametrize("name", ["samples.json", "tables/limits.csv"])
+def test_a_missing_file_is_found(box: Path, name: str) -> None:
+    (box / "run" / name).unlink()
+    assert f"{name} is missing" in verify_folder(box / "run")["faults"]
+
+
+def test_a_damaged_chunk_is_named_and_a_missing_one_too(box: Path) -> None:
+    paths = sorted((box / "run" / "evaluations").iterdir())
+    data = paths[0].read_bytes()
+    paths[0].write_bytes(data[:-1])
+    found = verify_folder(box / "run")
+    assert [fault for fault in found["faults"] if paths[0].name in fault]
+    paths[0].unlink()
+    (fault,) = verify_folder(box / "run")["faults"]
+    assert paths[0].name.rpartition("_")[0] in fault
+    assert "missing" in fault
+
+
+def test_evaluations_that_were_changed_with_their_checksum_are_found(box: Path) -> None:
+    path = next((box / "run" / "evaluations").glob("sampling.0.0_*.npy"))
+    values = np.load(path)
+    values[0, 0] += 1e-9
+    np.save(path, values)
+    data = path.read_bytes()
+    path.rename(path.with_name(f"sampling.0.0_{hashlib.sha256(data).hexdigest()[:16]}.npy"))
+    count = len(list((box / "run" / "evaluations").iterdir()))
+    model = f"{box / 'model.py'}:f"
+    assert verify_folder(box / "run", chunks=0, model=model)["verdict"] == "damaged"  # by the results
+    found = verify_folder(box / "run", chunks=count, model=model)
+    assert any("sampling.0.0 come out differently" in fault for fault in found["faults"])
+
+
+@pytest.mark.parametrize("name", ["results.json", "study.toml", "tables/limits.csv", "samples.npy"])
+def test_a_forgery_with_a_fitting_checksum_is_found(box: Path, name: str) -> None:
+    path = box / "run" / name
+    changes = {"results.json": (b'"value": 0.', b'"value": 1.'), "study.toml": (b"upper = 1.0", b"upper = 1.1")}
+    if name == "samples.npy":
+        values = np.load(path)
+        values[3, 0] *= 1.001
+        np.save(path, values)
+        data = path.read_bytes()
+    else:
+        before, after = changes.get(name, (b"miss", b"mist"))
+        data = path.read_bytes().replace(before, after, 1)
+        assert data != path.read_bytes()
+    forged(box / "run", name, data)
+    assert verify_folder(box / "run")["verdict"] == "damaged"
+
+
+def test_a_checksum_outside_the_folder_is_refused(box: Path) -> None:
+    secret = box / "secret"
+    secret.write_text("x")
+    sums = box / "run" / "SHA256SUMS"
+    sums.write_text(sums.read_text() + f"{'0' * 64}  ../secret\n")
+    (fault,) = verify_folder(box / "run")["faults"]
+    assert "SHA256SUMS is damaged" in fault
+
+
+def test_exit_codes_and_json(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(box / "run"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "whole"
+    (box / "run" / "samples.json").unlink()
+    assert main(["verify", str(box / "run"), "--json"]) == 5
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["verdict"] == "damaged"
+    assert "damaged" in captured.err
+    assert main(["verify", str(box)]) == 5
+    assert main(["verify", str(box / "run"), "--chunks", "-1"]) == 2
+
+
+# --- neither --------------------------------------------------------------------------------------
+
+
+def test_a_run_that_has_not_finished(box: Path) -> None:
+    (box / "run" / "results.json").unlink()
+    (box / "run" / "SHA256SUMS").unlink()
+    found = verify_folder(box / "run")
+    assert (found["verdict"], found["faults"]) == ("unfinished", [])
+    with pytest.raises(FolderError, match="not a result folder"):
+        verify_folder(box)
+
+
+def test_a_run_of_another_version_is_not_evaluated_again(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uqsphere, "__version__", "999")
+    found = verify_folder(box / "run", model=f"{box / 'model.py'}:f")
+    assert (found["verdict"], found["repeated"]) == ("whole", [])
+    assert any("made by uqsphere" in note for note in found["notes"])
+
+
+def test_a_run_that_its_time_budget_stopped_is_no_damage(box: Path) -> None:
+    manifest: dict[str, Any] = json.loads((box / "run" / "manifest.json").read_text()) | {"stopped_by_time": True}
+    forged(box / "run", "manifest.json", json.dumps(manifest).encode())
+    sorted((box / "run" / "evaluations").glob("sampling*"))[-1].unlink()
+    found = verify_folder(box / "run")
+    assert found["verdict"] == "whole"
+    assert any("time budget" in note for note in found["notes"])
+
+
+# --- the stored study -----------------------------------------------------------------------------
+
+
+def test_observations_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    for factor in (1e-3, 1e6, 1e9, 0.01, 1.0):
+        values = rng.lognormal(sigma=3.0, size=200)
+        assert all(_undo(float(v) * factor, factor) * factor == float(v) * factor for v in values)
+
+
+def test_a_stored_study_reads_nothing_beside_itself(box: Path, tmp_path: Path) -> None:
+    text = (box / "run" / "study.toml").read_text()
+    resolved = json.loads((box / "run" / "study.resolved.json").read_text())
+    (tmp_path / "a").mkdir()
+    study = stored_study(text, resolved, tmp_path / "a")
+    assert study.hash == resolved["hash"]
+    assert study.title == "ball"
+    (tmp_path / "b").mkdir()
+    with pytest.raises(FolderError, match="outside its folder"):
+        stored_study(text.replace("tests.csv", "../tests.csv"), resolved, tmp_path / "b")
+    assert not (tmp_path / "tests.csv").exists()

@@ -1,0 +1,393 @@
+"""Two runs side by side: what was changed, which answers moved, by how much, and whether more than chance.
+
+The interval of a difference comes from the intervals of both answers, which need not be symmetric (Zou and
+Donner 2008, Statistics in Medicine 27:1693-1702, doi:10.1002/sim.3095): for independent estimates a and b with
+intervals (l_a, u_a) and (l_b, u_b), b - a lies between
+
+    b - a - sqrt((b - l_b)² + (u_a - a)²)   and   b - a + sqrt((u_b - b)² + (a - l_a)²).
+
+Two runs with one seed share their random numbers.  Their difference then scatters less than that, so that
+what is called significant is so all the more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from uqsphere.console import plain, table
+from uqsphere.errors import FolderError
+from uqsphere.quantities import display_unit, format_estimate, lookup
+
+__all__ = ["Change", "compare_folders", "comparison_text", "difference_interval", "judge_together"]
+
+#: how far two runs are apart in an answer
+SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
+_LEVEL: Final = 0.05
+_SCORE: Final = 1.959963984540054
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """One answer of two runs: `section` and `name` say which; estimates as results.json has them.
+
+    `difference` is after minus before in SI, with its 95 % interval `low`, `high`; `relative` is it over the
+    value before; `significance` the two-sided probability of so large a difference by chance.
+    """
+
+    section: str
+    name: str
+    statistic: str
+    unit: str
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+    difference: float | None = None
+    low: float | None = None
+    high: float | None = None
+    relative: float | None = None
+    significance: float | None = None
+    verdict: str = UNKNOWN
+
+
+def difference_interval(
+    a: tuple[float, float, float], b: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """b - a of two independent estimates (value, low, high): difference, low, high, and its significance.
+
+    The significance takes the half of the interval that points towards zero for 1.96 standard errors.
+
+    >>> [round(x, 3) for x in difference_interval((1.0, 0.97, 1.03), (1.1, 1.06, 1.14))]
+    [0.1, 0.05, 0.15, 0.0]
+    """
+    difference = b[0] - a[0]
+    below = math.hypot(b[0] - b[1], a[2] - a[0])
+    above = math.hypot(b[2] - b[0], a[0] - a[1])
+    towards = below if difference > 0.0 else above
+    if difference == 0.0:
+        significance = 1.0
+    elif towards == 0.0:
+        significance = 0.0
+    else:
+        significance = math.erfc(_SCORE * abs(difference) / towards / math.sqrt(2.0))
+    return difference, difference - below, difference + above, significance
+
+
+def judge_together(significances: list[float | None]) -> list[str]:
+    """A verdict on each of many differences, by Holm (1979): all that are called changed are so at 95 % together.
+
+    Alone, one in twenty differences would be called so by chance; those that only pass alone are called perhaps.
+
+    >>> judge_together([0.001, 0.04, 0.5, None])
+    ['changed', 'perhaps', 'not seen', 'not known']
+    """
+    known = sorted((p, k) for k, p in enumerate(significances) if p is not None)
+    verdicts = [UNKNOWN if p is None else (PERHAPS if p < _LEVEL else NONE) for p in significances]
+    for rank, (p, k) in enumerate(known):
+        if not p < _LEVEL / (len(known) - rank):
+            break
+        verdicts[k] = SURE
+    return verdicts
+
+
+# --- answers ------------------------------------------------------------------------------------------
+
+
+def _answers(results: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], str, Mapping[str, Any]]]:
+    """Every answer of a run: (section, name, statistic), unit, estimate."""
+    for name, limit in results["limits"].items():
+        yield (f"limits.{name}", "limits", "probability of missing the aim"), "", limit["miss"]
+        if limit["aim"] == "break":  # else it is the same number
+            yield (f"limits.{name}", "limits", "probability of exceeding the strength"), "", limit["exceedance"]
+        for key, estimate in limit["margin"].items():
+            words = "median" if key == "median" else f"{100 * float(key):g} %"
+            yield (f"limits.{name}", "limits", f"strength over demand, {words}"), "", estimate
+    for name, entry in results["quantities"].items():
+        for key, words in (("mean", "mean"), ("sd", "standard deviation")):
+            yield (name, "quantities", words), entry["unit"], entry[key]
+        for p, estimate in entry["quantiles"].items():
+            yield (name, "quantities", f"{100.0 * float(p):.12g} % quantile"), entry["unit"], estimate
+        yield (name, "quantities", "censored share"), "", entry["censored_share"]
+    for name, entry in results["margins"].items():
+        for p, estimate in entry["values"].items():
+            words = f"{entry['solve']} at {100.0 * float(p):.12g} % exceedance"
+            yield (f"limits.{name}", "margins", words), entry["unit"], estimate
+    for name, entry in results["sensitivity"].items():
+        for kind, found in (
+            (("Shapley effect", entry.get("shapley") or {}),)
+            if entry.get("shapley")
+            else (
+                ("first index", entry["first"]),
+                ("total index", entry["total"]),
+            )
+        ):
+            for variable, estimate in found.items():
+                yield (name, "sensitivity", f"{kind} of {variable}"), "", estimate
+
+
+def _triple(estimate: Mapping[str, Any]) -> tuple[float, float, float] | None:
+    """Value and interval as numbers; an estimate without interval is exact only if it says so."""
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    return None if value is None or low is None or high is None else (float(value), float(low), float(high))
+
+
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[list[Change], list[str], list[str]]:
+    """Answers that both runs have, and the names of those that one has alone."""
+    first = {key: (unit, estimate) for key, unit, estimate in _answers(before)}
+    second = {key: (unit, estimate) for key, unit, estimate in _answers(after)}
+    raw: list[dict[str, Any]] = []
+    for key, (unit, estimate) in first.items():
+        if key not in second or second[key][0] != unit:
+            continue
+        entry: dict[str, Any] = {
+            "section": key[1],
+            "name": key[0],
+            "statistic": key[2],
+            "unit": unit,
+            "before": estimate,
+            "after": second[key][1],
+        }
+        a, b = _triple(estimate), _triple(second[key][1])
+        if a is not None and b is not None:
+            difference, low, high, significance = difference_interval(a, b)
+            relative = difference / abs(a[0]) if a[0] else None
+            entry |= {"difference": difference, "low": low, "high": high}
+            # two exact answers that agree are no evidence of anything
+            entry["significance"] = None if low == high == 0.0 else significance
+            entry["relative"] = relative if relative is None or math.isfinite(relative) else None
+        raw.append(entry)
+    verdicts = judge_together([entry.get("significance") for entry in raw])
+    changes = [
+        Change(**entry, verdict=SAME if entry.get("difference") == 0.0 and entry["significance"] is None else verdict)
+        for entry, verdict in zip(raw, verdicts, strict=True)
+    ]
+    shared = {(c.name, c.section, c.statistic) for c in changes}
+    lone = [
+        [f"{name}: {what}" for name, _, what in found if (name, _, what) not in shared] for found in (first, second)
+    ]
+    return changes, lone[0], lone[1]
+
+
+# --- what was changed -----------------------------------------------------------------------------------
+
+#: parts of study.resolved.json that say how a run is looked at, not what is asked
+_APART: Final = ("hash", "title", "written_by", "order", "sources", "overrides", "model_reference", "model_digest")
+
+
+def _flat(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Every leaf with its path; a law is a leaf, and so is a list."""
+    if isinstance(node, Mapping) and "dist" not in node:
+        for key, value in node.items():
+            yield from _flat(value, f"{place}.{key}" if place else str(key))
+    else:
+        yield place, node
+
+
+def _causes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[dict[str, str]]:
+    """What of the study differs: inputs first (fixed or random), then the rest."""
+    found = []
+    sides: list[dict[str, Any]] = []
+    for resolved in (before, after):
+        numbers = {f"input {k}": v for k, v in {**resolved["fixed"], **resolved["random"]}.items()}
+        rest = {k: v for k, v in resolved.items() if k not in (*_APART, "fixed", "random")}
+        sides.append({**numbers, **dict(_flat(rest))})
+    for key in sorted(set(sides[0]) | set(sides[1]), key=lambda k: (not k.startswith("input "), k)):
+        a, b = (side.get(key, _ABSENT) for side in sides)
+        if a != b:
+            name = key.removeprefix("input ")
+            found.append({"what": name, "before": _said(a, name), "after": _said(b, name)})
+    for key, words in (("model_digest", "the black box"), ("written_by", "version of uqsphere")):
+        if before.get(key) != after.get(key):
+            found.append({"what": words, "before": str(before.get(key)), "after": str(after.get(key))})
+    return found
+
+
+_ABSENT: Final = object()
+
+
+def _said(value: Any, name: str) -> str:
+    """A number, a law or an option in words."""
+    if value is _ABSENT:
+        return "absent"
+    unit, factor = _unit_of(name)
+    if isinstance(value, Mapping) and "dist" in value:
+        shown = value["given"] or value["parameters"]
+        parts = [f"{key} {number:.6g}" for key, number in shown.items()]
+        parts += [f"{key} {value[key]:.6g}" for key in ("lower", "upper") if value[key] is not None]
+        if value["data"]:
+            parts.append(f"{len(value['data'])} observations")
+        base = lookup(name).unit
+        return f"{value['dist']}: {', '.join(parts)}" + (f" ({base})" if base else "")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return (
+            {True: "yes", False: "no", None: "none"}.get(value, str(value))
+            if not isinstance(value, (list, dict))
+            else ", ".join(map(str, value))
+        )
+    return f"{value * factor:.6g} {unit}".rstrip()
+
+
+def _unit_of(name: str) -> tuple[str, float]:
+    return display_unit(name) if "." in name and not name.startswith(("limits.", "analysis.", "model.")) else ("", 1.0)
+
+
+# --- both together --------------------------------------------------------------------------------------
+
+
+def _open(folder: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """results.json, manifest.json and study.resolved.json of a finished run."""
+    from uqsphere.runner import open_run
+    from uqsphere.runner.shapes import RESOLVED, fault_of
+    from uqsphere.store import read_json
+
+    run = open_run(folder)
+    resolved = read_json(folder / "study.resolved.json")
+    fault = fault_of(resolved, RESOLVED)
+    if fault:
+        raise FolderError(f"{folder / 'study.resolved.json'} is not what a run writes: {fault}")
+    return run.results, run.manifest, resolved
+
+
+def compare_folders(before: Path, after: Path) -> dict[str, Any]:
+    """What differs between two finished runs, ready for JSON.
+
+    Raises
+    ------
+    FolderError
+        When one of them is no finished run, or is damaged.
+    """
+    (first, manifest_a, resolved_a), (second, manifest_b, resolved_b) = _open(before), _open(after)
+    changes, lone_a, lone_b = _changes(first, second)
+    verdicts = [
+        {
+            "limit": name,
+            "before": limit["met"],
+            "after": second["limits"][name]["met"],
+            "target_before": limit["target"],
+            "target_after": second["limits"][name]["target"],
+        }
+        for name, limit in first["limits"].items()
+        if name in second["limits"]
+    ]
+    known = [c for c in changes if c.significance is not None]
+    return {
+        "schema_version": 1,
+        "before": _about(before, first, manifest_a),
+        "after": _about(after, second, manifest_b),
+        "same_study": first["study"]["hash"] == second["study"]["hash"],
+        "identical": {k: v for k, v in first.items() if k != "versions"}
+        == {k: v for k, v in second.items() if k != "versions"},
+        "causes": _causes(resolved_a, resolved_b),
+        "limits": verdicts,
+        "changes": [asdict(change) for change in changes],
+        "compared": len(known),
+        "changed": sum(c.verdict == SURE for c in changes),
+        "perhaps": sum(c.verdict == PERHAPS for c in changes),
+        "only_before": lone_a,
+        "only_after": lone_b,
+    }
+
+
+def _about(folder: Path, results: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "folder": str(folder),
+        "title": results["study"]["title"],
+        "hash": results["study"]["hash"],
+        "seed": results["study"]["seed"],
+        "version": results["versions"].get("uqsphere"),
+        "model": results["model"]["chosen"],
+        "evaluations": manifest.get("evaluations"),
+        "seconds": manifest.get("seconds", {}).get("total"),
+    }
+
+
+# --- for the terminal -------------------------------------------------------------------------------------
+
+
+def _estimate(estimate: Mapping[str, Any], name: str) -> str:
+    if estimate["value"] is None:
+        return "-"
+    low = estimate["value"] if estimate["low"] is None else estimate["low"]
+    high = estimate["value"] if estimate["high"] is None else estimate["high"]
+    return format_estimate(estimate["value"], low, high, name)
+
+
+def subject_of(change: Mapping[str, Any]) -> str:
+    """The name whose unit an answer has, or an empty text for a plain number."""
+    if not change["unit"]:
+        return ""
+    return str(change["statistic"]).partition(" at ")[0] if change["section"] == "margins" else str(change["name"])
+
+
+def difference_text(change: Mapping[str, Any]) -> str:
+    """A difference with its interval, and in per cent of what it was."""
+    if change["difference"] is None:
+        return "-"
+    if change["difference"] == 0.0:
+        return "0"
+    text = format_estimate(change["difference"], change["low"], change["high"], subject_of(change))
+    relative = change["relative"]
+    if relative is None or change["section"] == "sensitivity":
+        return text
+    return f"{text}, {100.0 * relative:+.3g} %"
+
+
+def headline(found: Mapping[str, Any]) -> str:
+    """What came of it, in a sentence or two."""
+    if found["identical"]:
+        return "Both runs have the same answers, to the last digit."
+    said = (
+        f"Of {found['compared']} answers {found['changed']} changed significantly"
+        + (f", and {found['perhaps']} more perhaps" if found["perhaps"] else "")
+        + "."
+    )
+    flipped = [entry["limit"] for entry in found["limits"] if entry["before"] is not entry["after"]]
+    if flipped:
+        said += f" The verdict on {', '.join(flipped)} is another one."
+    return said
+
+
+def comparison_text(found: Mapping[str, Any]) -> str:
+    """The comparison for the terminal."""
+    first, second = found["before"], found["after"]
+    rows = [(key, str(first[key]), str(second[key])) for key in ("folder", "title", "seed", "version", "evaluations")]
+    parts = [plain(headline(found)), "", table(("", "before", "after"), rows), ""]
+    if found["causes"]:
+        rows = [(c["what"], _cut(c["before"]), _cut(c["after"])) for c in found["causes"]]
+        parts += [table(("changed in the study", "before", "after"), rows), ""]
+    else:
+        parts += ["nothing was changed in the study", ""]
+    words = {True: "met", False: "NOT MET", None: "undecided"}
+    rows = [
+        (e["limit"], words[e["before"]] if e["target_before"] is not None else "no target",
+         words[e["after"]] if e["target_after"] is not None else "no target")
+        for e in found["limits"]
+    ]  # fmt: skip
+    if rows:
+        parts += [table(("limit", "verdict before", "verdict after"), rows), ""]
+    shown = []
+    for change in found["changes"]:
+        subject = subject_of(change)
+        shown.append(
+            (change["name"], change["statistic"], _estimate(change["before"], subject),
+             _estimate(change["after"], subject), difference_text(change), change["verdict"])
+        )  # fmt: skip
+    header = ("of", "answer", "before (95 %)", "after (95 %)", "difference (95 %)", "change")
+    parts.append(table(header, shown))
+    for key, side in (("only_before", "before"), ("only_after", "after")):
+        if found[key]:
+            parts.append(f"only {side}: {plain('; '.join(found[key][:12]))}" + (" ..." if len(found[key]) > 12 else ""))
+    if found["perhaps"]:
+        parts.append(
+            f'"perhaps": significant at 95 % taken alone; of {found["compared"]} answers about '
+            f"{0.05 * found['compared']:.0f} would be so by chance"
+        )
+    if "page" in found:
+        parts.append(f"page: {plain(found['page'])}")
+    return "\n".join(parts)
+
+
+def _cut(text: str, longest: int = 70) -> str:
+    return text if len(text) <= longest else text[: longest - 1] + "…"

@@ -1,0 +1,265 @@
+"""Two runs in figures: what moved, how the laws of the quantities moved, fragility, and what drives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.compare import PERHAPS, SURE
+from uqsphere.quantities import display_unit
+from uqsphere.report import canvas
+from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, Picture
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures import axis_label, slug
+from uqsphere.report.wording import call, capital, input_name, limit_name, number_text, rounded, short_input, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["density_picture", "fragility_picture", "index_picture", "moved_picture", "moved_rows"]
+
+Array = npt.NDArray[np.float64]
+
+#: rows of the figure of what moved, and of the figure of indices
+_MOST_ROWS: Final = 14
+_MOST_INPUTS: Final = 10
+_LEAST: Final = 1e-6
+_TICKS: Final = (1e-6, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.999999)
+
+
+def _legend(axes: Axes, handles: Sequence[Any]) -> None:
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2,
+                borderpad=0.0, handlelength=1.6)  # fmt: skip
+
+
+def moved_rows(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Answers with a relative difference that is known to some degree, the surest first."""
+    rows = [
+        c
+        for c in found["changes"]
+        if c["section"] != "sensitivity" and c["relative"] is not None and c["verdict"] in (SURE, PERHAPS)
+    ]
+    order = sorted(rows, key=lambda c: (c["section"] != "limits", c["significance"], -abs(c["relative"])))
+    kept = order[:_MOST_ROWS]
+    names = list(dict.fromkeys(c["name"] for c in kept))
+    return sorted(kept, key=lambda c: names.index(c["name"]))
+
+
+def moved_picture(found: Mapping[str, Any]) -> Picture | None:
+    """Relative differences with their intervals; None where nothing moved."""
+    from matplotlib.lines import Line2D
+
+    rows = moved_rows(found)
+    if not rows:
+        return None
+    ends = np.array([[c["relative"], c["low"] / abs(c["before"]["value"]), c["high"] / abs(c["before"]["value"])]
+                     for c in rows]) * 100.0  # fmt: skip
+    wide = bool(np.abs(ends[:, 0]).max() > 30.0 * max(float(np.abs(ends[:, 0]).min()), 1e-12))
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(rows))
+        if wide:
+            axes.set_xscale("symlog", linthresh=max(float(np.abs(ends[:, 0]).min()), 1e-3))
+        axes.axvline(0.0, color=GREY, linewidth=0.8)
+        for k, (row, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
+            sure = row["verdict"] == SURE
+            axes.plot([low, high], [k, k], color=INK, linewidth=1.2, marker="|", markersize=7)
+            axes.plot(value, k, marker="o", markersize=7, color=BLUE, markerfacecolor=BLUE if sure else PAPER)
+            side = 1 if value >= 0.0 else -1
+            axes.annotate(
+                number_text(f"{value:+.3g}") + " %",
+                (high if side > 0 else low, k),
+                xytext=(6 * side, 0),
+                textcoords="offset points",
+                va="center",
+                ha="left" if side > 0 else "right",
+                fontsize=8.5,
+            )
+        axes.set_yticks(range(len(rows)), [canvas.wrap(f"{row['name']}: {row['statistic']}", 34) for row in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.6)
+        axes.tick_params(axis="y", length=0)
+        axes.margins(x=0.22)
+        if wide:
+            _percent_ticks(axes)
+        axes.set_xlabel("difference, in per cent of the value before")
+        marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="changed")]
+        if any(row["verdict"] == PERHAPS for row in rows):
+            marks.append(Line2D([], [], color=BLUE, marker="o", markerfacecolor=PAPER, linestyle="", label="perhaps"))
+        marks.append(Line2D([], [], color=INK, marker="|", label="95 % interval"))
+        _legend(axes, marks)
+    return Picture(name="moved", title="What moved", finding=moved_finding(rows), figure=figure)
+
+
+def _percent_ticks(axes: Axes) -> None:
+    """Few round ticks on a symmetric logarithmic axis, none on top of another."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    low, high = axes.get_xlim()
+    axes.figure.draw_without_rendering()  # type: ignore[union-attr]
+    place = axes.transData.transform
+    kept: list[float] = []
+    last = -np.inf
+    powers = [10.0**k for k in range(-3, 12)]
+    for tick in [*(-p for p in reversed(powers)), 0.0, *powers]:
+        x = float(place((tick, 0.0))[0])
+        if low <= tick <= high and (x - last > 34.0 or tick == 0.0):
+            kept = [k for k in kept if tick != 0.0 or x - float(place((k, 0.0))[0]) > 34.0]
+            kept.append(tick)
+            last = x
+    axes.xaxis.set_major_locator(FixedLocator(kept))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
+
+
+def moved_finding(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The largest move in a sentence."""
+    most = max(rows, key=lambda c: abs(c["relative"]))
+    more = number_text(f"{100.0 * most['relative']:+.3g}")
+    return f"Most of all moved {most['name']}: {most['statistic']}, by {more} %."
+
+
+def density_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
+    """Both laws of a quantity on one axis; None where there is nothing to draw."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    both = [contents.samples.get(quantity) for contents in (before, after)]
+    if any(s is None or len(s.values) < 20 or not np.ptp(s.values) > 0.0 for s in both):
+        return None
+    values = [np.asarray(s.values[~s.censored]) for s in both if s is not None]
+    if any(len(v) < 20 for v in values):
+        return None
+    joined = np.concatenate(values)
+    low, high = np.quantile(joined, [0.0005, 0.9995])
+    logarithmic = bool(low > 0.0 and high > 40.0 * low)
+    if not high > low:
+        return None
+    factor = display_unit(quantity)[1]
+    bins = np.geomspace(low, high, 46) if logarithmic else np.linspace(low, high, 46)
+    scale = np.log(bins) if logarithmic else bins
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.0)
+        if logarithmic:
+            axes.set_xscale("log")
+        for v, colour, filled in zip(values, (BLUE, ORANGE), (True, False), strict=True):
+            heights = np.histogram(v, bins=bins)[0] / len(v) / np.diff(scale)
+            if filled:
+                axes.stairs(heights, bins * factor, fill=True, color=colour, alpha=0.35, linewidth=0.0)
+            axes.stairs(heights, bins * factor, color=colour, linewidth=1.6, linestyle="-" if filled else "--")
+        axes.set_ylim(bottom=0.0)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel(axis_label(quantity))
+        _legend(axes, [Patch(facecolor=BLUE, alpha=0.35, label="before"),
+                       Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
+    return Picture(name=slug("laws", quantity), title=f"Distribution of {symbol(quantity)}, before and after",
+                   finding=density_finding(before, after, quantity), figure=figure)  # fmt: skip
+
+
+def density_finding(before: Contents, after: Contents, quantity: str) -> str:
+    """Medians and scatters of both runs in a sentence."""
+    said = []
+    for contents in (before, after):
+        entry = contents.results["quantities"][quantity]
+        middle = entry["quantiles"].get("0.5", entry["mean"])
+        said.append((rounded(middle, quantity), rounded(entry["sd"], quantity, 3)))
+    word = "median" if "0.5" in before.results["quantities"][quantity]["quantiles"] else "mean"
+    return (f"{capital(call(quantity))}: {word} {said[0][0]} before and {said[1][0]} after, standard deviation "
+            f"{said[0][1]} and {said[1][1]}.")  # fmt: skip
+
+
+def _score(p: Any) -> Array:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), _LEAST, 1.0 - _LEAST)))
+
+
+def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
+    """Both fragility curves of a limit with their bands."""
+    from matplotlib.lines import Line2D
+
+    entries = [contents.results["margins"].get(name) for contents in (before, after)]
+    if any(not entry or len(entry["curve"]) < 2 for entry in entries):
+        return None
+    first, second = (entry for entry in entries if entry)
+    if first["solve"] != second["solve"]:
+        return None
+    factor = display_unit(first["solve"])[1]
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(3.6)
+        for entry, colour, line in ((first, BLUE, "-"), (second, ORANGE, "--")):
+            curve = np.array(entry["curve"], dtype=float)
+            inside = np.flatnonzero((curve[:, 1] > 1e-5) & (curve[:, 1] < 1.0 - 1e-5))
+            kept = np.arange(max(inside[0] - 1, 0), inside[-1] + 2) if len(inside) else np.arange(len(curve))
+            part = curve[kept[kept < len(curve)]]
+            axes.fill_between(part[:, 0] * factor, _score(part[:, 2]), _score(part[:, 3]), color=colour, alpha=0.25,
+                              linewidth=0.0)  # fmt: skip
+            axes.plot(part[:, 0] * factor, _score(part[:, 1]), color=colour, linestyle=line)
+        low, high = axes.get_ylim()
+        ticks = [p for p in _TICKS if low <= float(_score(p)) <= high]
+        axes.set_yticks([float(_score(p)) for p in ticks], [f"{100.0 * p:.6g} %" for p in ticks])
+        axes.grid()
+        axes.set_xlabel(axis_label(first["solve"], canvas.shorten(input_name(first["solve"]), 50)))
+        axes.set_ylabel("probability of exceeding the strength")
+        _legend(axes, [Line2D([], [], color=BLUE, label="before"),
+                       Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
+    return Picture(name=slug("fragility", name), title=f"Fragility of {limit_name(name)}, before and after",
+                   finding=fragility_finding(first, second, name), figure=figure)  # fmt: skip
+
+
+def fragility_finding(first: Mapping[str, Any], second: Mapping[str, Any], name: str) -> str:
+    """Where half of the specimens break, before and after."""
+    ends = [entry["values"].get("0.5", {"value": None}) for entry in (first, second)]
+    if any(e["value"] is None for e in ends):
+        return f"Fragility of {limit_name(name)} over {input_name(first['solve'])}."
+    a, b = (rounded(e, first["solve"]) for e in ends)
+    return f"{limit_name(name)} is exceeded with a probability of 50 % at {a} before and at {b} after."
+
+
+def index_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
+    """Total indices (Shapley effects where inputs depend) of both runs, joined by a line."""
+    from matplotlib.lines import Line2D
+
+    tables = []
+    for contents in (before, after):
+        entry = contents.results["sensitivity"].get(quantity) or {}
+        tables.append(entry.get("shapley") or entry.get("total") or {})
+    kinds = {bool((c.results["sensitivity"].get(quantity) or {}).get("shapley")) for c in (before, after)}
+    names = [n for n, e in tables[0].items() if e["value"] is not None and (tables[1].get(n) or e)["value"] is not None]
+    names = [n for n in names if n in tables[1]]
+    if not names or len(kinds) > 1:
+        return None
+    kind = "Shapley effect" if kinds == {True} else "total index"
+    names = sorted(names, key=lambda n: -max(tables[0][n]["value"], tables[1][n]["value"]))[:_MOST_INPUTS]
+    with canvas.style():
+        figure, (axes,) = canvas.new_figure(1.1 + 0.45 * len(names))
+        axes.axvline(0.0, color=GREY, linewidth=0.8)
+        for k, name in enumerate(names):
+            for table, colour, shift, face in ((tables[0], BLUE, -0.13, BLUE), (tables[1], ORANGE, 0.13, PAPER)):
+                entry = table[name]
+                ends = [entry["value"] if entry[key] is None else entry[key] for key in ("low", "high")]
+                axes.plot(ends, [k + shift] * 2, color=colour, linewidth=1.4, marker="|", markersize=6)
+                axes.plot(entry["value"], k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
+        axes.set_yticks(range(len(names)), [canvas.wrap(short_input(n), 26) for n in names])
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.grid(axis="x")
+        axes.set_xlabel(f"{kind} on {symbol(quantity, 24)}, with 95 % interval")
+        marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="before")]
+        marks.append(Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after"))
+        _legend(axes, marks)
+    return Picture(name=slug("drivers", quantity), title=f"What drives {symbol(quantity)}, before and after",
+                   finding=index_finding(tables, names, kind, quantity), figure=figure)  # fmt: skip
+
+
+def index_finding(tables: Sequence[Mapping[str, Any]], names: Sequence[str], kind: str, quantity: str) -> str:
+    """Whether the largest driver is the same."""
+    leads = [max(names, key=lambda n, t=table: t[n]["value"]) for table in tables]  # type: ignore[misc]
+    a, b = (number_text(f"{100.0 * table[lead]['value']:.3g}") for table, lead in zip(tables, leads, strict=True))
+    if leads[0] == leads[1]:
+        return f"{capital(short_input(leads[0]))} drives {symbol(quantity)} most in both runs: {kind} {a} % and {b} %."
+    return (f"{capital(short_input(leads[0]))} drove {symbol(quantity)} most before ({kind} {a} %), "
+            f"{short_input(leads[1])} does now ({b} %).")  # fmt: skip

@@ -1,0 +1,99 @@
+"""What an installation needs to give right answers, each looked at on this machine."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+__all__ = ["examine"]
+
+#: free bytes below which a run is likely to end on a full disk
+_LEAST_ROOM: Final = 1 << 30
+
+
+def examine() -> dict[str, Any]:
+    """Versions, the machine, and checks: each with `check`, `ok` and what was found as `text`."""
+    from uqsphere.mechanics.compiled import cache_folder
+    from uqsphere.runner.results import versions
+
+    found = versions()
+    missing = [name for name, version in found.items() if version == "missing"]
+    folder = cache_folder()
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    checks = [
+        _entry("packages", not missing, f"missing: {', '.join(missing)}" if missing else "all there"),
+        _entry("processors", True, f"{processors}"),
+        _entry("cache of compiled code", True,
+               str(folder) if folder else "none that is private and writable, so every process compiles"),
+        _checked("result folders", _folders),
+        _checked("free space", _room),
+        _checked("integration", _integration),
+    ]  # fmt: skip
+    return {
+        "versions": found,
+        "processors": processors,
+        "missing": missing,
+        "compiled_code_cache": str(folder) if folder else None,
+        "checks": checks,
+    }
+
+
+def _entry(check: str, ok: bool, text: str) -> dict[str, Any]:
+    return {"check": check, "ok": ok, "text": text}
+
+
+def _checked(check: str, look: Callable[[], tuple[bool, str]]) -> dict[str, Any]:
+    """A check that may fail in any way: that is what it is there to find."""
+    try:
+        ok, text = look()
+    except Exception as error:
+        ok, text = False, f"{type(error).__name__}: {error}"
+    return _entry(check, ok, text)
+
+
+def _folders() -> tuple[bool, str]:
+    """A chunk written here comes back, and a second run is kept out."""
+    import numpy as np
+
+    from uqsphere.errors import FolderError
+    from uqsphere.store import open_store
+
+    with tempfile.TemporaryDirectory(prefix=".uqsphere-doctor-", dir=Path.cwd()) as place:
+        folder = Path(place) / "run"
+        store = open_store(folder, {}, "", "0" * 64)
+        try:
+            values = np.arange(6.0).reshape(2, 3)
+            store.save("a.0", values)
+            found = store.load("a.0")
+            if found is None or found.tobytes() != values.tobytes():
+                return False, "what was stored in this folder did not come back"
+            try:
+                open_store(folder, {}, "", "0" * 64).close()
+            except FolderError:
+                return True, "stored, read and locked in this folder"
+            return False, "locks have no effect in this folder: never run two studies into one result folder here"
+        finally:
+            store.close()
+
+
+def _room() -> tuple[bool, str]:
+    free = shutil.disk_usage(Path.cwd()).free
+    return free >= _LEAST_ROOM, f"{free / 1e9:.1f} GB in this folder"
+
+
+def _integration() -> tuple[bool, str]:
+    """The compiled integrator against the second one, in numpy, on the granite scene."""
+    from uqsphere.mechanics.dynamics import integrate
+    from uqsphere.mechanics.layout import ANSWER_X_MAX
+    from uqsphere.mechanics.plain import integrate_plain
+    from uqsphere.model import scene_of
+    from uqsphere.study import load_study, shipped_studies
+
+    scene = scene_of(load_study(shipped_studies()["granite"]), {})
+    force = [float(f(scene, tolerance=1e-8).answers[0, ANSWER_X_MAX]) for f in (integrate, integrate_plain)]
+    error = abs(force[0] - force[1]) / abs(force[1])
+    return error < 1e-6, f"two integrators differ by {error:.1e} of the largest approach in the granite scene"

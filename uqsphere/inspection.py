@@ -1,0 +1,136 @@
+"""What each command does that looks at what is there: report, show, export, compare, verify, doctor."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from uqsphere.console import plain, print_document, table
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.summary import summary_of
+
+#: what reading entries that do not fit together raises; a fault of ours would look the same, so that the
+#: message says how to see it
+_MISFITS = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError, RecursionError,
+            MemoryError, NotImplementedError)  # fmt: skip
+
+
+@contextlib.contextmanager
+def _believed(*folders: Path) -> Iterator[None]:
+    """Folders whose content is not ours: where it cannot be shown, that is their damage."""
+    try:
+        yield
+    except _MISFITS as error:
+        if os.environ.get("UQSPHERE_DEBUG"):
+            raise
+        raise FolderError(
+            f"{' or '.join(map(str, folders))} is damaged: what is stored does not fit together "
+            f"({type(error).__name__}: {str(error)[:200]}); set UQSPHERE_DEBUG=1 to see where"
+        ) from error
+
+
+def command_report(chosen: argparse.Namespace) -> int:
+    """Build the report again from what is stored."""
+    from uqsphere.report import build_report
+    from uqsphere.runner import open_run
+
+    if chosen.pdf:
+        from uqsphere.report.pdf import build_pdf, check_pdf
+
+        check_pdf()
+    with _believed(chosen.folder):
+        found = open_run(chosen.folder)
+        written = {"report": str(build_report(found.folder))}
+        if chosen.pdf:
+            written["pdf"] = str(build_pdf(found.folder))
+    if chosen.json:
+        print_document(written)
+    else:
+        print("\n".join(f"{name}: {plain(path)}" for name, path in written.items()))
+    return 0
+
+
+def command_show(chosen: argparse.Namespace) -> int:
+    """The answers of a run as a table."""
+    from uqsphere.runner import open_run
+
+    with _believed(chosen.folder):
+        found = open_run(chosen.folder)
+        text = summary_of(found.results)
+    if chosen.json:
+        print_document(found.results)
+    else:
+        print(text)
+    return 0
+
+
+def command_export(chosen: argparse.Namespace) -> int:
+    """Samples and tables of a run in another format."""
+    from uqsphere.runner import open_run
+    from uqsphere.runner.export import export_run
+
+    with _believed(chosen.folder):
+        found = open_run(chosen.folder)
+        written = export_run(found, chosen.format, chosen.out or chosen.folder / "export")
+    if chosen.json:
+        print_document({"written": [str(path) for path in written]})
+    else:
+        print("\n".join(plain(str(path)) for path in written))
+    return 0
+
+
+def command_verify(chosen: argparse.Namespace) -> int:
+    """Whether a result folder is whole."""
+    from uqsphere.verify import DAMAGED, verify_folder, verify_text
+
+    if not 0 <= chosen.chunks <= 10_000_000:
+        raise UsageError(f"--chunks takes 0 and more, found {chosen.chunks}")
+    if chosen.seed < 0:
+        raise UsageError(f"--seed takes 0 and more, found {chosen.seed}")
+    with _believed(chosen.folder):
+        found = verify_folder(chosen.folder, chunks=chosen.chunks, seed=chosen.seed, model=chosen.model)
+    if chosen.json:
+        print_document(found)
+    else:
+        print(verify_text(found))
+    if found["verdict"] == DAMAGED:
+        raise FolderError(f"{chosen.folder} is damaged")
+    return 0
+
+
+def command_compare(chosen: argparse.Namespace) -> int:
+    """Two runs side by side."""
+    from uqsphere.compare import compare_folders, comparison_text
+
+    with _believed(chosen.before, chosen.after):
+        found = compare_folders(chosen.before, chosen.after)
+        if chosen.out is not None:
+            from uqsphere.compare.page import write_page
+
+            found["page"] = str(write_page(chosen.before, chosen.after, found, chosen.out))
+    if chosen.json:
+        print_document(found)
+    else:
+        print(comparison_text(found))
+    return 0
+
+
+# --- doctor -------------------------------------------------------------------------------------------
+
+
+def command_doctor(chosen: argparse.Namespace) -> int:
+    """Check this installation."""
+    from uqsphere.doctor import examine
+
+    found = examine()
+    if chosen.json:
+        print_document(found)
+    else:
+        print(table(("package", "version"), list(found["versions"].items())))
+        print()
+        rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
+        print(table(("check", "", "found"), rows))
+    return 0 if all(entry["ok"] for entry in found["checks"]) else 1

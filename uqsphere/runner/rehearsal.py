@@ -1,0 +1,179 @@
+"""A finished run once more from its stored evaluations, with some of them evaluated again.
+
+The run's own code is run on a store that gives out what is stored, except for the chunks that were chosen:
+those are missing to it, are evaluated as the run would, and compared with what is stored.  Everything else
+goes to a private folder that is gone afterwards.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import FolderError, StudyError, UsageError
+from uqsphere.model import BlackBox
+from uqsphere.quantities import UNITS
+from uqsphere.store import Store
+from uqsphere.study import Study, load_study
+
+__all__ = ["Rehearsal", "Repeated", "rehearse", "stored_study"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeated:
+    """A chunk that was evaluated again: `difference` is the largest one, relative to the larger of both numbers."""
+
+    chunk: str
+    rows: int
+    same: bool
+    difference: float
+
+
+class Absent(Exception):
+    """The run needs a chunk that is not stored whole."""
+
+
+@dataclass(kw_only=True)
+class Rehearsal:
+    """The store of a run that is repeated: reads `source`, writes nothing there."""
+
+    folder: Path
+    source: Store
+    chosen: frozenset[str]
+    used: set[str] = field(default_factory=set)
+    repeated: list[Repeated] = field(default_factory=list)
+
+    def load(self, key: str) -> npt.NDArray[np.float64] | None:
+        """The stored chunk, or None for one that is to be evaluated again."""
+        found = self.source.load(key)
+        if found is None:
+            raise Absent(key)
+        self.used.add(key)
+        return None if key in self.chosen else found
+
+    def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
+        """Compare what was evaluated now with what is stored."""
+        stored = self.source.load(key)
+        if stored is None:
+            raise Absent(key)
+        same = stored.tobytes() == np.ascontiguousarray(values, dtype=np.float64).tobytes()
+        self.repeated.append(
+            Repeated(chunk=key, rows=len(stored), same=same, difference=0.0 if same else _difference(stored, values))
+        )
+
+
+def _difference(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
+    if a.shape != b.shape or bool((np.isnan(a) != np.isnan(b)).any()):
+        return float("inf")
+    scale = np.maximum(np.abs(a), np.abs(b))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.where(scale > 0.0, np.abs(a - b) / scale, 0.0)
+    return float(np.nanmax(relative, initial=0.0))
+
+
+# --- the stored study -------------------------------------------------------------------------------
+
+
+def stored_study(text: str, resolved: Mapping[str, Any], place: Path) -> Study:
+    """The study of a result folder, read from its text and from nothing else.
+
+    Parameters
+    ----------
+    text, resolved : content of study.toml and of study.resolved.json.
+    place : a private folder; observations that the study took from a CSV are written there from `resolved`.
+
+    Raises
+    ------
+    FolderError
+        When the text is no study, or not the one of the resolved numbers.
+    """
+    path = place / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    try:
+        for name, columns in _columns(tomllib.loads(text), resolved).items():
+            rows = zip(*columns.values(), strict=True)
+            lines = [",".join(_quoted(column) for column in columns), *(",".join(map(repr, row)) for row in rows)]
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        study = load_study(path, tuple(resolved.get("overrides", ())))
+    except (StudyError, UsageError, ValueError, OSError, RecursionError) as error:
+        raise FolderError(f"the stored study cannot be read again: {error}") from error
+    if study.hash != resolved.get("hash"):
+        raise FolderError("study.toml is not the study that study.resolved.json was made from")
+    return replace(study, title=str(resolved.get("title", study.title)))
+
+
+def _quoted(column: str) -> str:
+    return '"' + column.replace('"', '""') + '"'
+
+
+def _columns(data: Mapping[str, Any], resolved: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
+    """The CSV files that the study names: file -> column -> values in the column's own unit."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for name, law in resolved["random"].items():
+        raw: Any = data
+        for key in name.split(".") if "." in name else ("inputs", name):
+            raw = raw.get(key, {}) if isinstance(raw, Mapping) else {}
+        if law["dist"] != "empirical" or not isinstance(raw, Mapping) or not {"file", "column"} <= set(raw):
+            continue
+        file, column = str(raw["file"]), str(raw["column"])
+        parts = Path(file.replace("\\", "/")).parts
+        if Path(file).is_absolute() or ".." in parts or ":" in file or not parts or len(file) > 255:
+            raise FolderError("study.toml names a file outside its folder")
+        factor = next((units[raw["unit"]] for units in UNITS.values() if raw.get("unit") in units), 1.0)
+        found.setdefault(file, {})[column] = [_undo(value, factor) for value in law["data"]]
+    return found
+
+
+def _undo(value: float, factor: float) -> float:
+    """The number that times `factor` is `value` to the last bit."""
+    start = value / factor
+    for candidate in (start, np.nextafter(start, np.inf), np.nextafter(start, -np.inf)):
+        if float(candidate) * factor == value:
+            return float(candidate)
+    return start
+
+
+# --- the run once more --------------------------------------------------------------------------------
+
+
+def rehearse(
+    source: Store, study: Study, chosen: frozenset[str], place: Path, black_box: BlackBox | None = None
+) -> tuple[Rehearsal, str]:
+    """Repeat a run from its chunks; what it writes lies in `place` afterwards.
+
+    Returns
+    -------
+    Rehearsal, str
+        What was read and compared; the key of the chunk that is missing, or an empty text for a whole run.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere import runner
+    from uqsphere.runner.work import Ledger, Work
+
+    store = Rehearsal(folder=place, source=source, chosen=chosen)
+    # a rehearsal has what an analysis asks of a store, and no more
+    standing_in = cast(Store, store)
+    work = Work(study=study, store=standing_in, ledger=Ledger(), fidelity="full", black_box=black_box)
+    # what a run has in its folder before it begins
+    for name in ("study.toml", "study.resolved.json"):
+        (place / name).write_bytes((source.folder / name).read_bytes())
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            runner.analyse(work, standing_in)
+    except Absent as error:
+        return store, str(error)
+    return store, ""
+
+
+def private_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that only this user can enter, gone when it is closed."""
+    return tempfile.TemporaryDirectory(prefix="uqsphere-")
