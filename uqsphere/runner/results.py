@@ -292,7 +292,8 @@ def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any
         write_atomically(store.folder / "tables" / name, text)
     write_json(store.folder / "manifest.json", manifest)
     write_json(store.folder / "results.json", results)
-    fixed = ("manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml")
+    fixed = ["manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml"]
+    fixed += [name for name in ("courses.json", "tables/courses.csv") if (store.folder / name).is_file()]
     write_sums(store.folder, [*(f"tables/{name}" for name in tables(results)), *fixed])
 
 
