@@ -78,7 +78,7 @@ def test_shapley_and_kucherenko_of_a_correlated_line(study_from, tmp_path) -> No
     page = build_report(run.folder).read_text()
     assert "Shapley effect" in page
     assert "by Shapley effects the variance of y belongs to b (" in page
-    assert "First to measure: b" in page
+    assert "Measure b first" in page
     assert "The inputs where the aim of" in page
 
 

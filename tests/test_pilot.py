@@ -23,7 +23,8 @@ Build = Callable[..., Study]
 
 #: mu over three decades, so that the massless model serves some rows and not others
 WIDE = (
-    "bars.infinite=true", 'striker.length="0.6 m"', 'model.fidelity="auto"', "model.tolerance=1e-6",
+    "limits.crushing.fracture=false", "bars.infinite=true",
+    'striker.length="0.6 m"', 'model.fidelity="auto"', "model.tolerance=1e-6",
     'sphere.density={dist="loguniform", lower="10 kg/m3", upper="8000 kg/m3"}',
     'striker.speed={dist="uniform", lower="3 m/s", upper="6 m/s"}',
     'analysis.quantities=["p_max", "specific_energy"]', 'analysis.methods=["qmc"]',

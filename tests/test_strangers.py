@@ -20,7 +20,7 @@ from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, is_device_name, load_document, plain_files, read_whole, refuse_links
 from uqsphere.runner.log import logged
-from uqsphere.runner.tables import csv_text
+from uqsphere.runner.tables import csv_text, tables
 from uqsphere.store import open_store, write_atomically
 from uqsphere.study import load_study
 
@@ -193,7 +193,9 @@ def every_place(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]
 def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: Any, capsys: Any) -> None:
     from uqsphere.compare import compare_folders, comparison_text
     from uqsphere.report.contents import read_contents
-    from uqsphere.report.sections import inputs_table, limits_table, model_table, repeat_rows
+    from uqsphere.report.method import model_table, repeat_rows
+    from uqsphere.report.origins import inputs_table
+    from uqsphere.report.sections import limits_table
     from uqsphere.report.verdict import cautions, verdicts
     from uqsphere.runner import open_run
     from uqsphere.summary import summary_of
@@ -273,6 +275,9 @@ def test_exported_columns_are_no_formulas(folder: Path) -> None:
     names = json.loads((folder / "samples.json").read_text())
     names["inputs"][0] = "=HYPERLINK(1)"
     (folder / "samples.json").write_text(json.dumps(names))
+    (folder / "tables").mkdir()
+    for name, text in tables(json.loads((folder / "results.json").read_text())).items():
+        (folder / "tables" / name).write_text(text)
     assert main(["export", str(folder), "--format", "csv"]) == 0
     assert (folder / "export" / "samples.csv").read_text().startswith("'=HYPERLINK(1)")
 

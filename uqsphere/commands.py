@@ -33,17 +33,19 @@ def command_new(chosen: argparse.Namespace) -> int:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
     written = [str(chosen.output)]
-    model = found[chosen.template].with_suffix(".py")
-    target = chosen.output.parent / model.name
-    if model.is_file() and not target.exists():
-        _write_new(target, model)
-        written.append(str(target))
+    # what a study needs beside it begins with its name: the model of a black box, the tests of a strength
+    needed = sorted(found[chosen.template].parent.glob(f"{chosen.template}*"))
+    for source in (path for path in needed if path.suffix in (".py", ".csv")):
+        target = chosen.output.parent / source.name
+        if not target.exists():
+            _write_new(target, source)
+            written.append(str(target))
     if chosen.json:
         _document({"written": written})
         return 0
     print(f"wrote {written[0]}; next: uqsphere check {written[0]}")
     for path in written[1:]:
-        print(f"wrote {path}, its model")
+        print(f"wrote {path}, {'its model' if path.endswith('.py') else 'its data'}")
     return 0
 
 

@@ -59,8 +59,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def bar(share: float, width: int = 20) -> str:
     """A bar of eighths of a character, `share` of `width` long; `#` where the terminal has no such signs.
 
-    >>> bar(0.5, 4)
-    '██  '
+    >>> len(bar(0.5, 4)), bar(0.0, 4)
+    (4, '    ')
     """
     share = min(max(share, 0.0), 1.0)
     if not _draws_blocks():

@@ -30,8 +30,8 @@ def subject_of(results: Mapping[str, Any], solve: str) -> str:
 
 def margin_answer(results: Mapping[str, Any], name: str) -> str:
     """At most or at least how much keeps the aim of a limit, in a sentence; empty where it has no target."""
-    entry, limit = results["margins"].get(name), results["limits"][name]
-    if not entry or not entry.get("value") or limit["target"] is None:
+    entry, limit = results["margins"].get(name), results["limits"].get(name)
+    if not entry or not entry.get("value") or limit is None or limit["target"] is None:
         return ""
     value, solve = entry["value"], entry["solve"]
     subject = subject_of(results, solve)

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
+from uqsphere.runner.curves import evaluate_at, moved_study, strength_solved
 from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, _choose
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw, evaluate_points
-from uqsphere.study import Limit, Study, law_with_mean
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_points
+from uqsphere.study import ENERGY, Limit, Study
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.inputs import physical_from_normal
@@ -154,7 +155,7 @@ def union_curve(
     """Probability of fracture by any limit over the free scalar of the margins; empty where there is no such curve."""
     asked = work.study.margins
     grid = _grid([margins[limit.name].curve for limit in limits if limit.name in margins])
-    if asked is None or len(grid) < 2 or len(limits) < 2:
+    if asked is None or len(grid) < 2 or len(limits) < 2 or strength_solved(asked.solve) is not None:
         return {}
     if len(grid) > CURVE_VALUES:
         grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, CURVE_VALUES).round().astype(int))]
@@ -188,14 +189,8 @@ def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
 
 def _at_value(work: Work, name: str, value: float, limits: Sequence[Limit], factor: Array) -> Array:
     """Probability of the union in every replicate (R,), the same random numbers at every value."""
-    study = work.study
-    if name in study.random:
-        study = replace(study, random={**study.random, name: law_with_mean(study, name, value)})
-    else:
-        study = replace(study, fixed={**study.fixed, name: value})
-    moved = replace(work, study=study)
-    points = draw(moved.drawn, seed=study.seed, task="margins", start=0, count=CURVE_POINTS)
-    sample = evaluate_draw(moved, f"fracture.curve.{value:.12e}".replace("+", "p"), points)
+    moved = work if name == ENERGY else replace(work, study=moved_study(work.study, name, value))
+    points, sample = evaluate_at(work, value, start=0, count=CURVE_POINTS)
     state = union_state(union_at(moved, limits, factor, points, sample))
     found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
     return np.array([np.nan if p is None else p for p in found])

@@ -25,8 +25,8 @@ _METHOD = "probit regression of the computed curve"
 def chebyshev_nodes(low: float, high: float, count: int, *, logarithmic: bool) -> list[float]:
     """`count` values from low to high, both included, crowded to the ends as interpolation wants them.
 
-    >>> [round(x, 3) for x in chebyshev_nodes(-1.0, 1.0, 3, logarithmic=False)]
-    [-1.0, 0.0, 1.0]
+    >>> [round(x, 3) for x in chebyshev_nodes(1.0, 3.0, 3, logarithmic=False)]
+    [1.0, 2.0, 3.0]
     """
     a, b = (math.log(low), math.log(high)) if logarithmic else (low, high)
     places = 0.5 * (a + b) - 0.5 * (b - a) * np.cos(np.pi * np.arange(count) / (count - 1))

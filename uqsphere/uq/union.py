@@ -71,7 +71,7 @@ class Union:
 def residual_correlation(covariance: Array) -> Array:
     """Lower Cholesky factor of the correlation that belongs to a covariance (L, L); a variance of 0 stands alone.
 
-    >>> residual_correlation(np.array([[4.0, 0.0], [0.0, 0.0]])).tolist()
+    >>> residual_correlation(np.array([[4.0, 0.0], [0.0, 0.0]])).round(6).tolist()
     [[1.0, 0.0], [0.0, 1.0]]
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
