@@ -97,6 +97,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     used = min(FIT_POINTS, n)
     outputs = sampled.sample.values[:, :, k]
     whole = ~sampled.sample.failed
+    alone = not {"sobol", "auto"} & set(work.study.analysis.methods)
     fits: list[Chaos] = []
     errors = []
     for replicate in range(FITS):
@@ -109,7 +110,9 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
                 None,
             )
         column = outputs[replicate, :used][keep]
-        fits.append(fit_again(fits[0], points, column) if fits else fit_chaos(points, column, germs, plain=True))
+        # as an answer of its own, the interval has to hold the choice of terms too
+        again = fits and not alone
+        fits.append(fit_again(fits[0], points, column) if again else fit_chaos(points, column, germs, plain=True))
         # held out: another randomisation altogether
         other = FITS + replicate
         points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
