@@ -15,6 +15,7 @@ import pytest
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import FolderError, UsageError
+from uqsphere.runner.datafiles import kept_data, named_files
 from uqsphere.runner.rehearsal import _undo, stored_study
 from uqsphere.runner.sums import read_sums
 from uqsphere.verify import verify_folder, verify_text
@@ -255,3 +256,16 @@ def test_a_stored_study_reads_nothing_beside_itself(box: Path, tmp_path: Path) -
     with pytest.raises(FolderError, match="outside its folder"):
         stored_study(text.replace("tests.csv", "../tests.csv"), resolved, tmp_path / "b")
     assert not (tmp_path / "tests.csv").exists()
+
+
+def test_the_data_of_a_study_is_kept_beside_it(box: Path) -> None:
+    assert (box / "run" / "tests.csv").read_bytes() == (box / "tests.csv").read_bytes()
+    assert "tests.csv" in (box / "run" / "SHA256SUMS").read_text()
+    assert kept_data((box / "run" / "study.toml").read_text(), box / "run").keys() == {"tests.csv"}
+
+
+@pytest.mark.parametrize("name", ["../x.csv", "/x.csv", "a/x.csv", "results.json", ".x.csv", "nul.csv", "x.py"])
+def test_only_plain_files_of_data_beside_a_study_are_kept(name: str) -> None:
+    assert named_files(f'[limits.a.strength]\nfile = "{name}"\n') == []
+    assert named_files("not toml") == []
+    assert named_files('[[a]]\nfile = "b.csv"\n[pulse]\nfile = "b.csv"') == ["b.csv"]

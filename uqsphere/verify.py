@@ -134,6 +134,7 @@ def _repeat(
 ) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
     from uqsphere.runner import open_run
+    from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.rehearsal import rehearse, stored_study
     from uqsphere.runner.tables import tables
 
@@ -147,7 +148,7 @@ def _repeat(
     study_place, run_place = place / "study", place / "run"
     study_place.mkdir()
     run_place.mkdir()
-    study = stored_study(text, resolved, study_place)
+    study = stored_study(text, resolved, study_place, kept_data(text, folder))
     if resolved.get("written_by") != uqsphere.__version__:
         notes.append(
             f"the run was made by uqsphere {resolved.get('written_by')}, and this is {uqsphere.__version__}: "

@@ -208,8 +208,9 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
         return ""
     first, of = rows[0], "the probability" if entry["of"] == "probability" else "the variance"
     tests = f"{first['tests']:,}".replace(",", "\u202f") + f" specimen{'s' if first['tests'] != 1 else ''}"
+    bring = "brings" if first["tests"] == 1 else "bring"
     return (
-        f"Measure {input_name(first['input'])} first: {tests} bring its part in the uncertainty of {of} down to "
+        f"Measure {input_name(first['input'])} first: {tests} {bring} its part in the uncertainty of {of} down to "
         f"{100.0 * entry['wanted']:g} %."
     )
 

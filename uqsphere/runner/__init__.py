@@ -195,6 +195,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
     from uqsphere.quantities import format_estimate
     from uqsphere.runner.courses import save_courses
+    from uqsphere.runner.datafiles import keep_data
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
@@ -254,6 +255,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     )
     save_points(work, store, sampled)
     save_courses(work, store, sampled)
+    keep_data(work.study, store.folder)
     results = build_results(work, found)
     manifest = build_manifest(work, ledger, found.seconds)
     write_results(store, results, manifest)

@@ -81,13 +81,14 @@ def _difference(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float
 # --- the stored study -------------------------------------------------------------------------------
 
 
-def stored_study(text: str, resolved: Mapping[str, Any], place: Path) -> Study:
+def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapping[str, bytes] | None = None) -> Study:
     """The study of a result folder, read from its text and from nothing else.
 
     Parameters
     ----------
     text, resolved : content of study.toml and of study.resolved.json.
     place : a private folder; observations that the study took from a CSV are written there from `resolved`.
+    data : content of data files by name, where they are kept: they go there as they are.
 
     Raises
     ------
@@ -102,6 +103,8 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path) -> Study:
             lines = [",".join(_quoted(column) for column in columns), *(",".join(map(repr, row)) for row in rows)]
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        for name, content in (data or {}).items():
+            (place / name).write_bytes(content)
         study = load_study(path, tuple(resolved.get("overrides", ())))
     except (StudyError, UsageError, ValueError, OSError, RecursionError) as error:
         raise FolderError(f"the stored study cannot be read again: {error}") from error

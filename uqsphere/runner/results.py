@@ -10,6 +10,7 @@ from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
@@ -293,7 +294,8 @@ def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any
     write_json(store.folder / "manifest.json", manifest)
     write_json(store.folder / "results.json", results)
     fixed = ["manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml"]
-    fixed += [name for name in ("courses.json", "tables/courses.csv") if (store.folder / name).is_file()]
+    data = named_files((store.folder / "study.toml").read_text("utf-8", "replace"))
+    fixed += [name for name in ("courses.json", "tables/courses.csv", *data) if (store.folder / name).is_file()]
     write_sums(store.folder, [*(f"tables/{name}" for name in tables(results)), *fixed])
 
 
