@@ -96,11 +96,16 @@ def command_check(chosen: argparse.Namespace) -> int:
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
         print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
     print(f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}")
-    print(
-        f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
-        if plan["seconds"] is not None
-        else "time: depends on the model that is given with --model"
-    )
+    if plan["seconds"] is None:
+        print("time: depends on the model that is given with --model")
+    elif study.black_box:
+        print(f"time: about {plan['seconds']:,.0f} s, one evaluation after the other")
+    else:
+        print(f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)")
+    print(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
+    if study.black_box:
+        crossover = plan["crossover_seconds_per_evaluation"]
+        print(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
     return 0
 
 

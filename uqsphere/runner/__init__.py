@@ -169,15 +169,16 @@ def run(
 
 def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.dear import answer_dear
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
+    from uqsphere.runner.price import price
     from uqsphere.runner.rare import refine_limits
-    from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
-    from uqsphere.runner.samples import save_points
+    from uqsphere.runner.results import Findings
     from uqsphere.runner.sampling import sample_distributions
     from uqsphere.runner.sensitivity import dependent_names, find_sensitivity
     from uqsphere.runner.tolerance import find_tolerance
@@ -186,7 +187,15 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
     pilot = first_look(work)
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
+    priced = price(work)
     ledger.seconds["pilot"] = ledger.elapsed
+    whole, dear = work, None
+    if priced.way.surrogate:
+        work = priced.bounded(work)
+        dear = answer_dear(work, priced)
+        ledger.seconds["surrogate"] = ledger.elapsed
+        if dear.sampled is not None:
+            return _write(whole, store, priced, dear, findings_of_dear(work, pilot, dear))
     proposed = propose(pilot)
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.seconds["sampling"] = ledger.elapsed
@@ -217,16 +226,55 @@ def _run(work: Work, store: Store, notice: Callable[[str], None] | None) -> Run:
         index_control=index_control,
         margins=margins,
         tolerance=tolerance,
-        history=sampled.history + history,
-        seconds=sampled.seconds + seconds,
+        history=(dear.history if dear else []) + sampled.history + history,
+        seconds=(dear.seconds if dear else []) + sampled.seconds + seconds,
         stops={"sampling": sampled.stopped, "sensitivity": stopped},
         paper=compare_with_paper(work.study),
     )
-    save_points(work, store, sampled)
+    return _write(whole, store, priced, dear, found)
+
+
+def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    from uqsphere.runner.results import build_manifest, build_results, write_results
+    from uqsphere.runner.samples import save_points
+
+    way = priced.way
+    plan = {
+        "way": "surrogate" if dear is not None and dear.surrogate else "sampling",
+        "why": way.why if dear is None else dear.why,
+        "sampling_evaluations": way.sampling,
+        "surrogate_evaluations": way.runs,
+    }
+    found = replace(found, plan=plan)
+    save_points(work, store, found.sampled)
     results = build_results(work, found)
-    manifest = build_manifest(work, ledger, found.seconds)
+    manifest = build_manifest(work, work.ledger, found.seconds)
+    manifest["plan"] = {
+        "cost_seconds_per_evaluation": priced.cost,
+        "crossover_seconds_per_evaluation": way.crossover,
+        "affordable_evaluations": way.affordable,
+    }
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
+    """What the surrogate way found, as every run writes it."""
+    from uqsphere.runner.results import Findings
+    from uqsphere.runner.tolerance import find_tolerance
+
+    assert dear.sampled is not None
+    return Findings(
+        pilot=pilot,
+        sampled=dear.sampled,
+        sensitivity=dear.sensitivity,
+        margins=dear.margins,
+        tolerance=find_tolerance(work),
+        history=dear.history,
+        seconds=dear.seconds,
+        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
+    )
 
 
 def check_range(study: Study) -> None:
@@ -264,4 +312,8 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
 
 
 if TYPE_CHECKING:
+    from uqsphere.runner.dear import Dear
+    from uqsphere.runner.pilot import Pilot
+    from uqsphere.runner.price import Priced
+    from uqsphere.runner.results import Findings
     from uqsphere.runner.work import Work

@@ -53,6 +53,7 @@ class Findings:
     seconds: list[float] = field(default_factory=list)
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
+    plan: dict[str, Any] = field(default_factory=dict)
 
 
 def _share(p: float) -> str:
@@ -216,6 +217,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
         "validity": found.pilot.validity,
+        "plan": found.plan,
         "speed_error": found.history,
         "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
         "warnings": list(study.warnings),

@@ -85,6 +85,7 @@ class ToleranceRequest:
 class Analysis:
     """What is asked, how precisely, and at what cost.
 
+    `cost` is what one evaluation of a black box takes, in seconds; None: it is measured.
     `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
     name of the user's.
     """
@@ -94,6 +95,7 @@ class Analysis:
     budget: Budget = field(default_factory=Budget)
     quantiles: tuple[float, ...] = (0.01, 0.05, 0.5, 0.95, 0.99)
     methods: tuple[str, ...] = ("auto",)
+    cost: float | None = None
     on_failure: str = "abort"
     second_order: bool = False
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -229,7 +231,7 @@ class Study:
             "model": None if self.black_box else asdict(self.model),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
-            "analysis": _lists(asdict(self.analysis)),
+            "analysis": _analysis_json(self.analysis),
             "margins": None if self.margins is None else _lists(asdict(self.margins)),
             "outputs": list(self.outputs),
         }
@@ -260,6 +262,14 @@ def _dependence_json(group: Dependence) -> dict[str, Any]:
     """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
     table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
     return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
+
+
+def _analysis_json(analysis: Analysis) -> dict[str, Any]:
+    """The request; a cost that was not given must not change the hash."""
+    table = _lists(asdict(analysis))
+    if analysis.cost is None:
+        del table["cost"]
+    return table
 
 
 def _bound(value: float) -> float | None:
