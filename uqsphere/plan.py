@@ -83,7 +83,7 @@ def _sampling(study: Study) -> float:
     blocks = _rows(study)
     sensitivity = blocks * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
     margins = 20_000 if study.margins is not None else 0
-    planned = max(float(FIRST_SAMPLE), sampling) + max(1_024.0 * blocks, sensitivity) + margins
+    planned: float = max(float(FIRST_SAMPLE), sampling) + max(1_024.0 * blocks, sensitivity) + margins
     return planned + (analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0)
 
 

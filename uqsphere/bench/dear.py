@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def dear_rows(
     unknown = [name for name in models if name not in known]
     if unknown:
         raise ValueError(f"unknown model {unknown[0]!r}; allowed: {', '.join(known)}")
-    if any(b != 2 * a for a, b in zip(sizes, sizes[1:], strict=False)) or sizes[0] % (2 * REPLICATES):
+    if any(b != 2 * a for a, b in pairwise(sizes)) or sizes[0] % (2 * REPLICATES):
         raise ValueError(f"sizes double from a multiple of {2 * REPLICATES} on, found {tuple(sizes)}")
     tally = Tally()
     for name in models:

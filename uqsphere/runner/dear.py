@@ -10,23 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from uqsphere.plan import FIRST_SAMPLE
-from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
+from uqsphere.runner.dear_answers import Answers, answers_of, germs_of, widest
+from uqsphere.runner.limits import judge_limits
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
-from uqsphere.runner.sampling import METHOD, Sampled, excess_of, missed_texts, speed_rows
+from uqsphere.runner.sampling import METHOD, Sampled, missed_texts, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, draw
+from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import MOST, Trusted, indices_of, joined, trust, widened, with_residuals
-from uqsphere.uq.estimates import Description, Estimate, absent, describe
-from uqsphere.uq.reliability import reliability_index, tails, target_met
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.augmented import MOST, Trusted, trust
+from uqsphere.uq.estimates import Estimate, absent, describe
 
 __all__ = ["LEAST_RUNS", "MOST_RUNS", "Dear", "answer_dear"]
 
@@ -34,12 +31,8 @@ __all__ = ["LEAST_RUNS", "MOST_RUNS", "Dear", "answer_dear"]
 LEAST_RUNS, MOST_RUNS = 8, 1024
 #: runs from which on a forecast is believed, and how far beyond what is affordable it must lie to end the run
 JUDGED, CAUTION = 128, 1.5
-#: points of each replicate that the surrogate is evaluated at
-LARGE = 4096
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
-#: runs that a probability has to rest on
-SEEN = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,16 +47,6 @@ class Dear:
     history: list[dict[str, Any]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stopped: str = "accuracy"
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Answers:
-    """Descriptions, limits and indices at one size, and how far each answer is from what is asked."""
-
-    descriptions: dict[str, Description]
-    limits: dict[str, LimitAnswer]
-    indices: dict[str, dict[str, list[Estimate]]]
-    excess: dict[str, float]
 
 
 def answer_dear(work: Work, priced: Priced) -> Dear:
@@ -90,7 +73,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
     course: dict[str, list[tuple[int, float]]] = {}
     fits: dict[int, Chaos] = {}
     trusted: dict[int, Trusted] = {}
-    found: _Answers | None = None
+    found: Answers | None = None
     stopped = "evaluations"
     for count in _sizes(most, 0 if design is None else design.count):
         design = enlarge(work, design, count)
@@ -98,14 +81,14 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
         for k, one in trusted.items():
             _note(history, seconds, work, work.quantities[k], count, one)
         rough = [k for k in range(len(work.quantities)) if k not in trusted or not trusted[k].usable]
-        found = None if rough else _answers(work, design, trusted)
+        found = None if rough else answers_of(work, design, trusted)
         if found is not None:
             rows = speed_rows(found.descriptions, found.limits, count, "")
             rows = [{**row, "method": augmented.METHOD} for row in rows]
             history += rows
             seconds += [work.ledger.elapsed] * len(rows)
-            for k, quantity in enumerate(work.quantities):
-                width = _widest(found.indices.get(quantity, {}))
+            for quantity in work.quantities:
+                width = widest(found.indices.get(quantity, {}))
                 if width is not None:
                     kind = "largest half-width of an index"
                     note(history, seconds, work, augmented.METHOD, quantity, count, width, kind)
@@ -118,7 +101,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
             work.ledger.stopped_by_time = True
             stopped = "time"
             break
-        waiting = _errors(history, work, rough) if rough else [course[name] for name in found.excess if found]
+        waiting = _errors(history, work, rough) if found is None else [course[name] for name in found.excess]
         wanted = MOST if rough else 1.0
         if count >= JUDGED and not work.study.analysis.budget.exhaust and _hopeless(waiting, wanted, most):
             stopped = "out of reach"
@@ -148,18 +131,11 @@ def _sizes(most: int, have: int) -> list[int]:
     return sizes + ([last] if last >= 1.25 * sizes[-1] and sizes[-1] < MOST_RUNS else [])
 
 
-def _germs(work: Work) -> tuple[str, ...]:
-    return tuple(
-        "uniform" if law.kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
-        for law in work.study.random.values()
-    )
-
-
 def _fit(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[int, Trusted], dict[int, Chaos]]:
     """Surrogates of all quantities, by their number, each checked by runs that the fit before had not seen."""
     from uqsphere.uq.chaos import fit_outputs, germ_points
 
-    d, germs = len(work.scene_names), _germs(work)
+    d, germs = len(work.scene_names), germs_of(work)
     whole = ~design.sample.failed[0]
     if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
         return {}, {}
@@ -172,95 +148,6 @@ def _fit(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[int
         before = dict(enumerate(fit_outputs(points[:half], outputs[:half], germs)))
     fits = dict(enumerate(fit_outputs(points, outputs, germs)))
     return {k: trust(chaos, points, outputs[:, k], before.get(k)) for k, chaos in fits.items()}, fits
-
-
-# --- answers at one size --------------------------------------------------------------------------------------
-
-
-def _answers(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> _Answers:
-    """Answers of the surrogates on a large design, with intervals that hold their errors."""
-    from uqsphere.uq.chaos import germ_points, predict
-
-    germs, d, q = _germs(work), len(work.scene_names), len(work.quantities)
-    large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=LARGE)
-    points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs)
-    centre = np.empty((*large.normals.shape[:2], q))
-    reach = np.empty_like(centre)
-    for k, one in trusted.items():
-        rng = random_generator(seed=work.study.seed, task=f"dear.residuals.{k}")
-        values = predict(one.chaos, points).reshape(centre.shape[:2])
-        centre[:, :, k], reach[:, :, k] = with_residuals(one, values, rng)
-    samples = [_sample(centre + side * reach) for side in (0.0, -1.0, 1.0)]
-    quantiles = work.study.analysis.quantiles
-    descriptions = {}
-    for k, quantity in enumerate(work.quantities):
-        told = [describe(sample.values[:, :, k], quantiles=quantiles, method=augmented.METHOD) for sample in samples]
-        descriptions[quantity] = widened(trusted[k], *told)
-    judged = [judge_limits(work, large, sample) for sample in samples]
-    limits = {}
-    for limit in work.study.limits:
-        carried = _carried(work, limit, large, samples[0], design.count)
-        limits[limit.name] = _limit(*(found[limit.name] for found in judged), design.count, carried)
-    indices = {}
-    if not dependent_names(work):
-        indices = {quantity: indices_of(trusted[k]) for k, quantity in enumerate(work.quantities)}
-    excess = excess_of(work, descriptions, limits)
-    for name, limit in limits.items():
-        if limit.accuracy_missed("miss", work.study.analysis.accuracy.probability) and limit.miss.value is None:
-            excess[f"limits.{name}.miss"] = math.inf
-    asked = work.study.analysis.accuracy.sobol
-    for quantity, found in indices.items():
-        width = _widest(found)
-        if width is not None and width > asked:
-            excess[f"{quantity}: indices"] = width / asked
-    return _Answers(descriptions=descriptions, limits=limits, indices=indices, excess=excess)
-
-
-def _sample(values: Any) -> Sample:
-    return Sample(
-        values=values, censored=np.zeros(values.shape, dtype=bool), status=np.zeros(values.shape[:2], dtype=np.int64)
-    )
-
-
-def _widest(found: Mapping[str, list[Estimate]]) -> float | None:
-    widths = [e.half_width for row in found.values() for e in row if e.value is not None]
-    return max(widths) if widths else None
-
-
-def _carried(work: Work, limit: Limit, points: Draw, sample: Sample, runs: int) -> dict[str, float]:
-    """How many of the runs a probability of exceedance, or of its complement, rests on: by Kish's count."""
-    found = {}
-    for side, weights in zip(("exceedance", "other"), tails(state_of(work, limit, points, sample)), strict=True):
-        squares = float((weights**2).sum())
-        found[side] = runs * float(weights.sum()) ** 2 / squares / weights.size if squares > 0.0 else 0.0
-    found["miss"] = found["exceedance" if limit.aim == "survive" else "other"]
-    return found
-
-
-def _limit(
-    middle: LimitAnswer, down: LimitAnswer, up: LimitAnswer, runs: int, carried: Mapping[str, float]
-) -> LimitAnswer:
-    """A limit whose intervals hold what its probabilities are where the demand is shifted down and up."""
-
-    def probability(which: str) -> Estimate:
-        found = joined(getattr(middle, which), getattr(down, which), getattr(up, which), runs)
-        if found.value is None or carried[which] >= SEEN:
-            return found
-        bound = max(found.high or 0.0, -math.expm1(math.log(0.05) / runs))
-        reason = f"too small for a surrogate of {runs} runs: none of them would be expected to show it"
-        return replace(absent(reason, augmented.METHOD, runs), low=0.0, high=min(bound, 1.0))
-
-    missed = probability("miss")
-    return replace(
-        middle,
-        exceedance=probability("exceedance"),
-        miss=missed,
-        reliability_index=reliability_index(missed.value),
-        reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
-        margin={key: joined(e, down.margin[key], up.margin[key], runs) for key, e in middle.margin.items()},
-        met=None if middle.target is None else target_met(missed, middle.target),
-        design_reason="no search for a design point was made: the model is dear",
-    )
 
 
 # --- when to stop ---------------------------------------------------------------------------------------------
@@ -345,7 +232,7 @@ def _conclude(
     priced: Priced,
     design: Design,
     trusted: Mapping[int, Trusted],
-    found: _Answers | None,
+    found: Answers | None,
     rough: Sequence[int],
     past: tuple[list[dict[str, Any]], list[float], dict[str, list[tuple[int, float]]], str],
 ) -> Dear:
@@ -385,7 +272,7 @@ def _conclude(
     )
 
 
-def _from_runs(work: Work, points: Draw, sample: Sample) -> _Answers:
+def _from_runs(work: Work, points: Draw, sample: Sample) -> Answers:
     """Answers of the runs alone."""
     analysis = work.study.analysis
     descriptions = {
@@ -398,7 +285,7 @@ def _from_runs(work: Work, points: Draw, sample: Sample) -> _Answers:
         )
         for k, name in enumerate(work.quantities)
     }
-    return _Answers(descriptions=descriptions, limits=judge_limits(work, points, sample), indices={}, excess={})
+    return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample), indices={}, excess={})
 
 
 def _refused_text(one: Trusted | None) -> str:
@@ -462,7 +349,7 @@ def _sensitivity(
         missed = [f"indices: {reason} ({priced.way.sampling:,} evaluations)"]
         return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
                            text=f"No index is given: {reason}.", missed=missed, **sets)  # fmt: skip
-    width = _widest(found)
+    width = widest(found)
     missed = []
     if width is not None and width > analysis.accuracy.sobol:
         text = f"indices: half-width {width:.2g}, asked {analysis.accuracy.sobol:g}"
@@ -501,5 +388,4 @@ def _margins(work: Work) -> dict[str, MarginAnswer]:
 
 
 if TYPE_CHECKING:
-    from uqsphere.study import Limit
     from uqsphere.uq.chaos import Chaos

@@ -13,7 +13,7 @@ from uqsphere.runner.work import Draw, Sample, Work, draw, evaluate_draw
 
 __all__ = ["FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
 
-#: runs of the first stage of the surrogate way, all of which are timed, and of those the first to be timed by themselves
+#: runs of the first stage of the surrogate way, all of which are timed, and those that are timed by themselves
 FIRST_RUNS, FEW = 32, 8
 TASK = "dear"
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
-from uqsphere.runner.stopping import out_of_reach
+from uqsphere.runner.stopping import cost_text, out_of_reach
 from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, reached
 
@@ -162,6 +162,16 @@ def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str
     return {name: ratio for name, ratio in found.items() if ratio > 1.0}
 
 
+def _course_of(text: str) -> str:
+    """The name by which the course of a missed accuracy goes.
+
+    >>> _course_of("limit crushing: miss: half-width 0.2 of the probability, asked 0.05")
+    'limits.crushing.miss'
+    """
+    head, which = text.split(": ")[:2]
+    return f"limits.{head.removeprefix('limit ')}.{which}" if head.startswith("limit ") else head
+
+
 def _hopeless(
     work: Work,
     descriptions: dict[str, Description],
@@ -172,8 +182,6 @@ def _hopeless(
     """Whether everything that is not yet accurate is out of the budget's reach."""
     n = next(iter(descriptions.values())).mean.evaluations
     excess = excess_of(work, descriptions, limits)
-    for name, ratio in excess.items():
-        course.setdefault(name, []).append((n, ratio))
     affordable = n + budget - work.ledger.total
     finite = {name for name, ratio in excess.items() if np.isfinite(ratio)}
     return bool(finite) and all(out_of_reach(course[name], 1.0, affordable) for name in finite)
@@ -229,6 +237,8 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         if control.used:
             descriptions, limits = control.descriptions, control.limits
         missed = missed_texts(work, descriptions, limits)
+        for name, ratio in excess_of(work, descriptions, limits).items():
+            course.setdefault(name, []).append((sample.status.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
         rows = speed_rows(descriptions, limits, sample.status.size, helper)
         history += rows
@@ -253,7 +263,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         sample=sample,
         descriptions=descriptions,
         limits=limits,
-        missed=missed,
+        missed=[text + cost_text(course.get(_course_of(text), [])) for text in missed],
         stopped=stopped,
         history=history,
         seconds=seconds,
