@@ -238,6 +238,11 @@ def _conclude(
 ) -> Dear:
     """Everything the run answers: by the surrogate, and what is too rough by the runs themselves."""
     history, seconds, course, stopped = past
+    if found is None and stopped != "time":
+        # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
+        most = design.count + priced.way.affordable - work.ledger.total
+        design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
+        stopped = "evaluations"
     points, sample = _blocks(design)
     if found is None:
         found = _from_runs(work, points, sample)
