@@ -14,13 +14,14 @@ import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.plan import choose_way, plan_run
+from uqsphere.plan import plan_run
 from uqsphere.runner import price as pricing
 from uqsphere.runner.stopping import cost_text
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.sampling import sobol_points
+from uqsphere.ways import choose_way
 
 MODELS = {model.name: model for model in coverage_models()}
 DEAR = """

@@ -71,7 +71,7 @@ def _short(text: str, longest: int = 60) -> str:
 
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost."""
-    from uqsphere.plan import plan_run
+    from uqsphere.plan import plan_run, plan_text
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
@@ -95,17 +95,7 @@ def command_check(chosen: argparse.Namespace) -> int:
         )
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
         print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
-    print(f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}")
-    if plan["seconds"] is None:
-        print("time: depends on the model that is given with --model")
-    elif study.black_box:
-        print(f"time: about {plan['seconds']:,.0f} s, one evaluation after the other")
-    else:
-        print(f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)")
-    print(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
-    if study.black_box:
-        crossover = plan["crossover_seconds_per_evaluation"]
-        print(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
+    print(plan_text(study, plan))
     return 0
 
 

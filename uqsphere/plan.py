@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.model import scene_of
 from uqsphere.study import Study
+from uqsphere.ways import FITS, OVERHEAD, choose_way
 
-__all__ = ["FIRST_SAMPLE", "Way", "choose_way", "plan_run"]
+__all__ = ["plan_run", "plan_text"]
 
 #: seconds per step of the compiled integrator on one processor, as the shipped studies show it
 _STEP_SECONDS = 0.5e-6
-#: evaluations that sampling begins with, and that a surrogate of a smooth model is content with
-FIRST_SAMPLE = 2_048
-_RUNS = 256
-#: seconds that a surrogate takes besides the runs of the model: at all, and for the fits of each quantity
-_OVERHEAD, _FITS = 5.0, 5.0
-#: quantities that jump where a contact is lost one oscillation earlier: sampling is slow on them
-_ROUGH = ("contact_time", "pulse_width", "rise_time", "loading_rate")
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
@@ -37,96 +31,6 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
         record = min(record, 2.0 * float(scene.round_trips[0].max()) / time)
     phase = record * math.sqrt(3.0 * math.sqrt(min(1.0, theta)) / mu)
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
-
-
-def _rows(study: Study) -> int:
-    """Evaluations for a base point of the indices: of all subsets, or of random orders, where inputs are tied."""
-    d = len(study.random)
-    if not any(sum(name in study.random for name in group.of) > 1 for group in study.dependence):
-        return d + 2 + (d if study.analysis.second_order else 0) + len(study.analysis.groups)
-    return 2**d if d <= 10 else 3 * d - 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Way:
-    """By which way a study is answered.
-
-    Attributes
-    ----------
-    surrogate : whether through a surrogate; else by sampling
-    why : in a clause without seconds
-    sampling, runs : evaluations that sampling, and that a surrogate, are forecast to take
-    crossover : cost of an evaluation above which the surrogate takes less time [s]
-    affordable : evaluations that the budget allows
-    """
-
-    surrogate: bool
-    why: str
-    sampling: int
-    runs: int
-    crossover: float
-    affordable: int
-
-
-def _sampling(study: Study) -> float:
-    """Evaluations that sampling takes for the accuracies asked for, whatever the budget.
-
-    The sizes are those at which the shipped studies reach their accuracy: quantiles to 1 % of the standard
-    deviation take some 65,000 points, twice as many for quantities that jump; indices to 0.01 some 4,000 base
-    points, and twenty times as many where a quantity jumps.
-    """
-    if not study.random and not study.limits:
-        return 1.0
-    analysis, asked = study.analysis, study.analysis.accuracy
-    rough = any(name in _ROUGH for name in analysis.quantities)
-    sampling = 65_536 * (0.01 / asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
-    blocks = _rows(study)
-    sensitivity = blocks * (80_000 * (0.01 / asked.sobol) ** 2 if rough else 4_096 * (0.01 / asked.sobol) ** 1.2)
-    margins = 20_000 if study.margins is not None else 0
-    planned: float = max(float(FIRST_SAMPLE), sampling) + max(1_024.0 * blocks, sensitivity) + margins
-    return planned + (analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0)
-
-
-def choose_way(study: Study, cost: float | None = None, seconds: float | None = None) -> Way:
-    """The cheaper way, by the cost of an evaluation.
-
-    Parameters
-    ----------
-    study : Study
-    cost : seconds of an evaluation; None: `analysis.cost`, and where that is not given either, no cost is known.
-    seconds : time budget in place of the study's.
-
-    With n evaluations by sampling, m by a surrogate and its overhead o the two take n c and m c + o: the surrogate
-    is taken above the crossover c = o/(n - m), or where the budget has no room for sampling at all.
-    """
-    analysis = study.analysis
-    cost = analysis.cost if cost is None else cost
-    seconds = analysis.budget.time if seconds is None else seconds
-    planned = round(_sampling(study))
-    affordable = analysis.budget.evaluations
-    if cost and cost * affordable > seconds:
-        affordable = int(seconds / cost)
-    overhead = _OVERHEAD + _FITS * len(analysis.quantities)
-    crossover = overhead / max(planned - _RUNS, 1)
-
-    def way(surrogate: bool, why: str) -> Way:
-        return Way(surrogate=surrogate, why=why, sampling=planned, runs=_RUNS, crossover=crossover,
-                   affordable=affordable)  # fmt: skip
-
-    if not study.random:
-        return way(False, "the model has no random input")
-    if not study.black_box:
-        return way(False, "the impact model takes microseconds a row: sampling takes less time than a surrogate")
-    if "auto" not in analysis.methods:
-        return way(False, "the study lists its methods")
-    if affordable < FIRST_SAMPLE:
-        return way(True, f"the budget has no room for the {FIRST_SAMPLE:,} evaluations that sampling begins with")
-    if cost is None:
-        return way(False, "the cost of an evaluation is not known")
-    forecast = f"sampling is forecast to take {planned:,} evaluations, a surrogate some {_RUNS}"
-    if cost > crossover:
-        return way(True, f"{forecast} and a time for its fits that this model would be sampled no longer in")
-    return way(False, f"{forecast}, but its fits would take longer than sampling so cheap a model")
 
 
 def plan_run(study: Study) -> dict[str, Any]:
@@ -147,7 +51,7 @@ def plan_run(study: Study) -> dict[str, Any]:
     plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
     if study.black_box:
         plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
-        overhead = _OVERHEAD + _FITS * len(study.analysis.quantities) if way.surrogate else _OVERHEAD
+        overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = None if cost is None else round(evaluations * cost + overhead, 1)
     if not study.black_box:
         numbers = _scene_numbers(study)
@@ -155,3 +59,20 @@ def plan_run(study: Study) -> dict[str, Any]:
         steps = numbers["steps"] or 0.0
         plan["seconds"] = round(4.0 + evaluations * steps * _STEP_SECONDS / processors, 1)
     return plan
+
+
+def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
+    """The plan for the terminal."""
+    lines = [f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}"]
+    if plan["seconds"] is None:
+        lines.append("time: depends on the model that is given with --model")
+    elif study.black_box:
+        lines.append(f"time: about {plan['seconds']:,.0f} s, one evaluation after the other")
+    else:
+        about = f"{plan['seconds']:.0f} s on {plan['processors']} processors"
+        lines.append(f"time: about {about} (20 s more to compile at first)")
+    lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
+    if study.black_box:
+        crossover = plan["crossover_seconds_per_evaluation"]
+        lines.append(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
+    return "\n".join(lines)

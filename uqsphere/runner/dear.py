@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.plan import FIRST_SAMPLE
 from uqsphere.runner.dear_answers import Answers, answers_of, germs_of, widest
 from uqsphere.runner.limits import judge_limits
 from uqsphere.runner.margins import MarginAnswer
@@ -24,6 +23,7 @@ from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import MOST, Trusted, trust
 from uqsphere.uq.estimates import Estimate, absent, describe
+from uqsphere.ways import FIRST_SAMPLE
 
 __all__ = ["LEAST_RUNS", "MOST_RUNS", "Dear", "answer_dear"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.plan import Way, choose_way
 from uqsphere.runner.work import Draw, Sample, Work, draw, evaluate_draw
+from uqsphere.ways import Way, choose_way
 
 __all__ = ["FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
 
