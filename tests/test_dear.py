@@ -179,6 +179,15 @@ def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     assert results["quantities"]["y"]["mean"]["evaluations"] >= 2048
 
 
+def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"\n', ""))
+    found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
+    assert found.manifest["plan"]["cost_seconds_per_evaluation"] < found.manifest["seconds"]["pilot"] / 32.0
+    plan = found.manifest["plan"]
+    dear = plan["cost_seconds_per_evaluation"] > plan["crossover_seconds_per_evaluation"]
+    assert found.results["plan"]["way"] == ("surrogate" if dear else "sampling")
+
+
 def test_budgets_below_the_smallest_designs(ask) -> None:
     box = Counted(ishigami)
     results = ask(box, "analysis.budget.time='205 s'").results
