@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import cost_text, out_of_reach
-from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, reached
 
 __all__ = ["METHOD", "Sampled", "excess_of", "missed_texts", "sample_distributions", "speed_rows"]
@@ -172,6 +172,11 @@ def _course_of(text: str) -> str:
     return f"limits.{head.removeprefix('limit ')}.{which}" if head.startswith("limit ") else head
 
 
+def _late(course: list[tuple[int, float]]) -> list[tuple[int, float]]:
+    """The part of a course that a verdict may rest on."""
+    return [point for point in course if point[0] >= JUDGED * REPLICATES]
+
+
 def _hopeless(
     work: Work,
     descriptions: dict[str, Description],
@@ -184,7 +189,7 @@ def _hopeless(
     excess = excess_of(work, descriptions, limits)
     affordable = n + budget - work.ledger.total
     finite = {name for name, ratio in excess.items() if np.isfinite(ratio)}
-    return bool(finite) and all(out_of_reach(course[name], 1.0, affordable) for name in finite)
+    return bool(finite) and all(out_of_reach(_late(course[name]), 1.0, affordable) for name in finite)
 
 
 def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
