@@ -33,8 +33,8 @@ METHOD: Final = "surrogate, corrected by its residuals"
 MOST: Final = 0.05
 #: 97.5 % of Student's t for the few residuals that a mean rests on, and of many
 _FEW: Final = 2.3
-#: the same for a level of the distribution and for a standard deviation, which a few residuals carry: as measured
-#: (`uqsphere.bench.dear`), since these are skewed where a surrogate is rough
+#: the same for a level of the distribution and for a standard deviation, wider since a few skewed residuals carry them
+#: where a surrogate is rough: `uqsphere.bench.dear` measures what they cover
 _LEVEL: Final = 3.2
 _SPREAD: Final = 3.7
 #: runs whose residuals a level of the surrogate shares, at least and as a part of all
