@@ -24,6 +24,7 @@ FLOORS = {
     "uqsphere.model": 5,
     "uqsphere.store": 5,
     "uqsphere.console": 5,
+    "uqsphere.ways": 5,
     "uqsphere.plan": 6,
     "uqsphere.runner": 6,
     "uqsphere.report": 7,

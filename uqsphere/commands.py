@@ -75,7 +75,7 @@ def _short(text: str, longest: int = 60) -> str:
 
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost."""
-    from uqsphere.plan import plan_run
+    from uqsphere.plan import plan_run, plan_text
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
@@ -99,12 +99,7 @@ def command_check(chosen: argparse.Namespace) -> int:
         )
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
         print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
-    print(f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}")
-    print(
-        f"time: about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
-        if plan["seconds"] is not None
-        else "time: depends on the model that is given with --model"
-    )
+    print(plan_text(study, plan))
     return 0
 
 

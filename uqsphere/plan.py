@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
 from uqsphere.model import scene_of
 from uqsphere.study import Study
+from uqsphere.ways import FITS, OVERHEAD, choose_way
 
-__all__ = ["plan_run"]
+__all__ = ["plan_run", "plan_text"]
 
 #: seconds per step of the compiled integrator on one processor, as the shipped studies show it
 _STEP_SECONDS = 0.5e-6
-#: quantities that jump where a contact is lost one oscillation earlier: sampling is slow on them
-_ROUGH = ("contact_time", "pulse_width", "rise_time", "loading_rate")
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
@@ -36,45 +36,46 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
 
 
-def _rows(study: Study) -> int:
-    """Evaluations for a base point of the indices: of all subsets, or of random orders, where inputs are tied."""
-    d = len(study.random)
-    if not any(sum(name in study.random for name in group.of) > 1 for group in study.dependence):
-        return d + 2 + (d if study.analysis.second_order else 0) + len(study.analysis.groups)
-    return 2**d if d <= 10 else 3 * d - 1
-
-
-def _finer(asked: float) -> float:
-    """How much finer than 1 % is asked for; beyond any budget it is all the same."""
-    return 0.01 / max(asked, 1e-50)
-
-
 def plan_run(study: Study) -> dict[str, Any]:
-    """Evaluations and seconds that a run will take, roughly; seconds None for a black box.
+    """Evaluations and seconds that a run will take, roughly, and by which way.
 
-    The sizes are those at which the shipped studies reach their accuracy: quantiles to 1 % of the standard
-    deviation take some 65,000 points, twice as many for quantities that jump; indices to 0.01 some 4,000 base
-    points, and twenty times as many where a quantity jumps.
+    Seconds are None for a black box whose cost is not given, and so is its way where the cost decides.
     """
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    asked = study.analysis.accuracy
-    d = len(study.random)
-    if d == 0 and not study.limits:
-        evaluations = 1
-    else:
-        rough = any(name in _ROUGH for name in study.analysis.quantities)
-        sampling = 65_536 * _finer(asked.quantile) ** 1.5 * (2.0 if rough else 1.0)
-        analysis = study.analysis
-        blocks = _rows(study)
-        sensitivity = blocks * (80_000 * _finer(asked.sobol) ** 2 if rough else 4_096 * _finer(asked.sobol) ** 1.2)
-        margins = 20_000 if study.margins is not None else 0
-        planned = max(2_048.0, sampling) + max(1_024.0 * blocks, sensitivity) + margins
-        planned += analysis.tolerance_intervals.runs if analysis.tolerance_intervals else 0
-        evaluations = round(min(planned, study.analysis.budget.evaluations), -3)
+    way = choose_way(study)
+    planned = way.runs if way.surrogate else way.sampling
+    evaluations = min(planned, way.affordable)
+    if planned > 1 and not way.surrogate:
+        evaluations = round(evaluations, -3)
+    cost = study.analysis.cost
+    known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
+    plan["way"] = ("surrogate" if way.surrogate else "sampling") if known else None
+    plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
+    if study.black_box:
+        plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
+        overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
+        plan["seconds"] = None if cost is None else round(evaluations * cost + overhead, 1)
     if not study.black_box:
         numbers = _scene_numbers(study)
         plan["scene"] = {"mu": numbers["mu"], "theta": numbers["theta"]}
         steps = numbers["steps"] or 0.0
         plan["seconds"] = round(4.0 + evaluations * steps * _STEP_SECONDS / processors, 1)
     return plan
+
+
+def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
+    """The plan for the terminal."""
+    lines = [f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}"]
+    if plan["seconds"] is None:
+        lines.append("time: depends on the model that is given with --model")
+    elif study.black_box:
+        lines.append(f"time: about {plan['seconds']:,.0f} s, one evaluation after the other")
+    else:
+        about = f"{plan['seconds']:.0f} s on {plan['processors']} processors"
+        lines.append(f"time: about {about} (20 s more to compile at first)")
+    lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
+    if study.black_box:
+        crossover = plan["crossover_seconds_per_evaluation"]
+        lines.append(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
+    return "\n".join(lines)

@@ -73,7 +73,7 @@ class CoverageRow:
     exact: bool = False
 
 
-def _hit(kind: str, way: str, model: str, answer: str, points: int, estimate: Estimate, truth: float) -> Hit:
+def coverage_hit(kind: str, way: str, model: str, answer: str, points: int, estimate: Estimate, truth: float) -> Hit:
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return Hit(kind=kind, way=way, model=model, answer=answer, points=points,
                    covered=False, half_width=math.inf, error=math.inf)  # fmt: skip
@@ -98,7 +98,7 @@ def _described(model: CoverageModel, uniforms: Array, sizes: Sequence[int]) -> I
         answers = [("mean", found.mean, model.mean), ("sd", found.sd, model.sd)]
         answers += [(f"quantile {p:g}", e, model.quantiles[p]) for p, e in found.quantiles.items()]
         for kind, estimate, truth in answers:
-            yield _hit(kind, "sampling", model.name, "y", n, estimate, truth)
+            yield coverage_hit(kind, "sampling", model.name, "y", n, estimate, truth)
 
 
 def _indexed(model: CoverageModel, uniforms: Array, sizes: Sequence[int], second: bool, inputs: int) -> Iterator[Hit]:
@@ -111,7 +111,7 @@ def _indexed(model: CoverageModel, uniforms: Array, sizes: Sequence[int], second
         found = sampled_indices(outputs[:, :n], blocks)
         for order, row, truths in (("first", found.first, model.first), ("total", found.total, model.total)):
             for j, (estimate, truth) in enumerate(zip(row, truths, strict=True)):
-                yield _hit(f"{order} index", way, model.name, f"x{j + 1}", n, estimate, truth)
+                yield coverage_hit(f"{order} index", way, model.name, f"x{j + 1}", n, estimate, truth)
 
 
 def coverage_rows(
@@ -129,7 +129,7 @@ def coverage_rows(
     chosen = coverage_models() if models is None else tuple(models)
     inputs = max(model.dimension for model in chosen)
     count = max(*sample_sizes, *index_sizes)
-    tally = _Tally()
+    tally = Tally()
     for repetition in range(repetitions):
         uniforms = np.stack(
             [
@@ -163,7 +163,7 @@ def surrogate_rows(
     from uqsphere.uq.sampling import sobol_points
     from uqsphere.uq.surrogate import mean_expansion
 
-    tally = _Tally()
+    tally = Tally()
     for model in coverage_models() if models is None else models:
         for repetition in range(repetitions):
             germs, outputs = [], []
@@ -185,7 +185,7 @@ def surrogate_rows(
             for way, points, found in ways:
                 for order, truths in (("first", model.first), ("total", model.total)):
                     tally.add(
-                        _hit(f"{order} index", way, model.name, f"x{j + 1}", points, estimate, truth)
+                        coverage_hit(f"{order} index", way, model.name, f"x{j + 1}", points, estimate, truth)
                         for j, (estimate, truth) in enumerate(zip(found[order], truths, strict=True))
                     )
     return tally.rows()
@@ -206,7 +206,7 @@ def _controlled(model: CoverageModel, chaos: Chaos, seed: int) -> SampledIndices
     return sampled_indices(np.stack(outputs), blocks, chaos_surrogate(chaos, blocks, np.stack(others)))
 
 
-class _Tally:
+class Tally:
     """Counts of every cell, so that hits need not be kept."""
 
     def __init__(self) -> None:

@@ -194,8 +194,7 @@ def run(
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
     from uqsphere.quantities import format_estimate
-    from uqsphere.runner.courses import save_courses
-    from uqsphere.runner.datafiles import keep_data
+    from uqsphere.runner.dear import answer_dear
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
@@ -203,9 +202,9 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
+    from uqsphere.runner.price import price
     from uqsphere.runner.rare import refine_limits
-    from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
-    from uqsphere.runner.samples import save_points
+    from uqsphere.runner.results import Findings
     from uqsphere.runner.sampling import sample_distributions
     from uqsphere.runner.sensitivity import dependent_names, find_sensitivity
     from uqsphere.runner.tolerance import find_tolerance
@@ -214,7 +213,15 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     pilot = first_look(work)
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
+    priced = price(work)
     ledger.seconds["pilot"] = ledger.elapsed
+    whole, dear = work, None
+    if priced.way.surrogate:
+        work = priced.bounded(work)
+        dear = answer_dear(work, priced)
+        ledger.seconds["surrogate"] = ledger.elapsed
+        if dear.sampled is not None:
+            return _write(whole, store, priced, dear, findings_of_dear(work, pilot, dear))
     proposed = propose(pilot)
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.seconds["sampling"] = ledger.elapsed
@@ -248,18 +255,59 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         margins=margins,
         fracture=fracture,
         tolerance=tolerance,
-        history=sampled.history + history,
-        seconds=sampled.seconds + seconds,
+        history=(dear.history if dear else []) + sampled.history + history,
+        seconds=(dear.seconds if dear else []) + sampled.seconds + seconds,
         stops={"sampling": sampled.stopped, "sensitivity": stopped},
         paper=compare_with_paper(work.study),
     )
-    save_points(work, store, sampled)
-    save_courses(work, store, sampled)
+    return _write(whole, store, priced, dear, found)
+
+
+def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    from uqsphere.runner.courses import save_courses
+    from uqsphere.runner.datafiles import keep_data
+    from uqsphere.runner.results import build_manifest, build_results, write_results
+    from uqsphere.runner.samples import save_points
+
+    way = priced.way
+    plan = {
+        "way": "surrogate" if dear is not None and dear.surrogate else "sampling",
+        "why": way.why if dear is None else dear.why,
+        "sampling_evaluations": way.sampling,
+        "surrogate_evaluations": way.runs,
+    }
+    found = replace(found, plan=plan)
+    save_points(work, store, found.sampled)
+    save_courses(work, store, found.sampled)
     keep_data(work.study, store.folder)
     results = build_results(work, found)
-    manifest = build_manifest(work, ledger, found.seconds)
+    manifest = build_manifest(work, work.ledger, found.seconds)
+    manifest["plan"] = {
+        "cost_seconds_per_evaluation": priced.cost,
+        "crossover_seconds_per_evaluation": way.crossover,
+        "affordable_evaluations": way.affordable,
+    }
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
+    """What the surrogate way found, as every run writes it."""
+    from uqsphere.runner.results import Findings
+    from uqsphere.runner.tolerance import find_tolerance
+
+    assert dear.sampled is not None
+    return Findings(
+        pilot=pilot,
+        sampled=dear.sampled,
+        sensitivity=dear.sensitivity,
+        margins=dear.margins,
+        tolerance=find_tolerance(work),
+        history=dear.history,
+        seconds=dear.seconds,
+        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
+    )
 
 
 def check_range(study: Study) -> None:
@@ -299,4 +347,8 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
 
 
 if TYPE_CHECKING:
+    from uqsphere.runner.dear import Dear
+    from uqsphere.runner.pilot import Pilot
+    from uqsphere.runner.price import Priced
+    from uqsphere.runner.results import Findings
     from uqsphere.runner.work import Work

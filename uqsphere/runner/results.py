@@ -58,6 +58,7 @@ class Findings:
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
     fracture: dict[str, Any] | None = None
+    plan: dict[str, Any] = field(default_factory=dict)
 
 
 def _share(p: float) -> str:
@@ -241,6 +242,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             **report_of(work, found.pilot, found.sampled.control, found.index_control),
         },
         "validity": [_judged(check, found.fracture) for check in found.pilot.validity],
+        "plan": found.plan,
         "speed_error": found.history,
         "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
         "warnings": list(study.warnings),

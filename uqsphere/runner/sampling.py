@@ -10,11 +10,11 @@ import numpy as np
 
 from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
-from uqsphere.runner.stopping import out_of_reach
-from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.stopping import cost_text, out_of_reach
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, reached
 
-__all__ = ["METHOD", "Sampled", "sample_distributions"]
+__all__ = ["METHOD", "Sampled", "excess_of", "missed_texts", "sample_distributions", "speed_rows"]
 
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
@@ -90,7 +90,7 @@ def _describe(work: Work, sample: Sample) -> dict[str, Description]:
     }
 
 
-def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[str]:
+def missed_texts(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[str]:
     """What is not yet as accurate as the study asks, in words."""
     asked = work.study.analysis.accuracy
     missed = []
@@ -107,7 +107,7 @@ def _missed(work: Work, descriptions: dict[str, Description], limits: dict[str, 
     return missed
 
 
-def _record(
+def speed_rows(
     descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int, controlled: str
 ) -> list[dict[str, Any]]:
     """Rows of the speed-error table that this stage gives."""
@@ -140,7 +140,7 @@ def _record(
     return rows
 
 
-def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
+def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
     """Half-width over what is asked, the worst of every quantity and limit that is not there yet."""
     asked = work.study.analysis.accuracy
     found = {}
@@ -162,6 +162,21 @@ def _excess(work: Work, descriptions: dict[str, Description], limits: dict[str, 
     return {name: ratio for name, ratio in found.items() if ratio > 1.0}
 
 
+def _course_of(text: str) -> str:
+    """The name by which the course of a missed accuracy goes.
+
+    >>> _course_of("limit crushing: miss: half-width 0.2 of the probability, asked 0.05")
+    'limits.crushing.miss'
+    """
+    head, which = text.split(": ")[:2]
+    return f"limits.{head.removeprefix('limit ')}.{which}" if head.startswith("limit ") else head
+
+
+def _late(course: list[tuple[int, float]]) -> list[tuple[int, float]]:
+    """The part of a course that a verdict may rest on."""
+    return [point for point in course if point[0] >= JUDGED * REPLICATES]
+
+
 def _hopeless(
     work: Work,
     descriptions: dict[str, Description],
@@ -171,12 +186,10 @@ def _hopeless(
 ) -> bool:
     """Whether everything that is not yet accurate is out of the budget's reach."""
     n = next(iter(descriptions.values())).mean.evaluations
-    excess = _excess(work, descriptions, limits)
-    for name, ratio in excess.items():
-        course.setdefault(name, []).append((n, ratio))
+    excess = excess_of(work, descriptions, limits)
     affordable = n + budget - work.ledger.total
     finite = {name for name, ratio in excess.items() if np.isfinite(ratio)}
-    return bool(finite) and all(out_of_reach(course[name], 1.0, affordable) for name in finite)
+    return bool(finite) and all(out_of_reach(_late(course[name]), 1.0, affordable) for name in finite)
 
 
 def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
@@ -223,14 +236,16 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         descriptions = _describe(work, sample)
         limits = judge_limits(work, points, sample)
         try:
-            control = follow(work, control, points, sample, (descriptions, limits), partial(_excess, work), budget)
+            control = follow(work, control, points, sample, (descriptions, limits), partial(excess_of, work), budget)
         except OutOfBudget:
             control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
         if control.used:
             descriptions, limits = control.descriptions, control.limits
-        missed = _missed(work, descriptions, limits)
+        missed = missed_texts(work, descriptions, limits)
+        for name, ratio in excess_of(work, descriptions, limits).items():
+            course.setdefault(name, []).append((sample.status.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
-        rows = _record(descriptions, limits, sample.status.size, helper)
+        rows = speed_rows(descriptions, limits, sample.status.size, helper)
         history += rows
         seconds += [work.ledger.elapsed] * len(rows)
         work.tell(rows)
@@ -253,7 +268,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         sample=sample,
         descriptions=descriptions,
         limits=limits,
-        missed=missed,
+        missed=[text + cost_text(course.get(_course_of(text), [])) for text in missed],
         stopped=stopped,
         history=history,
         seconds=seconds,

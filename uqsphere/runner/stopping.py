@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["evaluations_needed", "out_of_reach"]
+__all__ = ["cost_text", "evaluations_needed", "out_of_reach"]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -45,6 +45,17 @@ def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: 
     if needed <= CAUTION * affordable:
         return ""
     return f"given up: it would take about {_round(needed):,} evaluations, and {int(affordable):,} are affordable"
+
+
+def cost_text(course: Sequence[tuple[int, float]]) -> str:
+    """What an accuracy that was missed would take, from the course of its half-width over what is asked; or nothing.
+
+    >>> cost_text([(1000, 10.0), (4000, 5.0)])
+    ' (about 100,000 evaluations would reach it)'
+    """
+    if not course or not math.isfinite(course[-1][1]) or course[-1][1] <= 1.0:
+        return ""
+    return f" (about {_round(evaluations_needed(course, 1.0)):,} evaluations would reach it)"
 
 
 def _round(value: float) -> int:

@@ -96,6 +96,7 @@ class ToleranceRequest:
 class Analysis:
     """What is asked, how precisely, and at what cost.
 
+    `cost` is what one evaluation of a black box takes, in seconds; None: it is measured.
     `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
     name of the user's.
     """
@@ -105,6 +106,7 @@ class Analysis:
     budget: Budget = field(default_factory=Budget)
     quantiles: tuple[float, ...] = (0.01, 0.05, 0.5, 0.95, 0.99)
     methods: tuple[str, ...] = ("auto",)
+    cost: float | None = None
     on_failure: str = "abort"
     second_order: bool = False
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -280,7 +282,7 @@ class Study:
             "model": None if self.black_box else asdict(self.model),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
-            "analysis": _lists(asdict(self.analysis)),
+            "analysis": _analysis_json(self.analysis),
             "margins": None if self.margins is None else _margins_json(self.margins),
             "outputs": list(self.outputs),
             **({} if self.record is None else {"record": _lists(asdict(self.record))}),
@@ -320,6 +322,14 @@ def _margins_json(margins: Margins) -> dict[str, Any]:
     """What was asked, and nothing else, as with dependence."""
     table = _lists(asdict(margins))
     return {key: value for key, value in table.items() if value not in (None, False)}
+
+
+def _analysis_json(analysis: Analysis) -> dict[str, Any]:
+    """The request; a cost that was not given must not change the hash."""
+    table = _lists(asdict(analysis))
+    if analysis.cost is None:
+        del table["cost"]
+    return table
 
 
 def _bound(value: float) -> float | None:

@@ -211,10 +211,26 @@ def read_analysis(
         budget=Budget(evaluations=table.budget.evaluations, time=time or Budget().time, exhaust=table.budget.exhaust),
         quantiles=shares(table.quantiles, ("analysis", "quantiles"), findings),
         methods=_methods(table.methods, findings),
+        cost=_cost(table.cost, outputs is not None, findings),
         on_failure=table.on_failure,
         second_order=table.second_order,
         tolerance_intervals=read_tolerance(table.tolerance_intervals, findings),
     )
+
+
+def _cost(given: Any, black_box: bool, findings: Findings) -> float | None:
+    """Seconds that one evaluation of a black box takes, if the file says so."""
+    place: Place = ("analysis", "cost")
+    if given is None:
+        return None
+    if not black_box:
+        findings.add(place, "the cost of the impact model is known: cost is for black boxes, leave it out")
+        return None
+    seconds = read_fixed(given, place, _TIME, findings)
+    if seconds is not None and not seconds > 0.0:
+        findings.add(place, f'found {shown(given)}, a time above 0 such as "10 s" is due')
+        return None
+    return seconds
 
 
 def _quantities(

@@ -173,6 +173,7 @@ class AnalysisTable(Table):
     budget: BudgetTable = Field(default_factory=BudgetTable)
     quantiles: list[float] = Field(default_factory=lambda: [0.01, 0.05, 0.5, 0.95, 0.99])
     methods: Any = "auto"
+    cost: Any = None
     on_failure: OnFailure = "abort"
     second_order: bool = False
     groups: dict[str, list[str]] = Field(default_factory=dict)

@@ -1,0 +1,334 @@
+"""Dear black boxes: answered through a surrogate with few runs, and never by a smooth lie."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.bench.coverage_models import coverage_models
+from uqsphere.bench.dear import dear_rows
+from uqsphere.errors import StudyError, UsageError
+from uqsphere.plan import plan_run
+from uqsphere.runner import price as pricing
+from uqsphere.runner.stopping import cost_text
+from uqsphere.study import Study
+from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
+from uqsphere.uq.chaos import fit_chaos, germ_points, predict
+from uqsphere.uq.sampling import sobol_points
+from uqsphere.ways import choose_way
+
+MODELS = {model.name: model for model in coverage_models()}
+DEAR = """
+seed = 5
+[inputs]
+x1 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+x2 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+x3 = { dist = "uniform", lower = -3.141592653589793, upper = 3.141592653589793 }
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = 10.0
+target = 0.5
+[analysis]
+cost = "10 s"
+budget = { time = "2 h" }
+accuracy = { mean = 0.005, quantile = 0.05, sobol = 0.01, probability = 0.1 }
+"""
+TRUTH = MODELS["ishigami"]
+
+
+class Counted:
+    """A model that counts its rows: what a dear one is paid for."""
+
+    def __init__(self, function: Callable[[dict[str, np.ndarray]], np.ndarray]) -> None:
+        self.function = function
+        self.rows = 0
+
+    def __call__(self, x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        self.rows += len(x["x1"])
+        return {"y": self.function(x)}
+
+
+def ishigami(x: dict[str, np.ndarray]) -> np.ndarray:
+    return np.sin(x["x1"]) + 7.0 * np.sin(x["x2"]) ** 2 + 0.1 * x["x3"] ** 4 * np.sin(x["x1"])
+
+
+def chequered(x: dict[str, np.ndarray]) -> np.ndarray:
+    """Steps that no polynomial follows: mean 4 more than the waves underneath."""
+    return np.sin(x["x2"]) + np.where(np.sin(7.0 * x["x1"]) * np.sin(9.0 * x["x2"]) > 0.0, 8.0, 0.0)
+
+
+@pytest.fixture
+def ask(study_from: Callable[..., Study], tmp_path: Path) -> Callable[..., Any]:
+    def run(model: Any, *overrides: str, out: str = "r", **more: Any) -> Any:
+        return uqsphere.run(study_from(*overrides, text=DEAR), out=tmp_path / out, model=model, **more)
+
+    return run
+
+
+def holds(estimate: dict[str, Any], truth: float) -> bool:
+    return bool(estimate["low"] - 1e-9 <= truth <= estimate["high"] + 1e-9)
+
+
+# --- runs -----------------------------------------------------------------------------------------------------
+
+
+def test_a_dear_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
+    box = Counted(ishigami)
+    found = ask(box)
+    results = found.results
+    assert box.rows <= 256
+    assert results["model"]["evaluations"] == {"black box": box.rows}
+    assert results["plan"]["way"] == "surrogate"
+    assert results["accuracy"]["met"]
+    entry, indices = results["quantities"]["y"], results["sensitivity"]["y"]
+    assert abs(entry["mean"]["value"] - TRUTH.mean) < 0.005 * TRUTH.sd
+    assert abs(entry["sd"]["value"] - TRUTH.sd) < 0.01 * TRUTH.sd
+    for p, truth in TRUTH.quantiles.items():
+        assert abs(entry["quantiles"][f"{p:g}"]["value"] - truth) < 0.05 * TRUTH.sd
+    for j, name in enumerate(("x1", "x2", "x3")):
+        assert abs(indices["first"][name]["value"] - TRUTH.first[j]) < 0.01
+        assert abs(indices["total"][name]["value"] - TRUTH.total[j]) < 0.01
+    x = 2.0 * np.pi * (sobol_points(dimension=3, count=2**18, seed=1, task="truth", replicate=0) - 0.5)
+    share = float(np.mean(ishigami({"x1": x[:, 0], "x2": x[:, 1], "x3": x[:, 2]}) > 10.0))
+    assert abs(results["limits"]["high"]["miss"]["value"] - share) < 0.1 * share
+    assert results["limits"]["high"]["met"] is True
+
+
+def test_the_account_names_every_quantity_and_keeps_seconds_out_of_the_results(ask) -> None:
+    found = ask(Counted(ishigami))
+    kinds = {row["error_kind"] for row in found.results["speed_error"]}
+    assert {"largest half-width of an index", "half-width of the mean over the standard deviation"} <= kinds
+    assert any("unseen runs" in kind for kind in kinds)
+    assert len(found.manifest["speed_error_seconds"]) == len(found.results["speed_error"])
+    assert found.manifest["plan"]["cost_seconds_per_evaluation"] == 10.0
+    assert "seconds" not in json.dumps(found.results["plan"])
+
+
+def test_a_rough_model_is_not_answered_by_a_smooth_lie(ask) -> None:
+    box = Counted(chequered)
+    results = ask(box, "analysis.budget.evaluations=600").results
+    # all that the budget has room for, in whole blocks
+    assert box.rows == 592
+    assert results["plan"]["way"] == "sampling"
+    assert "too rough" in results["plan"]["why"]
+    assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
+    assert holds(results["quantities"]["y"]["mean"], 4.0)
+    assert not results["accuracy"]["met"]
+    assert any("evaluations" in text for text in results["accuracy"]["missed"])
+
+
+def test_a_rough_model_is_sampled_where_the_budget_has_room(ask) -> None:
+    box = Counted(chequered)
+    results = ask(box, "analysis.budget.evaluations=9000", "analysis.budget.time='100 h'").results
+    assert box.rows <= 9000
+    assert results["plan"]["way"] == "sampling"
+    assert "is sampled" in results["plan"]["why"]
+    mean = results["quantities"]["y"]["mean"]
+    assert mean["evaluations"] >= 2048
+    assert holds(mean, 4.0)
+    assert any("would reach it" in text for text in results["accuracy"]["missed"])
+
+
+def test_a_step_is_answered_within_its_interval(ask) -> None:
+    results = ask(Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])).results
+    # P(x1 + 0.3 x2 > 0.5) of x uniform on (-pi, pi): the offset alone counts, by symmetry
+    assert holds(results["quantities"]["y"]["mean"], 5.0 * (0.5 - 0.5 / (2.0 * np.pi)))
+
+
+def test_two_runs_agree_and_one_that_is_resumed_evaluates_nothing(ask) -> None:
+    first, again = ask(Counted(ishigami)), ask(Counted(ishigami), out="other")
+    assert first.results == again.results
+    box = Counted(ishigami)
+    box.function = ishigami
+    resumed = ask(box)
+    assert box.rows == 0
+    assert resumed.results == first.results
+
+
+def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock says 20 s an evaluation at first, and nothing the second time."""
+    ticks = iter(range(0, 10**9, 400))
+    monkeypatch.setattr(pricing.time, "perf_counter", lambda: float(next(ticks)))
+    text = ("analysis.budget.time='3 h'", "analysis.budget.evaluations=3000")
+    no_cost = DEAR.replace('cost = "10 s"\n', "")
+    monkeypatch.setitem(globals(), "DEAR", no_cost)
+    box = Counted(ishigami)
+    first = ask(box, *text)
+    cost = first.manifest["plan"]["cost_seconds_per_evaluation"]
+    assert cost == pytest.approx(400.0 / 24.0)
+    assert first.results["plan"]["way"] == "surrogate"
+    assert box.rows <= 3.0 * 3600.0 / cost
+    monkeypatch.setattr(pricing.time, "perf_counter", lambda: 0.0)
+    resumed = ask(Counted(ishigami), *text)
+    assert resumed.manifest["plan"]["cost_seconds_per_evaluation"] == cost
+    assert resumed.results == first.results
+
+
+def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"', 'cost = "0.000001 s"'))
+    results = ask(Counted(ishigami), "analysis.budget.evaluations=20000").results
+    assert results["plan"]["way"] == "sampling"
+    assert results["quantities"]["y"]["mean"]["evaluations"] >= 2048
+
+
+def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"\n', ""))
+    found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
+    assert found.manifest["plan"]["cost_seconds_per_evaluation"] < found.manifest["seconds"]["pilot"] / 32.0
+    plan = found.manifest["plan"]
+    dear = plan["cost_seconds_per_evaluation"] > plan["crossover_seconds_per_evaluation"]
+    assert found.results["plan"]["way"] == ("surrogate" if dear else "sampling")
+
+
+def test_budgets_below_the_smallest_designs(ask) -> None:
+    box = Counted(ishigami)
+    results = ask(box, "analysis.budget.time='205 s'").results
+    assert box.rows == 20
+    assert results["quantities"]["y"]["mean"]["value"] is not None
+    assert not results["accuracy"]["met"]
+    with pytest.raises(UsageError, match="smallest design takes 8"):
+        ask(Counted(ishigami), "analysis.budget.time='70 s'", out="none")
+
+
+def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> None:
+    def sometimes(x: dict[str, np.ndarray]) -> np.ndarray:
+        return np.where(x["x1"] > 3.0, np.nan, x["x1"] + x["x2"])
+
+    results = ask(Counted(sometimes), "analysis.on_failure='drop'").results
+    assert results["plan"]["way"] == "surrogate"
+    assert results["model"]["failures"] > 0
+    results = ask(Counted(sometimes), "analysis.on_failure='bound'", "analysis.budget.evaluations=100", out="b").results
+    assert results["plan"]["way"] == "sampling"
+
+
+def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    tied = DEAR + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
+    monkeypatch.setitem(globals(), "DEAR", tied)
+    results = ask(Counted(lambda x: x["x1"] + x["x2"])).results
+    assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
+    # Var(x1 + x2) = 2 V (1 + rho), of uniforms with Spearman's (and so Pearson's) rho
+    assert results["quantities"]["y"]["sd"]["value"] == pytest.approx(np.pi * np.sqrt(2.0 / 3.0 * 1.5), rel=5e-3)
+
+
+# --- the plan -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("10", "unit"),
+        ('"-1 s"', "above 0"),
+        ('"0 s"', "above 0"),
+        ('"3 m"', "time"),
+        ("true", "number"),
+        ('"soon"', "number"),
+    ],
+)
+def test_a_cost_that_is_none_is_refused(study_from: Callable[..., Study], value: str, message: str) -> None:
+    with pytest.raises(StudyError, match=r"analysis\.cost") as caught:
+        study_from(text=DEAR.replace('"10 s"', value))
+    assert message in str(caught.value)
+
+
+def test_the_cost_of_the_impact_model_is_not_asked(study_from: Callable[..., Study]) -> None:
+    with pytest.raises(StudyError, match=r"analysis\.cost.*black boxes"):
+        study_from("analysis.cost='10 s'")
+
+
+def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study]) -> None:
+    dear = plan_run(study_from(text=DEAR))
+    assert dear["way"] == "surrogate"
+    assert dear["evaluations"] == 256
+    assert dear["seconds"] == pytest.approx(2570.0)
+    study = study_from(text=DEAR.replace('cost = "10 s"\n', ""))
+    unknown = plan_run(study)
+    assert unknown["way"] is None
+    assert unknown["seconds"] is None
+    way = choose_way(study, 1e-9)
+    assert not way.surrogate
+    assert choose_way(study, 1.01 * way.crossover).surrogate
+    assert not choose_way(study, 0.99 * way.crossover).surrogate
+    assert way.crossover * (way.sampling - way.runs) == pytest.approx(10.0)
+
+
+def test_listed_methods_and_the_impact_model_are_sampled(study_from: Callable[..., Study]) -> None:
+    assert not choose_way(study_from("analysis.methods=['sobol']", text=DEAR)).surrogate
+    assert plan_run(study_from())["way"] == "sampling"
+
+
+def test_a_cost_that_is_not_given_leaves_the_hash(study_from: Callable[..., Study]) -> None:
+    without = DEAR.replace('cost = "10 s"\n', "")
+    assert "cost" not in study_from(text=without).resolved()["analysis"]
+    assert study_from(text=without).hash != study_from(text=DEAR).hash
+
+
+def test_what_a_missed_accuracy_would_take() -> None:
+    assert cost_text([]) == ""
+    assert cost_text([(100, 0.5)]) == ""
+    # halved by four times as many: four times as many again
+    assert "1,600 evaluations" in cost_text([(100, 4.0), (400, 2.0)])
+
+
+# --- the statistics -------------------------------------------------------------------------------------------
+
+
+def fitted(name: str, n: int, seed: int = 3) -> Any:
+    from scipy.special import ndtri
+
+    model = MODELS[name]
+    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="dear", replicate=0)
+    points = germ_points(np.asarray(ndtri(u)), model.germs)
+    return model, points, model.function(u)
+
+
+def test_what_is_left_out_is_what_a_fit_without_it_says() -> None:
+    from dataclasses import replace
+
+    from uqsphere.uq.chaos import fit_again
+
+    model, points, outputs = fitted("g-function", 64)
+    chaos = fit_chaos(points, outputs, model.germs, plain=True)
+    told = left_out(chaos, points, outputs)
+    for k in (0, 17, 63):
+        keep = np.arange(64) != k
+        again = fit_again(replace(chaos), points[keep], outputs[keep])
+        assert told[k] == pytest.approx(float(predict(again, points[k : k + 1])[0]), rel=1e-9)
+
+
+def test_runs_that_contradict_a_claim_weaken_the_next() -> None:
+    model, points, outputs = fitted("ishigami", 128)
+    before = fit_chaos(points[:32], outputs[:32], model.germs)
+    chaos = fit_chaos(points, outputs, model.germs)
+    alone, checked = trust(chaos, points, outputs), trust(chaos, points, outputs, before)
+    assert checked.seen_by_none is not None
+    assert checked.error > 10.0 * alone.error
+    assert checked.scatter > alone.scatter
+    wide, narrow = indices_of(checked)["first"][0], indices_of(alone)["first"][0]
+    assert wide.half_width > narrow.half_width
+
+
+def test_residuals_give_a_surrogate_the_spread_of_the_model() -> None:
+    model, points, outputs = fitted("kinked", 64)
+    flat = trust(fit_chaos(points[:4], outputs[:4] * 0.0 + outputs.mean(), model.germs), points, outputs)
+    assert not flat.usable
+    values, reach = with_residuals(flat, np.zeros(4096), np.random.default_rng(1))
+    assert reach.min() > 0.0
+    assert set(np.round(values, 9)) <= set(np.round(flat.residuals, 9))
+
+
+def test_intervals_of_the_surrogate_way_cover() -> None:
+    rows = [r for r in dear_rows(repetitions=12, models=("ishigami", "product"), sizes=(64,)) if not r.exact]
+    assert {"mean", "sd", "quantile 0.95", "first index", "total index"} <= {r.kind for r in rows}
+    assert np.mean([r.covered for r in rows]) > 0.9
+    with pytest.raises(ValueError, match="unknown model"):
+        dear_rows(repetitions=1, models=("nothing",))
+    with pytest.raises(ValueError, match="sizes double"):
+        dear_rows(repetitions=1, sizes=(48,))

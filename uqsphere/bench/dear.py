@@ -1,0 +1,102 @@
+"""Whether the intervals of the surrogate way hold the truth: repetitions on analytical models at a few dozen runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
+from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
+from uqsphere.uq.augmented import Trusted, indices_of, trust, widened, with_residuals
+from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
+from uqsphere.uq.estimates import Description, Estimate, describe
+from uqsphere.uq.families import Array
+from uqsphere.uq.sampling import random_generator, sobol_points
+
+__all__ = ["MODELS", "SIZES", "dear_rows"]
+
+#: models with a known truth: smooth, sharp, kinked, and of eight inputs
+MODELS = ("ishigami", "g-function", "kinked", "lognormal", "borehole")
+SIZES = (64, 128, 256)
+WAY, REFUSED = "surrogate", "refused: its runs sampled"
+#: the design that the surrogate is evaluated on: replicates and points of each
+REPLICATES, POINTS = 16, 1024
+
+
+def _large(model: CoverageModel, seed: int) -> Array:
+    """Germ points of the large design, another for every repetition: its own error is part of the answer's."""
+    from scipy.special import ndtri
+
+    points = [
+        sobol_points(dimension=model.dimension, count=POINTS, seed=seed, task="dear: large", replicate=r)
+        for r in range(REPLICATES)
+    ]
+    return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
+
+
+def _described(trusted: Trusted, large: Array, seed: int) -> Description:
+    values = predict(trusted.chaos, large).reshape(REPLICATES, POINTS)
+    moved, reach = with_residuals(trusted, values, random_generator(seed=seed, task="dear: residuals"))
+    told = [describe(moved + side * reach, quantiles=QUANTILES) for side in (0.0, -1.0, 1.0)]
+    return widened(trusted, *told)
+
+
+def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:
+    answers = [("mean", found.mean, model.mean), ("sd", found.sd, model.sd)]
+    return answers + [(f"quantile {p:g}", e, model.quantiles[p]) for p, e in found.quantiles.items()]
+
+
+def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int) -> list[Hit]:
+    """What one design, enlarged from half the smallest size on, answers at each size."""
+    from scipy.special import ndtri
+
+    uniforms = sobol_points(dimension=model.dimension, count=max(sizes), seed=seed, task="dear", replicate=0)
+    points = germ_points(np.asarray(ndtri(uniforms)), model.germs)
+    outputs = model.function(uniforms)
+    hits: list[Hit] = []
+    before: Chaos | None = None
+    for n in (sizes[0] // 2, *sizes):
+        chaos = fit_chaos(points[:n], outputs[:n], model.germs)
+        trusted = trust(chaos, points[:n], outputs[:n], before)
+        before = chaos
+        if n not in sizes:
+            continue
+        if not trusted.usable:
+            found = describe(outputs[:n].reshape(REPLICATES, -1), quantiles=QUANTILES)
+            answers = [a for a in _answers(model, found) if a[1].value is not None]
+            hits += [coverage_hit(kind, REFUSED, model.name, "y", n, e, truth) for kind, e, truth in answers]
+            continue
+        for kind, estimate, truth in _answers(model, _described(trusted, large, seed)):
+            hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
+        indices = indices_of(trusted)
+        for order, truths in (("first", model.first), ("total", model.total)):
+            for j, (estimate, truth) in enumerate(zip(indices[order], truths, strict=True)):
+                hits.append(coverage_hit(f"{order} index", WAY, model.name, f"x{j + 1}", n, estimate, truth))
+    return hits
+
+
+def dear_rows(
+    *,
+    repetitions: int,
+    models: Sequence[str] = MODELS,
+    sizes: Sequence[int] = SIZES,
+    notice: Callable[[str], None] = lambda text: None,
+) -> list[CoverageRow]:
+    """Cells of the surrogate way: mean, standard deviation, quantiles and indices, at sizes that double.
+
+    Repetitions in which the surrogate is refused are cells of their own: their runs are sampled as they are.
+    """
+    known = {model.name: model for model in coverage_models()}
+    unknown = [name for name in models if name not in known]
+    if unknown:
+        raise ValueError(f"unknown model {unknown[0]!r}; allowed: {', '.join(known)}")
+    if any(b != 2 * a for a, b in pairwise(sizes)) or sizes[0] % (2 * REPLICATES):
+        raise ValueError(f"sizes double from a multiple of {2 * REPLICATES} on, found {tuple(sizes)}")
+    tally = Tally()
+    for name in models:
+        for seed in range(repetitions):
+            tally.add(_repeat(known[name], sizes, _large(known[name], seed), seed))
+        notice(f"coverage of the surrogate way: {name} done")
+    return tally.rows()

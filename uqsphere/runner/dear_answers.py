@@ -1,0 +1,155 @@
+"""Answers of surrogates of a dear model, at one size of its design."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
+from uqsphere.runner.price import Design
+from uqsphere.runner.sampling import excess_of
+from uqsphere.runner.sensitivity import dependent_names
+from uqsphere.runner.work import Draw, Sample, Work, draw
+from uqsphere.uq import augmented
+from uqsphere.uq.augmented import Trusted, indices_of, joined, widened, with_residuals
+from uqsphere.uq.estimates import Description, Estimate, absent, describe
+from uqsphere.uq.reliability import reliability_index, tails, target_met
+from uqsphere.uq.sampling import random_generator
+
+__all__ = ["Answers", "answers_of", "germs_of", "widest"]
+
+#: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
+LARGE, LARGER = 4096, 32_768
+#: runs that a probability has to rest on
+SEEN = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """Descriptions, limits and indices at one size, and how far each answer is from what is asked."""
+
+    descriptions: dict[str, Description]
+    limits: dict[str, LimitAnswer]
+    indices: dict[str, dict[str, list[Estimate]]]
+    excess: dict[str, float]
+
+
+def germs_of(work: Work) -> tuple[str, ...]:
+    return tuple(
+        "uniform" if law.kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
+        for law in work.study.random.values()
+    )
+
+
+def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> Answers:
+    """Answers of the surrogates, with intervals that hold their errors.
+
+    They are evaluated on a large design, and on a larger one where the first would miss an accuracy by itself.
+    """
+    indices = {}
+    if not dependent_names(work):
+        indices = {quantity: indices_of(trusted[k]) for k, quantity in enumerate(work.quantities)}
+    descriptions, limits, alone = _described(work, design, trusted, LARGE)
+    if alone:
+        descriptions, limits, _ = _described(work, design, trusted, LARGER)
+    excess = excess_of(work, descriptions, limits)
+    for name, answer in limits.items():
+        if answer.miss.value is None:
+            excess[f"limits.{name}.miss"] = math.inf
+    asked = work.study.analysis.accuracy.sobol
+    for quantity, found in indices.items():
+        width = widest(found)
+        if width is not None and width > asked:
+            excess[f"{quantity}: indices"] = width / asked
+    return Answers(descriptions=descriptions, limits=limits, indices=indices, excess=excess)
+
+
+def _described(
+    work: Work, design: Design, trusted: Mapping[int, Trusted], size: int
+) -> tuple[dict[str, Description], dict[str, LimitAnswer], bool]:
+    """Descriptions and limits off `size` points of each replicate; whether these points leave too little room."""
+    from uqsphere.uq.chaos import germ_points, predict
+
+    germs, d, q = germs_of(work), len(work.scene_names), len(work.quantities)
+    large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)
+    points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs)
+    centre = np.empty((*large.normals.shape[:2], q))
+    reach = np.empty_like(centre)
+    for k, one in trusted.items():
+        rng = random_generator(seed=work.study.seed, task=f"dear.residuals.{k}")
+        values = predict(one.chaos, points).reshape(centre.shape[:2])
+        centre[:, :, k], reach[:, :, k] = with_residuals(one, values, rng)
+    samples = [_sample(centre + side * reach) for side in (0.0, -1.0, 1.0)]
+    quantiles = work.study.analysis.quantiles
+    descriptions, plain = {}, {}
+    for k, quantity in enumerate(work.quantities):
+        told = [describe(sample.values[:, :, k], quantiles=quantiles, method=augmented.METHOD) for sample in samples]
+        plain[quantity] = told[0]
+        descriptions[quantity] = widened(trusted[k], *told)
+    middle, down, up = (judge_limits(work, large, sample) for sample in samples)
+    limits = {}
+    for limit in work.study.limits:
+        carried = _carried(work, limit, large, samples[0], design.count)
+        limits[limit.name] = _limit(middle[limit.name], down[limit.name], up[limit.name], design.count, carried)
+    # a design whose own half-widths take more than half of what is asked leaves too little for the surrogate
+    halved = replace(
+        work.study.analysis.accuracy,
+        **{key: 0.5 * getattr(work.study.analysis.accuracy, key) for key in ("mean", "quantile", "probability")},
+    )
+    strict = replace(work, study=replace(work.study, analysis=replace(work.study.analysis, accuracy=halved)))
+    return descriptions, limits, bool(excess_of(strict, plain, middle))
+
+
+def _sample(values: Any) -> Sample:
+    return Sample(
+        values=values, censored=np.zeros(values.shape, dtype=bool), status=np.zeros(values.shape[:2], dtype=np.int64)
+    )
+
+
+def widest(found: Mapping[str, list[Estimate]]) -> float | None:
+    widths = [e.half_width for row in found.values() for e in row if e.value is not None]
+    return max(widths) if widths else None
+
+
+def _carried(work: Work, limit: Limit, points: Draw, sample: Sample, runs: int) -> dict[str, float]:
+    """How many of the runs a probability of exceedance, or of its complement, rests on: by Kish's count."""
+    found = {}
+    for side, weights in zip(("exceedance", "other"), tails(state_of(work, limit, points, sample)), strict=True):
+        squares = float((weights**2).sum())
+        found[side] = runs * float(weights.sum()) ** 2 / squares / weights.size if squares > 0.0 else 0.0
+    found["miss"] = found["exceedance" if limit.aim == "survive" else "other"]
+    return found
+
+
+def _limit(
+    middle: LimitAnswer, down: LimitAnswer, up: LimitAnswer, runs: int, carried: Mapping[str, float]
+) -> LimitAnswer:
+    """A limit whose intervals hold what its probabilities are where the demand is shifted down and up."""
+
+    def probability(which: str) -> Estimate:
+        found = joined(getattr(middle, which), getattr(down, which), getattr(up, which), runs)
+        if found.value is None or carried[which] >= SEEN:
+            return found
+        bound = max(found.high or 0.0, -math.expm1(math.log(0.05) / runs))
+        reason = f"too small for a surrogate of {runs} runs: none of them would be expected to show it"
+        return replace(absent(reason, augmented.METHOD, runs), low=0.0, high=min(bound, 1.0))
+
+    missed = probability("miss")
+    return replace(
+        middle,
+        exceedance=probability("exceedance"),
+        miss=missed,
+        reliability_index=reliability_index(missed.value),
+        reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
+        margin={key: joined(e, down.margin[key], up.margin[key], runs) for key, e in middle.margin.items()},
+        met=None if middle.target is None else target_met(missed, middle.target),
+        design_reason="no search for a design point was made: the model is dear",
+    )
+
+
+if TYPE_CHECKING:
+    from uqsphere.study import Limit

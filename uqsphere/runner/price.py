@@ -1,0 +1,133 @@
+"""What an evaluation of a black box costs: given, or timed once on the first runs and kept with the run."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.model import BlackBox
+from uqsphere.runner.work import Draw, Sample, Work, draw, evaluate_draw
+from uqsphere.ways import Way, choose_way
+
+__all__ = ["FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
+
+Array = npt.NDArray[np.float64]
+
+#: runs of the first stage of the surrogate way, all of which are timed, and those that are timed by themselves
+FIRST_RUNS, FEW = 32, 8
+#: seconds that it takes at most to send a few runs to another process and to store them
+ROUND_TRIP = 0.05
+TASK = "dear"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """One scrambled Sobol' design that is enlarged: points (1, N, D) and answers (1, N, q)."""
+
+    points: Draw
+    sample: Sample
+
+    @property
+    def count(self) -> int:
+        """Runs so far."""
+        return int(self.sample.status.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priced:
+    """The way a study is answered, what an evaluation costs [s], None if nobody asked, and the runs that were timed."""
+
+    way: Way
+    cost: float | None
+    design: Design | None = None
+
+    def bounded(self, work: Work) -> Work:
+        """The work with no more evaluations than the time budget has room for at this cost."""
+        budget = replace(work.study.analysis.budget, evaluations=self.way.affordable)
+        return replace(work, study=replace(work.study, analysis=replace(work.study.analysis, budget=budget)))
+
+
+def enlarge(work: Work, design: Design | None, count: int) -> Design:
+    """The design with `count` runs altogether; those that are there are kept."""
+    start = 0 if design is None else design.count
+    if start >= count and design is not None:
+        return design
+    points = draw(work.drawn, seed=work.study.seed, task=TASK, start=start, count=count - start, replicates=1)
+    sample = evaluate_draw(work, f"{TASK}.{start}", points)
+    if design is None:
+        return Design(points=points, sample=sample)
+    old = design.points
+    return Design(
+        points=Draw(
+            normals=np.concatenate([old.normals, points.normals], axis=1),
+            physical=np.concatenate([old.physical, points.physical], axis=1),
+        ),
+        sample=design.sample.join(sample),
+    )
+
+
+class _Watch:
+    """A black box with a clock: what is drawn and stored around it is no cost of the model."""
+
+    def __init__(self, box: BlackBox) -> None:
+        self.box = box
+        self.seconds = 0.0
+
+    def __call__(self, inputs: dict[str, Array]) -> Mapping[str, Any]:
+        started = time.perf_counter()
+        found = self.box(inputs)
+        self.seconds += time.perf_counter() - started
+        return found
+
+
+def _timed(work: Work, design: Design | None, count: int) -> tuple[Design, float | None]:
+    """The design with `count` runs, and seconds of each new one; None where they were stored already."""
+    reused = work.ledger.reused
+    new = count - (0 if design is None else design.count)
+    if work.black_box is not None and work.executor is None:
+        watch = _Watch(work.black_box)
+        larger = enlarge(replace(work, black_box=watch), design, count)
+        spent = watch.seconds
+    else:
+        started = time.perf_counter()
+        larger = enlarge(work, design, count)
+        spent = max(time.perf_counter() - started - ROUND_TRIP, 0.0)
+    return larger, None if work.ledger.reused > reused else spent / new
+
+
+def price(work: Work) -> Priced:
+    """The way to take; a black box whose cost decides and is not given is timed on its first runs, once.
+
+    What is timed is stored with the run, so that a run that is resumed takes the way that it began.  The smaller of
+    two times counts, since the first call of a model may load and compile.
+    """
+    study = work.study
+    budget = study.analysis.budget
+    way = choose_way(study, seconds=work.seconds)
+    undecided = study.black_box and study.random and "auto" in study.analysis.methods
+    if not undecided or study.analysis.cost is not None or budget.evaluations < FIRST_RUNS:
+        return Priced(way=way, cost=study.analysis.cost)
+    kept = work.store.load("cost") if work.store is not None else None
+    design, first = _timed(work, None, FEW)
+    if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
+        cost = float(kept[0])
+        if FIRST_RUNS * cost <= work.seconds:
+            design = enlarge(work, design, FIRST_RUNS)
+    else:
+        cost = first if first is not None else math.inf
+        if first is None or FIRST_RUNS * first <= work.seconds:
+            design, second = _timed(work, design, FIRST_RUNS)
+            cost = min(cost, math.inf if second is None else second)
+        if not math.isfinite(cost):
+            # an earlier run was cut off between its runs and their time
+            cost = _timed(replace(work, store=None, spare=True), None, FEW)[1] or 0.0
+        if work.store is not None:
+            work.store.save("cost", np.array([cost]))
+    way = choose_way(study, cost, work.seconds)
+    return Priced(way=way, cost=cost, design=design)
