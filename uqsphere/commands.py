@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import sys
@@ -130,33 +131,20 @@ def command_run(chosen: argparse.Namespace) -> int:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     progress = Progress(quiet=False)
     seconds = _seconds(chosen.budget)
-    if study.black_box and chosen.model and (chosen.jobs or 1) > 1:
-        # a black box runs in processes of its own, since nothing is known of its threads
-        from concurrent.futures import ProcessPoolExecutor
-        from multiprocessing import get_context
+    with contextlib.ExitStack() as opened:
+        executor = None
+        if chosen.dask is not None:
+            from uqsphere.runner.dask_cluster import dask_cluster
 
-        with ProcessPoolExecutor(chosen.jobs, mp_context=get_context("spawn")) as pool:
-            try:
-                found = run(
-                    study,
-                    out=chosen.out,
-                    executor=pool,
-                    model=chosen.model,
-                    fresh=chosen.fresh,
-                    seconds=seconds,
-                    progress=progress,
-                    notice=progress.say,
-                )
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    else:
+            executor = opened.enter_context(dask_cluster(chosen.dask, chosen.jobs))
         found = run(
             study,
             out=chosen.out,
+            executor=executor,
             model=chosen.model,
             threads=chosen.jobs,
             fresh=chosen.fresh,
+            extend=chosen.extend,
             seconds=seconds,
             progress=progress,
             notice=progress.say,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 
@@ -49,6 +49,14 @@ FIDELITIES = ("massless", "linear", "full")
 STATUS_NOT_FINITE = 6
 #: status of a row whose contact may be lost at either of two times: it carries the likelier one
 STATUS_UNDECIDED = 7
+#: status of a row for which a black box raised, took longer than its limit of time, or ended its process
+STATUS_RAISED, STATUS_TIME, STATUS_DIED = 8, 9, 10
+_BOX_STATUS = {
+    STATUS_NOT_FINITE: "the model gave a number that is not finite",
+    STATUS_RAISED: "the model raised an exception",
+    STATUS_TIME: "the model took longer than analysis.time_limit",
+    STATUS_DIED: "the model ended the process it ran in",
+}
 #: a row with one of these has numbers
 ANSWERED = frozenset({0, STATUS_UNDECIDED})
 #: how a row was answered: by the fidelity asked for, by `full` in its place, or by `full` after it had failed
@@ -70,7 +78,7 @@ class Answered:
 
     Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
     row was answered (n,): all by the fidelity asked for if None.  others (n, q): the other answer of rows whose
-    status is 7; None if there is none.
+    status is 7; None if there is none.  note: what was said of the first row that failed.
     """
 
     values: Array
@@ -78,6 +86,7 @@ class Answered:
     status: npt.NDArray[np.int64]
     route: npt.NDArray[np.int64] | None = None
     others: Array | None = None
+    note: str = ""
 
     @property
     def routes(self) -> npt.NDArray[np.int64]:
@@ -192,17 +201,22 @@ def _prints_to_stderr() -> Iterator[None]:
                 _redirected.pop().__exit__(None, None, None)
 
 
-def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str], box: BlackBox) -> Answered:
+def _answer_black_box(
+    names: Sequence[str], rows: Array, outputs: Sequence[str], needed: Sequence[str] | None, box: BlackBox
+) -> Answered:
     given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
     try:
         with _prints_to_stderr():
             found = box(given)
     except (Exception, SystemExit) as error:
-        raise ModelError(f"the model raised {type(error).__name__}: {error}") from error
+        raise ModelRaised(f"the model raised {type(error).__name__}: {error}") from error
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
     columns = []
     for name in outputs:
+        if name not in found and needed is not None and name not in needed:
+            columns.append(np.full(len(rows), np.nan))
+            continue
         if name not in found:
             raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
         try:
@@ -215,9 +229,10 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
             raise ModelError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
         columns.append(column)
     values = np.stack(columns, axis=1)
-    finite = np.isfinite(values).all(axis=1)
+    known = np.isfinite(values)
+    finite = known[:, [needed is None or name in needed for name in outputs]].all(axis=1)
     return Answered(
-        values=np.where(finite[:, None], values, np.nan),
+        values=np.where(known if needed is not None else finite[:, None], values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
     )
@@ -234,6 +249,7 @@ def answer(
     threads: int | None = None,
     black_box: BlackBox | None = None,
     fallback: Fallback | None = None,
+    needed: Sequence[str] | None = None,
 ) -> Answered:
     """Answers of n rows.
 
@@ -245,6 +261,8 @@ def answer(
     fidelity, tolerance, threads : see `uqsphere.mechanics.dynamics.solve`.
     black_box : the user's model, for a black-box study.
     fallback : which rows a cheaper fidelity leaves to `full`; none if None.
+    needed : the outputs without which a black box's row has failed, all if None; numbers of a failed row are then
+        kept where they are finite.
 
     Raises
     ------
@@ -261,7 +279,8 @@ def answer(
             **{name: np.full(len(rows), value) for name, value in study.fixed.items()},
             **{name: rows[:, k] for k, name in enumerate(names)},
         }
-        return _answer_black_box(list(columns), np.stack(list(columns.values()), axis=1), quantities, black_box)
+        together = np.stack(list(columns.values()), axis=1)
+        return _answer_black_box(list(columns), together, quantities, needed, black_box)
     return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads, fallback)
 
 
@@ -392,7 +411,7 @@ def model_digest(model: str | BlackBox) -> str:
 def status_text(code: int, black_box: bool) -> str:
     """What a row's status means, in words."""
     if black_box:
-        return "the model gave a number that is not finite"
+        return _BOX_STATUS.get(code, f"status {code}")
     from uqsphere.mechanics.scene import STATUS
 
     return STATUS.get(code, f"status {code}")

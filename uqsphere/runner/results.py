@@ -313,4 +313,6 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "seconds": {"total": ledger.elapsed, **ledger.seconds},
         "speed_error_seconds": seconds,
         "stopped_by_time": ledger.stopped_by_time,
+        "executor": work.engine.record(),
+        "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
     }

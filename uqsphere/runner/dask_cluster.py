@@ -1,0 +1,123 @@
+"""Evaluations on a Dask cluster: the one file that knows `distributed`."""
+
+from __future__ import annotations
+
+import contextlib
+import uuid
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any, Final
+
+from uqsphere.errors import AccessError, UsageError
+
+__all__ = ["DaskExecutor", "as_executor", "dask_cluster"]
+
+#: seconds to wait for the scheduler to answer
+CONNECT: Final = 20.0
+#: workers' deaths that the scheduler itself bears before it reports them; `uqsphere.runner.executors` counts on
+DEATHS: Final = 3
+
+
+def as_executor(given: Any) -> Any:
+    """What a user gave as an executor, with a Dask client dressed as one."""
+    if given is not None and type(given).__module__.split(".")[0] == "distributed":
+        return DaskExecutor(given)
+    return given
+
+
+class DaskExecutor:
+    """A client of Dask with the futures of the standard library; work of workers that die is done by others."""
+
+    kind = "dask"
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    @property
+    def count(self) -> int:
+        """Workers there are at the moment, at least one: they may still be on their way."""
+        return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
+
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Have `function(*args)` done by some worker of the cluster."""
+        whole: Future[Any] = Future()
+        far = self.client.submit(function, *args, key=f"uqsphere-{uuid.uuid4().hex}", pure=False)
+
+        def finish(done: Any) -> None:
+            if whole.cancelled():
+                return
+            try:
+                result = done.result()
+            except BaseException as error:
+                whole.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+            else:
+                whole.set_result(result)
+
+        def recall(future: Future[Any]) -> None:
+            if future.cancelled():
+                with contextlib.suppress(Exception):
+                    far.cancel()
+
+        far.add_done_callback(finish)
+        whole.add_done_callback(recall)
+        return whole
+
+
+@contextlib.contextmanager
+def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
+    """A running cluster by the address of its scheduler, or one of this machine's processes for `local`.
+
+    Raises
+    ------
+    UsageError
+        When the address is none, or Dask is not installed.
+    AccessError
+        When nobody answers there.
+    """
+    scheme, separator, place = address.partition("://")
+    if address != "local" and not (separator and place and scheme in ("tcp", "tls", "ucx", "ws", "wss")):
+        raise UsageError(f"--dask takes tcp://HOST:PORT of a scheduler, or local; found {address!r}")
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise UsageError('--dask needs Dask: pip install "uqsphere[dask]"') from error
+    from uqsphere.runner.executors import processors
+
+    make_cluster: Any = distributed.LocalCluster
+    make_client: Any = distributed.Client
+    with contextlib.ExitStack() as opened, _quiet():
+        opened.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}))
+        try:
+            if address == "local":
+                cluster = opened.enter_context(
+                    make_cluster(
+                        n_workers=workers or processors(),
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        dashboard_address=None,
+                    )
+                )
+                client = opened.enter_context(make_client(cluster, timeout=CONNECT))
+            else:
+                client = opened.enter_context(make_client(address, timeout=CONNECT))
+        except (OSError, TimeoutError) as error:
+            raise AccessError(f"no Dask scheduler answers at {address}: {error}") from error
+        yield DaskExecutor(client)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Dask's own log of what it survives is not the user's business."""
+    import logging
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.nanny", "distributed.scheduler")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
