@@ -44,8 +44,10 @@ def _system_errors(path: Path) -> Iterator[None]:
         raise AccessError(f"{path}: {reason}") from error
 
 
-def write_atomically(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) -> None:
     """Write a file so that it is there whole or not at all.
+
+    durable : wait until it is on the disk, and outlasts the machine and not the process alone.
 
     Raises
     ------
@@ -60,10 +62,12 @@ def write_atomically(path: Path, content: bytes | str) -> None:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
                 file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             os.chmod(temporary, 0o644)
             os.replace(temporary, path)
-            _sync_folder(path.parent)
+            if durable:
+                _sync_folder(path.parent)
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
@@ -164,13 +168,13 @@ class Store:
         """The keys of stored chunks that begin so."""
         return [key for key in self.index if key.startswith(beginning)]
 
-    def save(self, key: str, values: npt.NDArray[Any]) -> None:
-        """Store a chunk once, for good."""
+    def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:
+        """Store a chunk once, for good; `durable` as in `write_atomically`."""
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)
         data = buffer.getvalue()
         name = f"{key}_{hashlib.sha256(data).hexdigest()[:16]}.npy"
-        write_atomically(self.folder / "evaluations" / name, data)
+        write_atomically(self.folder / "evaluations" / name, data, durable=durable)
         names = self.index.setdefault(key, [])
         if name not in names:
             names.append(name)

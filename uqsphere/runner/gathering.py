@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 
 #: seconds of evaluation that may wait to be stored: a run that is killed repeats no more than that
 UNSAVED: Final = 0.05
+#: seconds of evaluation that are worth waiting for the disk: a part that is lost with the machine is evaluated again
+DURABLE: Final = 1.0
 _PART: Final = re.compile(r"\.p(\d+)-(\d+)")
 
 
@@ -117,7 +119,7 @@ def collect(
             if store is not None and chunk.done.all():
                 _save_whole(store, chunk, sheet)
             elif store is not None and waiting >= UNSAVED:
-                _save_parts(store, chunks, sheet)
+                _save_parts(store, chunks, sheet, durable=waiting >= DURABLE)
                 waiting = 0.0
             tell(done)
     except BaseException:
@@ -200,7 +202,7 @@ def _save_whole(store: Store, chunk: _Chunk, sheet: _Sheet) -> None:
     chunk.unsaved.clear()
 
 
-def _save_parts(store: Store, chunks: list[_Chunk], sheet: _Sheet) -> None:
+def _save_parts(store: Store, chunks: list[_Chunk], sheet: _Sheet, *, durable: bool = True) -> None:
     """Store what is finished of chunks that are not whole, rows that lie together in one file."""
     for chunk in chunks:
         if chunk.done.all() and not chunk.parts and not chunk.unsaved:
@@ -216,6 +218,6 @@ def _save_parts(store: Store, chunks: list[_Chunk], sheet: _Sheet) -> None:
                 spans.append((start, stop))
         for start, stop in spans:
             key = f"{chunk.name}.p{start - chunk.start}-{stop - chunk.start}"
-            store.save(key, packed(sheet.part(start, stop)))
+            store.save(key, packed(sheet.part(start, stop)), durable=durable)
             chunk.parts.append(key)
         chunk.unsaved.clear()
