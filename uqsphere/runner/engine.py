@@ -9,8 +9,10 @@ from uqsphere.runner.executors import LocalWorkers, processors
 
 __all__ = ["Engine"]
 
-#: seconds of evaluation, done and to come, from which on a model is dear enough for processes of its own
+#: seconds of evaluation, done and to come, from which on a model is dear enough for processes of its own: those take
+#: a second or two to start
 DEAR: Final = 1.0
+WORTH: Final = 3.0
 
 
 @dataclass(kw_only=True)
@@ -60,7 +62,7 @@ class Engine:
             return False
         each = self.seconds / self.rows
         self.why = f"an evaluation takes {each:.2g} s"
-        return each * left >= DEAR
+        return each * left >= WORTH
 
     def note(self, rows: int, seconds: float) -> None:
         """Take down what rows have cost."""
