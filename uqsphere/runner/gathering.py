@@ -25,7 +25,7 @@ __all__ = ["Gathered", "collect"]
 Array = npt.NDArray[np.float64]
 
 #: seconds of evaluation that may wait to be stored: a run that is killed repeats no more than that
-UNSAVED: Final = 0.05
+UNSAVED: Final = 0.01
 #: seconds of evaluation that are worth waiting for the disk: a part that is lost with the machine is evaluated again
 DURABLE: Final = 1.0
 _PART: Final = re.compile(r"\.p(\d+)-(\d+)")
