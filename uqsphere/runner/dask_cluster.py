@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -96,7 +97,8 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
                         threads_per_worker=1,
                         processes=True,
                         host="127.0.0.1",
-                        dashboard_address=None,
+                        dashboard_address="127.0.0.1:0",  # None would take port 8787, on every interface
+                        silence_logs=logging.CRITICAL,
                     )
                 )
                 client = opened.enter_context(make_client(cluster, timeout=CONNECT))
@@ -110,8 +112,6 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Dask's own log of what it survives is not the user's business."""
-    import logging
-
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.nanny", "distributed.scheduler")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
