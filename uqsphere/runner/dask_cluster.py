@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -31,8 +32,32 @@ class DaskExecutor:
 
     kind = "dask"
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, *, own: int | None = None) -> None:
         self.client = client
+        #: workers of a cluster that was started for this run, and is looked after here
+        self.own = own
+        self._told = False
+
+    def look_after(self) -> None:
+        """Bring workers of a cluster of our own back; tell once if there is none.
+
+        A nanny restarts its worker, but gives up if that dies while it starts.
+
+        Raises
+        ------
+        AccessError
+            When the connection to the scheduler is lost.
+        """
+        if self.client.status not in ("running", "connecting"):
+            raise AccessError(
+                "the Dask scheduler was lost; what was evaluated is kept, and the same command goes on with it"
+            )
+        missing = not self.client.scheduler_info(n_workers=-1)["workers"]
+        if self.own is not None:
+            self.client.cluster.scale(self.own)
+        elif missing and not self._told:
+            print("the Dask cluster has no workers at the moment: waiting for some", file=sys.stderr, flush=True)
+        self._told = missing
 
     @property
     def count(self) -> int:
@@ -87,13 +112,14 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
 
     make_cluster: Any = distributed.LocalCluster
     make_client: Any = distributed.Client
+    own = (workers or processors()) if address == "local" else None
     with contextlib.ExitStack() as opened, _quiet():
         opened.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}))
         try:
             if address == "local":
                 cluster = opened.enter_context(
                     make_cluster(
-                        n_workers=workers or processors(),
+                        n_workers=own,
                         threads_per_worker=1,
                         processes=True,
                         host="127.0.0.1",
@@ -106,13 +132,16 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
                 client = opened.enter_context(make_client(address, timeout=CONNECT))
         except (OSError, TimeoutError) as error:
             raise AccessError(f"no Dask scheduler answers at {address}: {error}") from error
-        yield DaskExecutor(client)
+        yield DaskExecutor(client, own=own)
 
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Dask's own log of what it survives is not the user's business."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.nanny", "distributed.scheduler")]
+    loggers = [
+        logging.getLogger(name)
+        for name in ("distributed", "distributed.nanny", "distributed.scheduler", "distributed.client")
+    ]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.CRITICAL)

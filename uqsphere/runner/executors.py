@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 LIVES: Final = 4
 #: pieces of work that are handed out at once where it is not known how many workers there are
 WINDOW: Final = 64
+#: seconds without an answer after which an executor looks after its workers
+PATIENCE: Final = 5.0
 _START: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from uqsphere.runner.worker import serve; serve()"
 )
@@ -263,7 +265,12 @@ def gather(
                 hand_out()
             if not pending:
                 return
-            number = ready.get()
+            try:
+                number = ready.get(timeout=PATIENCE)
+            except queue.Empty:
+                if hasattr(executor, "look_after"):
+                    executor.look_after()
+                continue
             pending.discard(number)
             piece = pieces.pop(number)
             try:
