@@ -22,7 +22,7 @@ from uqsphere.study import Study, load_study
 __all__ = ["Throughput", "measure"]
 
 #: rows that are drawn and evaluated at once, 16 replicates together
-STAGE = 1 << 20
+STAGE = 1 << 18
 
 
 @dataclass(frozen=True, kw_only=True)
