@@ -29,7 +29,8 @@ from uqsphere.errors import AccessError, FolderError
 __all__ = ["Store", "open_store", "read_json", "write_atomically", "write_json"]
 
 _CHUNK = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
-_HALF = re.compile(r"\.[a-z0-9.-]+_[0-9a-f]{16}\.npy\..+")
+#: what a killed process leaves of a file it was writing
+_HALF = re.compile(r"\.[\w.-]+\.(?:npy|json|csv|toml|svg|html)\.[a-z0-9_]{8}")
 _MARK = "study.resolved.json"
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
 Extension = Callable[[dict[str, Any], dict[str, Any]], str]
@@ -139,9 +140,12 @@ class Store:
             match = _CHUNK.fullmatch(name)
             if match is not None:
                 self.index.setdefault(match["key"], []).append(name)
-            elif _HALF.fullmatch(name):
-                with contextlib.suppress(OSError):
-                    (place / name).unlink()
+        for room in (place, self.folder, self.folder / "tables", self.folder / "figures"):
+            if not room.is_symlink() and room.is_dir():
+                for path in room.glob(".*"):
+                    if _HALF.fullmatch(path.name):
+                        with contextlib.suppress(OSError):
+                            path.unlink()
 
     def load(self, key: str) -> npt.NDArray[Any] | None:
         """The stored chunk of a key, or None if there is none that is whole."""
