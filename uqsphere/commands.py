@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -129,14 +130,22 @@ def command_run(chosen: argparse.Namespace) -> int:
     _warn(study)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
-    found, interrupted = attend(
-        study,
-        out=chosen.out,
-        model=chosen.model,
-        jobs=chosen.jobs,
-        fresh=chosen.fresh,
-        seconds=_seconds(chosen.budget),
-    )
+    with contextlib.ExitStack() as opened:
+        executor = None
+        if chosen.dask is not None:
+            from uqsphere.runner.dask_cluster import dask_cluster
+
+            executor = opened.enter_context(dask_cluster(chosen.dask, chosen.jobs))
+        found, interrupted = attend(
+            study,
+            out=chosen.out,
+            model=chosen.model,
+            jobs=chosen.jobs,
+            executor=executor,
+            fresh=chosen.fresh,
+            extend=chosen.extend,
+            seconds=_seconds(chosen.budget),
+        )
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:
         print(f"accuracy not reached: {plain(text)}", file=sys.stderr)

@@ -316,6 +316,9 @@ MANIFEST: Final = table(
         "seconds": named(number),
         "speed_error_seconds": many(number, most=20_000),
         "stopped_by_time": flag,
+        "interrupted": flag,
+        "executor": table({"kind": text, "workers": count, "why": text}, {"seconds_per_evaluation": maybe(number)}),
+        "damaged_chunks": many(text),
     },
 )
 
@@ -341,7 +344,8 @@ RESOLVED: Final = table(
                 "on_failure": word("abort", "bound", "drop"),
                 "accuracy": table(dict.fromkeys(("mean", "quantile", "sobol", "probability"), number)),
                 "budget": table({"evaluations": count, "time": number}),
-            }
+            },
+            {"rows_per_call": maybe(count), "time_limit": maybe(number)},
         ),
     },
     {

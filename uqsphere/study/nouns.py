@@ -97,7 +97,8 @@ class Analysis:
     """What is asked, how precisely, and at what cost.
 
     `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
-    name of the user's.
+    name of the user's.  `rows_per_call` rows go into one call of a black box, by their number if None; `time_limit`
+    [s] ends an evaluation of a black box, none if None.
     """
 
     quantities: tuple[str, ...]
@@ -109,6 +110,8 @@ class Analysis:
     second_order: bool = False
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     tolerance_intervals: ToleranceRequest | None = None
+    rows_per_call: int | None = None
+    time_limit: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +283,7 @@ class Study:
             "model": None if self.black_box else asdict(self.model),
             "limits": {limit.name: _limit_json(limit) for limit in self.limits},
             "dependence": [_dependence_json(group) for group in self.dependence],
-            "analysis": _lists(asdict(self.analysis)),
+            "analysis": _analysis_json(self.analysis),
             "margins": None if self.margins is None else _margins_json(self.margins),
             "outputs": list(self.outputs),
             **({} if self.record is None else {"record": _lists(asdict(self.record))}),
@@ -320,6 +323,14 @@ def _margins_json(margins: Margins) -> dict[str, Any]:
     """What was asked, and nothing else, as with dependence."""
     table = _lists(asdict(margins))
     return {key: value for key, value in table.items() if value not in (None, False)}
+
+
+def _analysis_json(analysis: Analysis) -> dict[str, Any]:
+    """The request; keys of black boxes only where they are given, so that they change no other study's hash."""
+    table = _lists(asdict(analysis))
+    return {
+        key: value for key, value in table.items() if value is not None or key not in ("rows_per_call", "time_limit")
+    }
 
 
 def _bound(value: float) -> float | None:

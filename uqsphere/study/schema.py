@@ -174,6 +174,8 @@ class AnalysisTable(Table):
     quantiles: list[float] = Field(default_factory=lambda: [0.01, 0.05, 0.5, 0.95, 0.99])
     methods: Any = "auto"
     on_failure: OnFailure = "abort"
+    rows_per_call: int | None = None
+    time_limit: Any = None
     second_order: bool = False
     groups: dict[str, list[str]] = Field(default_factory=dict)
     tolerance_intervals: ToleranceTable | None = None
