@@ -20,7 +20,7 @@ from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
 from uqsphere.runner.log import logged
-from uqsphere.runner.tables import csv_text
+from uqsphere.runner.tables import csv_text, tables
 from uqsphere.store import open_store, write_atomically
 from uqsphere.study import load_study
 
@@ -312,6 +312,8 @@ def test_exported_columns_are_no_formulas(folder: Path) -> None:
     names = json.loads((folder / "samples.json").read_text())
     names["inputs"][0] = "=HYPERLINK(1)"
     (folder / "samples.json").write_text(json.dumps(names))
+    for name, text in tables(json.loads((folder / "results.json").read_text())).items():
+        write_atomically(folder / "tables" / name, text)
     assert main(["export", str(folder), "--format", "csv"]) == 0
     assert (folder / "export" / "samples.csv").read_text().startswith("'=HYPERLINK(1)")
 

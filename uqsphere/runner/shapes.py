@@ -280,8 +280,7 @@ _QUANTITY: Final = table(
     {"tolerance": maybe(_TOLERANCE), "ignorance": anything},
 )  # fmt: skip
 
-#: the content of results.json
-RESULTS: Final = table(
+_RESULTS: Final = table(
     {
         "study": table({"title": text, "hash": text, "seed": count}),
         "versions": named(text),
@@ -303,6 +302,16 @@ RESULTS: Final = table(
     },
     {"warnings": many(text, most=1000), "paper": many(_PAPER, most=100)},
 )  # fmt: skip
+
+
+def _belonging(node: Any, place: str) -> str:
+    """Margins are those of limits."""
+    strange = [name for name in node["margins"] if name not in node["limits"]]
+    return f"{place}.margins.{strange[0][:60]}: there is no such limit" if strange else ""
+
+
+#: the content of results.json
+RESULTS: Final = both(_RESULTS, _belonging)
 
 #: the content of manifest.json
 MANIFEST: Final = table(
