@@ -34,17 +34,19 @@ def command_new(chosen: argparse.Namespace) -> int:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
     written = [str(chosen.output)]
-    model = found[chosen.template].with_suffix(".py")
-    target = chosen.output.parent / model.name
-    if model.is_file() and not target.exists():
-        _write_new(target, model)
-        written.append(str(target))
+    study = found[chosen.template]
+    # a study may have a model of its own, and tests of its own
+    for source in (study.with_suffix(".py"), *sorted(study.parent.glob(f"{study.stem}_*.csv"))):
+        target = chosen.output.parent / source.name
+        if source.is_file() and not target.exists():
+            _write_new(target, source)
+            written.append(str(target))
     if chosen.json:
         _document({"written": written})
         return 0
     print(f"wrote {written[0]}; next: uqsphere check {written[0]}")
     for path in written[1:]:
-        print(f"wrote {path}, its model")
+        print(f"wrote {path}, {'its model' if path.endswith('.py') else 'the tests that it reads'}")
     return 0
 
 
