@@ -20,6 +20,7 @@ FLOORS = {
     "uqsphere.uq": 2,
     "uqsphere.materials": 3,
     "uqsphere.records": 3,
+    "uqsphere.black_box": 3,
     "uqsphere.study": 4,
     "uqsphere.model": 5,
     "uqsphere.store": 5,

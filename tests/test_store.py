@@ -263,7 +263,7 @@ def test_a_damaged_chunk_alone_is_evaluated_again(tmp_path: Path, box_study: Stu
     box = Counted()
     uqsphere.run(box_study, out=tmp_path / "r", model=box)
     before = (tmp_path / "r" / "results.json").read_bytes()
-    (path,) = (tmp_path / "r" / "evaluations").glob("sampling.0.0_*")
+    (path,) = (tmp_path / "r" / "evaluations").glob("sampling.0.0.*")
     rows = len(np.load(path))
     data = bytearray(path.read_bytes())
     data[-3] ^= 64

@@ -18,7 +18,7 @@ from report_folders import limit, write_folder
 from uqsphere.cli import main
 from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import array_of, is_device_name, load_document, plain_files, read_whole, refuse_links
+from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
 from uqsphere.runner.log import logged
 from uqsphere.runner.tables import csv_text, tables
 from uqsphere.store import open_store, write_atomically
@@ -104,6 +104,43 @@ def test_an_array_comes_back(tmp_path: Path) -> None:
     values = np.array([[1.0, np.nan, -0.0], [np.inf, 5e-324, 2.0]])
     np.save(tmp_path / "x.npy", values)
     assert array_of((tmp_path / "x.npy").read_bytes()).tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "[('a', '|O')]",
+        "[('a', '<f4')]",
+        "[('a', '>f8')]",
+        "[('a', '<U2')]",
+        "[('a', [('b', '<f8')])]",
+        "[('a', '<f8'), ('', '|V8')]",
+        "{'names': ['a'], 'formats': ['<f8'], 'offsets': [8]}",
+        "{'names': ['a', 'b'], 'formats': ['<f8', '<f8'], 'offsets': [0, 4], 'itemsize': 16}",
+        "[('a', '<f8', (0,))]",
+        "[('a', '<f8', (999999999,))]",
+        "[]",
+    ],
+)
+def test_a_table_has_plain_columns_and_nothing_else(columns: str) -> None:
+    data = header(f"{{'descr': {columns}, 'fortran_order': False, 'shape': (2,), }}", 182) + bytes(32)
+    with pytest.raises(ValueError):  # noqa: PT011
+        chunk_of(data)
+
+
+def test_a_table_comes_back_as_a_chunk_and_is_no_plain_array(tmp_path: Path) -> None:
+    kinds = [("values", "<f8", (3,)), ("steps", "<i8"), ("flags", "u1", (2,)), ("censored", "?")]
+    values = np.zeros(5, dtype=kinds)
+    values["values"][2] = (1.0, np.nan, -0.0)
+    values["censored"][1] = True
+    np.save(tmp_path / "x.npy", values)
+    data = (tmp_path / "x.npy").read_bytes()
+    found = chunk_of(data)
+    assert (found.dtype, found.tobytes()) == (values.dtype, values.tobytes())
+    with pytest.raises(ValueError, match="array of"):
+        array_of(data)
+    with pytest.raises(ValueError, match="bytes"):
+        chunk_of(data[:-1])
 
 
 def test_device_names_are_known_on_every_system() -> None:
@@ -275,9 +312,8 @@ def test_exported_columns_are_no_formulas(folder: Path) -> None:
     names = json.loads((folder / "samples.json").read_text())
     names["inputs"][0] = "=HYPERLINK(1)"
     (folder / "samples.json").write_text(json.dumps(names))
-    (folder / "tables").mkdir()
     for name, text in tables(json.loads((folder / "results.json").read_text())).items():
-        (folder / "tables" / name).write_text(text)
+        write_atomically(folder / "tables" / name, text)
     assert main(["export", str(folder), "--format", "csv"]) == 0
     assert (folder / "export" / "samples.csv").read_text().startswith("'=HYPERLINK(1)")
 

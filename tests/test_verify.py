@@ -105,6 +105,26 @@ def test_a_scene_is_evaluated_again(finished: Path) -> None:
     assert len(found["repeated"]) == 2
 
 
+def test_every_evaluation_of_a_scene_is_evaluated_again(finished: Path) -> None:
+    found = verify_folder(finished, chunks=1000)
+    assert (found["verdict"], found["results"], found["notes"]) == ("whole", "the same", [])
+    stored = {path.name.rpartition("_")[0] for path in (finished / "evaluations").glob("*.npy")}
+    assert {entry["chunk"] for entry in found["repeated"]} == stored
+    assert any(chunk.startswith("pilot.") for chunk in stored)
+
+
+def test_a_changed_flag_is_found(finished: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "r"))
+    path = next((folder / "evaluations").glob("pilot.full.0.*"))
+    table = np.load(path)
+    table["steps"][7] += 1
+    np.save(path, table)
+    key = path.name.rpartition("_")[0]
+    path.rename(path.with_name(f"{key}_{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}.npy"))
+    (fault,) = verify_folder(folder, chunks=1000)["faults"]
+    assert f"{key} come out differently" in fault
+
+
 def test_the_checksums_are_those_of_sha256sum(box: Path) -> None:
     done = subprocess.run(["sha256sum", "--quiet", "--check", "SHA256SUMS"], cwd=box / "run", check=False)
     assert done.returncode == 0
@@ -156,17 +176,18 @@ def test_a_damaged_chunk_is_named_and_a_missing_one_too(box: Path) -> None:
 
 
 def test_evaluations_that_were_changed_with_their_checksum_are_found(box: Path) -> None:
-    path = next((box / "run" / "evaluations").glob("sampling.0.0_*.npy"))
+    path = next((box / "run" / "evaluations").glob("sampling.0.0.*.npy"))
     values = np.load(path)
     values[0, 0] += 1e-9
     np.save(path, values)
     data = path.read_bytes()
-    path.rename(path.with_name(f"sampling.0.0_{hashlib.sha256(data).hexdigest()[:16]}.npy"))
+    key = path.name.rpartition("_")[0]
+    path.rename(path.with_name(f"{key}_{hashlib.sha256(data).hexdigest()[:16]}.npy"))
     count = len(list((box / "run" / "evaluations").iterdir()))
     model = f"{box / 'model.py'}:f"
     assert verify_folder(box / "run", chunks=0, model=model)["verdict"] == "damaged"  # by the results
     found = verify_folder(box / "run", chunks=count, model=model)
-    assert any("sampling.0.0 come out differently" in fault for fault in found["faults"])
+    assert any(f"{key} come out differently" in fault for fault in found["faults"])
 
 
 @pytest.mark.parametrize("name", ["results.json", "study.toml", "tables/limits.csv", "samples.npy"])
@@ -226,13 +247,14 @@ def test_a_run_of_another_version_is_not_evaluated_again(box: Path, monkeypatch:
     assert any("made by uqsphere" in note for note in found["notes"])
 
 
-def test_a_run_that_its_time_budget_stopped_is_no_damage(box: Path) -> None:
-    manifest: dict[str, Any] = json.loads((box / "run" / "manifest.json").read_text()) | {"stopped_by_time": True}
+@pytest.mark.parametrize(("key", "who"), [("stopped_by_time", "time budget"), ("interrupted", "user")])
+def test_a_run_that_was_stopped_is_no_damage(box: Path, key: str, who: str) -> None:
+    manifest: dict[str, Any] = json.loads((box / "run" / "manifest.json").read_text()) | {key: True}
     forged(box / "run", "manifest.json", json.dumps(manifest).encode())
     sorted((box / "run" / "evaluations").glob("sampling*"))[-1].unlink()
     found = verify_folder(box / "run")
     assert found["verdict"] == "whole"
-    assert any("time budget" in note for note in found["notes"])
+    assert any(f"{who} stopped this run" in note for note in found["notes"])
 
 
 # --- the stored study -----------------------------------------------------------------------------

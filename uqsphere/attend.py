@@ -14,6 +14,7 @@ from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.runner import Run
+    from uqsphere.runner.executors import Executor
 
 __all__ = ["Patience", "attend"]
 
@@ -53,11 +54,19 @@ class Patience:
 
 
 def attend(
-    study: Study, *, out: Path | None, model: str | None, jobs: int | None, fresh: bool, seconds: float | None
+    study: Study,
+    *,
+    out: Path | None,
+    model: str | None,
+    jobs: int | None,
+    fresh: bool,
+    seconds: float | None,
+    executor: Executor | None = None,
+    extend: bool = False,
 ) -> tuple[Run, bool]:
     """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early.
 
-    Parameters are those of `uqsphere.runner.run`; with `jobs` above 1 a black box runs in that many processes.
+    Parameters are those of `uqsphere.runner.run`, `jobs` its `threads`.
     """
     from uqsphere.runner import run
 
@@ -68,37 +77,19 @@ def attend(
         asked=vars(study.analysis.accuracy),
     )
     with Patience(_NOTICE) as patience:
-        go: dict[str, Any] = {
-            "out": out,
-            "model": model,
-            "fresh": fresh,
-            "seconds": seconds,
-            "progress": progress,
-            "notice": progress.say,
-            "stop": patience.asked,
-            "reached": progress.reached,
-        }
-        if study.black_box and model and (jobs or 1) > 1:
-            found = _in_processes(study, jobs or 1, go)
-        else:
-            found = run(study, threads=jobs, **go)
+        found = run(
+            study,
+            out=out,
+            executor=executor,
+            model=model,
+            threads=jobs,
+            fresh=fresh,
+            extend=extend,
+            seconds=seconds,
+            progress=progress,
+            notice=progress.say,
+            stop=patience.asked,
+            reached=progress.reached,
+        )
     progress.finish()
     return found, patience.interrupted
-
-
-def _in_processes(study: Study, jobs: int, go: dict[str, Any]) -> Run:
-    """A black box runs in processes of its own, since nothing is known of its threads."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    from uqsphere.runner import run
-
-    # Ctrl-C reaches the workers too: they finish their chunk, and this process decides
-    with ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-    ) as pool:
-        try:
-            return run(study, executor=pool, **go)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise

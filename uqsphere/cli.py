@@ -76,6 +76,11 @@ def build_parser() -> argparse.ArgumentParser:
     again = run.add_mutually_exclusive_group()
     again.add_argument("--resume", action="store_true", help="go on with what is stored (the default)")
     again.add_argument("--fresh", action="store_true", help="drop what is stored and begin again")
+    again.add_argument("--extend", action="store_true",
+                       help="let a study that asks more of the same inputs go on with what DIR holds")  # fmt: skip
+    run.add_argument("--dask", metavar="ADDRESS",
+                     help='evaluate on a Dask cluster: "tcp://HOST:8786" of its scheduler, or "local" for one of this '
+                     "machine's processes (-j of them)")  # fmt: skip
     run.add_argument("--model", metavar="FILE.py:FUNCTION", help="the model of a black-box study; THIS RUNS THE FILE")
     history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv and the figures here")
 

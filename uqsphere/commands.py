@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -33,11 +34,11 @@ def command_new(chosen: argparse.Namespace) -> int:
         raise UsageError(f"unknown template {chosen.template!r} (allowed: {', '.join(found)})")
     _write_new(chosen.output, found[chosen.template])
     written = [str(chosen.output)]
-    # what a study needs beside it begins with its name: the model of a black box, the tests of a strength
-    needed = sorted(found[chosen.template].parent.glob(f"{chosen.template}*"))
-    for source in (path for path in needed if path.suffix in (".py", ".csv")):
+    study = found[chosen.template]
+    # a study may have a model of its own, and tests of its own
+    for source in (study.with_suffix(".py"), *sorted(study.parent.glob(f"{study.stem}_*.csv"))):
         target = chosen.output.parent / source.name
-        if not target.exists():
+        if source.is_file() and not target.exists():
             _write_new(target, source)
             written.append(str(target))
     if chosen.json:
@@ -126,14 +127,22 @@ def command_run(chosen: argparse.Namespace) -> int:
     _warn(study)
     if chosen.jobs is not None and chosen.jobs < 1:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
-    found, interrupted = attend(
-        study,
-        out=chosen.out,
-        model=chosen.model,
-        jobs=chosen.jobs,
-        fresh=chosen.fresh,
-        seconds=_seconds(chosen.budget),
-    )
+    with contextlib.ExitStack() as opened:
+        executor = None
+        if chosen.dask is not None:
+            from uqsphere.runner.dask_cluster import dask_cluster
+
+            executor = opened.enter_context(dask_cluster(chosen.dask, chosen.jobs))
+        found, interrupted = attend(
+            study,
+            out=chosen.out,
+            model=chosen.model,
+            jobs=chosen.jobs,
+            executor=executor,
+            fresh=chosen.fresh,
+            extend=chosen.extend,
+            seconds=_seconds(chosen.budget),
+        )
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:
         print(f"accuracy not reached: {plain(text)}", file=sys.stderr)

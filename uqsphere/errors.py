@@ -8,6 +8,7 @@ __all__ = [
     "AccessError",
     "FolderError",
     "ModelError",
+    "ModelRaised",
     "Problem",
     "StudyError",
     "TooManyFailures",
@@ -64,6 +65,10 @@ class ModelError(UqsphereError):
     """A user's own model failed, or returned what is no answer."""
 
     exit_code = 4
+
+
+class ModelRaised(ModelError):
+    """A user's own model raised an exception: some row it was given may be the cause."""
 
 
 class FolderError(UqsphereError):

@@ -26,6 +26,7 @@ __all__ = [
     "LARGEST_ARRAY",
     "LARGEST_DOCUMENT",
     "array_of",
+    "chunk_of",
     "digest_of",
     "is_device_name",
     "load_document",
@@ -41,6 +42,8 @@ LARGEST_ARRAY: Final = 1 << 30
 MOST_FILES: Final = 200_000
 #: folders that a result folder has
 FOLDERS: Final = ("evaluations", "tables", "figures", "export")
+#: columns of a stored table: numbers, counts and flags
+_COLUMNS: Final = frozenset(("<f8", "<i8", "|u1", "|b1"))
 _DEVICES: Final = frozenset(
     (
         "con",
@@ -136,6 +139,20 @@ def array_of(data: bytes) -> npt.NDArray[np.float64]:
     ValueError
         For anything but a whole array of little-endian float64 in C order.
     """
+    found = chunk_of(data)
+    if found.dtype.names is not None:
+        raise ValueError(f"found an array of {found.dtype}")
+    return found
+
+
+def chunk_of(data: bytes) -> npt.NDArray[Any]:
+    """The array of an .npy file of float64, or of rows of plain numbers with names; sizes as with `array_of`.
+
+    Raises
+    ------
+    ValueError
+        For anything but a whole array in C order of what a run stores.
+    """
     import io
 
     import numpy as np
@@ -148,11 +165,21 @@ def array_of(data: bytes) -> npt.NDArray[np.float64]:
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     except Exception as error:  # the header is text that numpy parses: it can fail in any way
         raise ValueError(f"the header of the array cannot be read: {error}") from error
-    if fortran or dtype != np.dtype("<f8"):
+    if fortran or not (dtype == np.dtype("<f8") or _is_plain_table(dtype)):
         raise ValueError(f"found an array of {dtype}")
-    if any(length < 0 for length in shape) or 8 * math.prod(shape) != len(data) - stream.tell():
+    if any(length < 0 for length in shape) or dtype.itemsize * math.prod(shape) != len(data) - stream.tell():
         raise ValueError(f"found {len(data) - stream.tell():,} bytes for an array of shape {shape}")
-    return np.frombuffer(data, dtype=np.float64, offset=stream.tell()).reshape(shape).copy()
+    return np.frombuffer(data, dtype=dtype, offset=stream.tell()).reshape(shape).copy()
+
+
+def _is_plain_table(dtype: np.dtype[Any]) -> bool:
+    """Whether an array has named columns of the kinds that a run stores, one after the other and without gaps."""
+    import numpy as np
+
+    if dtype.names is None or dtype.itemsize == 0:
+        return False
+    columns = [(name, dtype[name].base, dtype[name].shape) for name in dtype.names]
+    return dtype == np.dtype(columns) and all(base.str in _COLUMNS for _, base, _ in columns)
 
 
 def digest_of(path: Path) -> str:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr
+from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 
@@ -42,7 +39,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
-BlackBox = Callable[[dict[str, Array]], Mapping[str, Any]]
 
 #: fidelities in the order of their cost
 FIDELITIES = ("massless", "linear", "full")
@@ -55,6 +51,14 @@ NO_DAMPER = (
     "bars.receiving_damper, an impedance against frequency, is followed by history alone: for a run, give the end as a "
     "number, receiving_end"
 )
+#: status of a row for which a black box raised, took longer than its limit of time, or ended its process
+STATUS_RAISED, STATUS_TIME, STATUS_DIED = 8, 9, 10
+_BOX_STATUS = {
+    STATUS_NOT_FINITE: "the model gave a number that is not finite",
+    STATUS_RAISED: "the model raised an exception",
+    STATUS_TIME: "the model took longer than analysis.time_limit",
+    STATUS_DIED: "the model ended the process it ran in",
+}
 #: a row with one of these has numbers
 ANSWERED = frozenset({0, STATUS_UNDECIDED})
 #: how a row was answered: by the fidelity asked for, by `full` in its place, or by `full` after it had failed
@@ -76,7 +80,7 @@ class Answered:
 
     Values and censored flags (n, q) in the order of the quantities asked, status (n,), and by which route each
     row was answered (n,): all by the fidelity asked for if None.  others (n, q): the other answer of rows whose
-    status is 7; None if there is none.
+    status is 7; None if there is none.  note: what was said of the first row that failed.
     """
 
     values: Array
@@ -84,6 +88,7 @@ class Answered:
     status: npt.NDArray[np.int64]
     route: npt.NDArray[np.int64] | None = None
     others: Array | None = None
+    note: str = ""
 
     @property
     def routes(self) -> npt.NDArray[np.int64]:
@@ -184,44 +189,22 @@ def _answer_scene(
     return Answered(values=values, censored=censored, status=status, route=route)
 
 
-_redirect_lock = threading.Lock()
-_redirected: list[contextlib.redirect_stdout[Any]] = []
-_depth = 0
-
-
-@contextlib.contextmanager
-def _prints_to_stderr() -> Iterator[None]:
-    """stdout carries results only: whatever a black box prints goes the way of diagnostics.
-
-    sys.stdout belongs to the whole process: of several threads the first redirects it and the last gives
-    it back, or one would restore what another had redirected.
-    """
-    global _depth
-    with _redirect_lock:
-        if _depth == 0:
-            _redirected.append(contextlib.redirect_stdout(sys.stderr))
-            _redirected[-1].__enter__()
-        _depth += 1
-    try:
-        yield
-    finally:
-        with _redirect_lock:
-            _depth -= 1
-            if _depth == 0:
-                _redirected.pop().__exit__(None, None, None)
-
-
-def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str], box: BlackBox) -> Answered:
+def _answer_black_box(
+    names: Sequence[str], rows: Array, outputs: Sequence[str], needed: Sequence[str] | None, box: BlackBox
+) -> Answered:
     given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
     try:
-        with _prints_to_stderr():
+        with prints_to_stderr():
             found = box(given)
     except (Exception, SystemExit) as error:
-        raise ModelError(f"the model raised {type(error).__name__}: {error}") from error
+        raise ModelRaised(f"the model raised {type(error).__name__}: {error}") from error
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
     columns = []
     for name in outputs:
+        if name not in found and needed is not None and name not in needed:
+            columns.append(np.full(len(rows), np.nan))
+            continue
         if name not in found:
             raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
         try:
@@ -234,9 +217,10 @@ def _answer_black_box(names: Sequence[str], rows: Array, outputs: Sequence[str],
             raise ModelError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
         columns.append(column)
     values = np.stack(columns, axis=1)
-    finite = np.isfinite(values).all(axis=1)
+    known = np.isfinite(values)
+    finite = known[:, [needed is None or name in needed for name in outputs]].all(axis=1)
     return Answered(
-        values=np.where(finite[:, None], values, np.nan),
+        values=np.where(known if needed is not None else finite[:, None], values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
     )
@@ -253,6 +237,7 @@ def answer(
     threads: int | None = None,
     black_box: BlackBox | None = None,
     fallback: Fallback | None = None,
+    needed: Sequence[str] | None = None,
 ) -> Answered:
     """Answers of n rows.
 
@@ -264,6 +249,8 @@ def answer(
     fidelity, tolerance, threads : see `uqsphere.mechanics.dynamics.solve`.
     black_box : the user's model, for a black-box study.
     fallback : which rows a cheaper fidelity leaves to `full`; none if None.
+    needed : the outputs without which a black box's row has failed, all if None; numbers of a failed row are then
+        kept where they are finite.
 
     Raises
     ------
@@ -280,7 +267,8 @@ def answer(
             **{name: np.full(len(rows), value) for name, value in study.fixed.items()},
             **{name: rows[:, k] for k, name in enumerate(names)},
         }
-        return _answer_black_box(list(columns), np.stack(list(columns.values()), axis=1), quantities, black_box)
+        together = np.stack(list(columns.values()), axis=1)
+        return _answer_black_box(list(columns), together, quantities, needed, black_box)
     return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads, fallback)
 
 
@@ -352,66 +340,10 @@ def evaluate(
     return frame
 
 
-def load_black_box(reference: str) -> BlackBox:
-    """The function that ``FILE.py:FUNCTION`` names.  This runs the file: it is the only way to run foreign code.
-
-    Raises
-    ------
-    UsageError
-        When the reference is malformed or the function is not there.
-    AccessError
-        When the file cannot be read.
-    """
-    import importlib.util
-
-    file, separator, name = reference.rpartition(":")
-    if not separator or not file.endswith(".py") or not name.isidentifier():
-        raise UsageError(f"--model takes FILE.py:FUNCTION, found {reference!r}")
-    path = Path(file)
-    if not path.is_file():
-        raise AccessError(f"the model file {file} does not exist")
-    spec = importlib.util.spec_from_file_location(f"uqsphere_black_box_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise UsageError(f"{file} cannot be loaded as a Python file")
-    module = importlib.util.module_from_spec(spec)
-    try:
-        with _prints_to_stderr():
-            spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise ModelError(f"{file} raised {type(error).__name__} on loading: {error}") from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise UsageError(f"{file} has no function {name!r}")
-    return function  # type: ignore[no-any-return]
-
-
-def model_digest(model: str | BlackBox) -> str:
-    """What tells one black box from another: a digest of its file and function, or of the function's own source.
-
-    What the model reads or imports besides is not seen.
-    """
-    import hashlib
-    import inspect
-
-    if isinstance(model, str):
-        file, _, name = model.rpartition(":")
-        try:
-            source = Path(file).read_bytes()
-        except OSError as error:
-            raise AccessError(f"the model file {file}: {error.strerror}") from error
-    else:
-        name = f"{getattr(model, '__module__', '')}.{getattr(model, '__qualname__', type(model).__qualname__)}"
-        try:
-            source = inspect.getsource(model).encode()
-        except (OSError, TypeError):
-            source = b""
-    return hashlib.sha256(source + b"\0" + name.encode()).hexdigest()[:16]
-
-
 def status_text(code: int, black_box: bool) -> str:
     """What a row's status means, in words."""
     if black_box:
-        return "the model gave a number that is not finite"
+        return _BOX_STATUS.get(code, f"status {code}")
     from uqsphere.mechanics.scene import STATUS
 
     return STATUS.get(code, f"status {code}")

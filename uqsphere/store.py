@@ -15,8 +15,8 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,19 @@ import numpy.typing as npt
 
 import uqsphere
 from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import LARGEST_ARRAY, array_of, load_document, read_whole, refuse_links
+from uqsphere.files import LARGEST_ARRAY, chunk_of, load_document, read_whole, refuse_links
 
-__all__ = ["CHUNK_NAME", "Store", "open_store", "read_json", "write_atomically", "write_json"]
+__all__ = ["CHUNK_NAME", "PART_END", "Store", "open_store", "read_json", "write_atomically", "write_json"]
 
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
+#: how the key of a part of a chunk ends: its first row, and the one after its last
+PART_END = re.compile(r"\.p(\d+)-(\d+)$")
+#: what a killed process leaves of a file it was writing
+_HALF = re.compile(r"\.(?:[\w.-]+\.(?:npy|json|csv|toml|svg|html|pdf)|SHA256SUMS)\.[a-z0-9_]{8}")
 _MARK = "study.resolved.json"
+#: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
+Extension = Callable[[dict[str, Any], dict[str, Any]], str]
 
 
 def _mode() -> int:
@@ -54,8 +60,10 @@ def _system_errors(path: Path) -> Iterator[None]:
         raise AccessError(f"{path}: {reason}") from error
 
 
-def write_atomically(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) -> None:
     """Write a file so that it is there whole or not at all.
+
+    durable : wait until it is on the disk, and outlasts the machine and not the process alone.
 
     Raises
     ------
@@ -70,13 +78,30 @@ def write_atomically(path: Path, content: bytes | str) -> None:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
                 file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             os.chmod(temporary, _MODE)
             os.replace(temporary, path)
+            if durable:
+                _sync_folder(path.parent)
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             raise
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on disk too, where the system knows how."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system that cannot
+            raise
+    finally:
+        os.close(handle)
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -97,37 +122,96 @@ def read_json(path: Path) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Store:
-    """An open result folder; `lock` is held as long as the process lives or until `close`."""
+    """An open result folder; `lock` is held as long as the process lives or until `close`.
+
+    `damaged` names the chunks that were found and could not be used; `mark` is what has to be written into the folder
+    before it is that of the study which extends another.
+    """
 
     folder: Path
     lock: Any
+    damaged: list[str] = field(default_factory=list)
+    mark: dict[str, Any] = field(default_factory=dict)
+    index: dict[str, list[str]] = field(default_factory=dict)
 
     def close(self) -> None:
         """Give the folder free."""
         self.lock.release()
 
-    def load(self, key: str) -> npt.NDArray[np.float64] | None:
+    def look(self) -> None:
+        """Take note of what is stored; nothing is changed."""
+        self.index.clear()
+        place = self.folder / "evaluations"
+        with _system_errors(place):
+            names = sorted(os.listdir(place)) if place.is_dir() and not place.is_symlink() else []
+        for name in names:
+            match = CHUNK_NAME.fullmatch(name)
+            if match is not None:
+                self.index.setdefault(match["key"], []).append(name)
+
+    def tidy(self) -> None:
+        """Remove what a killed process left half written."""
+        for room in (self.folder / "evaluations", self.folder, self.folder / "tables", self.folder / "figures"):
+            if not room.is_symlink() and room.is_dir():
+                for path in room.glob(".*"):
+                    if _HALF.fullmatch(path.name):
+                        with contextlib.suppress(OSError):
+                            path.unlink()
+
+    def load(self, key: str) -> npt.NDArray[Any] | None:
         """The stored chunk of a key, or None if there is none that is whole."""
-        for path in sorted((self.folder / "evaluations").glob(f"{key}_*.npy")):
-            match = CHUNK_NAME.fullmatch(path.name)
-            if match is None or match["key"] != key or path.is_symlink():
+        for name in self.index.get(key, []):
+            path = self.folder / "evaluations" / name
+            if path.is_symlink():
                 continue
-            data = read_whole(path, LARGEST_ARRAY)
-            if hashlib.sha256(data).hexdigest()[:16] == match["digest"]:
+            try:
+                data = read_whole(path, LARGEST_ARRAY)
+            except AccessError as error:
+                if isinstance(error.__cause__, FileNotFoundError):
+                    continue
+                if not isinstance(error.__cause__, OSError) or error.__cause__.errno != errno.EIO:
+                    raise
+                data = b""  # a place of the disk that cannot be read holds no chunk
+            if hashlib.sha256(data).hexdigest()[:16] == name[-20:-4]:
                 with contextlib.suppress(ValueError):
-                    return array_of(data)
+                    return chunk_of(data)
+            if name not in self.damaged:
+                self.damaged.append(name)
         return None
 
-    def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
-        """Store a chunk once, for good."""
+    def keys(self, beginning: str) -> list[str]:
+        """The keys of stored chunks that begin so."""
+        return [key for key in self.index if key.startswith(beginning)]
+
+    def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:
+        """Store a chunk once, for good; `durable` as in `write_atomically`."""
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)
         data = buffer.getvalue()
-        digest = hashlib.sha256(data).hexdigest()[:16]
-        write_atomically(self.folder / "evaluations" / f"{key}_{digest}.npy", data)
+        name = f"{key}_{hashlib.sha256(data).hexdigest()[:16]}.npy"
+        write_atomically(self.folder / "evaluations" / name, data, durable=durable)
+        names = self.index.setdefault(key, [])
+        if name not in names:
+            names.append(name)
+
+    def drop(self, keys: Sequence[str]) -> None:
+        """Remove chunks whose content is stored elsewhere by now."""
+        for key in keys:
+            for name in self.index.pop(key, []):
+                path = self.folder / "evaluations" / name
+                with _system_errors(path):
+                    path.unlink(missing_ok=True)
+
+    def settle(self) -> None:
+        """Make the folder that of the study at work, where it has been that of the one it extends."""
+        if self.mark:
+            write_json(self.folder / _MARK, self.mark["mark"])
+            write_atomically(self.folder / "study.toml", self.mark["text"])
+            self.mark.clear()
 
     def forget(self) -> None:
         """Remove every stored evaluation, for a fresh start."""
+        self.index.clear()
         for path in (self.folder / "evaluations").glob("*.npy"):
             with _system_errors(path):
                 path.unlink()
@@ -138,23 +222,36 @@ def _leftover(path: Path) -> bool:
     return path.name == ".lock" or path.name.startswith((f".{_MARK}.", ".study.toml."))
 
 
-def _check_owner(folder: Path, study_hash: str, model: str | None, fresh: bool) -> None:
-    """Refuse a folder with evaluations that are not those of this study and this model."""
+def _check_owner(
+    folder: Path, study_hash: str, resolved: dict[str, Any], model: str | None, fresh: bool, extension: Extension | None
+) -> bool:
+    """Refuse a folder whose evaluations are of no use to this study and this model; whether it is to be extended."""
     with _system_errors(folder):
         marked = (folder / _MARK).is_file()
         foreign = folder.is_dir() and not marked and not all(_leftover(path) for path in folder.iterdir())
     if foreign:
         raise FolderError(f"{folder} exists and is not a result folder: choose another with --out")
     if not marked:
-        return
+        return False
     found = read_json(folder / _MARK)
-    if not isinstance(found, dict) or found.get("hash") != study_hash:
-        raise FolderError(f"{folder} holds the run of another study: choose another folder with --out, or remove it")
+    another = not isinstance(found, dict) or found.get("hash") != study_hash
+    if another and (extension is None or not isinstance(found, dict)):
+        raise FolderError(
+            f"{folder} holds the run of another study: choose another folder with --out, or remove it; a study that "
+            "asks more of the same inputs goes on with --extend"
+        )
+    if another and extension is not None and (why := extension(found, resolved)):
+        raise FolderError(f"{folder} holds a run that this study cannot extend: {why}")
+    if another and found.get("written_by") != uqsphere.__version__:
+        raise FolderError(
+            f"{folder} was written by another version, whose run cannot be extended: choose another --out"
+        )
     if found.get("model_digest") != model and not fresh:
         raise FolderError(
             f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
             "run with --fresh to evaluate again, or choose another folder with --out"
         )
+    return another
 
 
 def _written_by(folder: Path) -> str | None:
@@ -165,7 +262,14 @@ def _written_by(folder: Path) -> str | None:
 
 
 def open_store(
-    folder: Path, resolved: dict[str, Any], text: str, study_hash: str, *, fresh: bool = False, model: str | None = None
+    folder: Path,
+    resolved: dict[str, Any],
+    text: str,
+    study_hash: str,
+    *,
+    fresh: bool = False,
+    model: str | None = None,
+    extension: Extension | None = None,
 ) -> Store:
     """Create a result folder, or take up the one that is there.
 
@@ -174,6 +278,8 @@ def open_store(
     resolved, text, study_hash : what the study means, its file as given, and the hash of its meaning.
     fresh : drop the evaluations of an earlier run of the same study.
     model : what tells one black box from another (a digest of its source); None for the impact model.
+    extension : what decides whether the study may take over the evaluations of another one that the folder holds;
+        none may if None.  The folder stays that of the other study until `Store.settle`.
 
     Raises
     ------
@@ -189,7 +295,7 @@ def open_store(
     if occupied:
         raise FolderError(f"{folder} is not a folder")
     refuse_links(folder)
-    _check_owner(folder, study_hash, model, fresh)
+    _check_owner(folder, study_hash, resolved, model, fresh, extension)
     with _system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock", timeout=0)
@@ -201,13 +307,16 @@ def open_store(
     store = Store(folder=folder, lock=lock)
     try:
         # once more, now that nobody else can change it
-        _check_owner(folder, study_hash, model, fresh)
+        extended = _check_owner(folder, study_hash, resolved, model, fresh, extension)
         if fresh or _written_by(folder) not in (None, uqsphere.__version__):
             # what another version computed is not mixed with what this one will
             store.forget()
+        store.look()
+        store.tidy()
         mark = {"hash": study_hash, "written_by": uqsphere.__version__, **resolved}
-        write_json(folder / _MARK, mark if model is None else {**mark, "model_digest": model})
-        write_atomically(folder / "study.toml", text)
+        store.mark.update(mark=mark if model is None else {**mark, "model_digest": model}, text=text)
+        if not extended:
+            store.settle()
     except BaseException:
         store.close()
         raise

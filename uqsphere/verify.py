@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import uqsphere
 from uqsphere.console import plain, table
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.files import LARGEST_ARRAY, array_of, plain_files, read_whole, refuse_links
-from uqsphere.store import CHUNK_NAME, Store, read_json
+from uqsphere.files import LARGEST_ARRAY, chunk_of, plain_files, read_whole, refuse_links
+from uqsphere.store import CHUNK_NAME, PART_END, Store, read_json
 
 if TYPE_CHECKING:
     from uqsphere.runner.rehearsal import Repeated
@@ -120,7 +120,7 @@ def _whole_chunk(path: Path) -> str | None:
     if hashlib.sha256(data).hexdigest()[:16] != match["digest"]:
         return None
     try:
-        array_of(data)
+        chunk_of(data)
     except ValueError:
         return None
     return match["key"]
@@ -162,13 +162,15 @@ def _repeat(
         chunks = 0
     chosen = _draw(found["keys"], chunks, seed)
     store = Store(folder=folder, lock=None)
+    store.look()
     rehearsal, missing = rehearse(store, study, chosen, run_place, box)
     found["repeated"] = [asdict(entry) for entry in rehearsal.repeated]
     same_place = _same_place(run, notes)
     for entry in rehearsal.repeated:
         _judge(entry, same_place, study.model.tolerance, faults, notes)
-    if missing and run.manifest.get("stopped_by_time"):
-        notes.append("the time budget stopped this run, so that its results cannot be repeated from the start")
+    if missing and (run.manifest.get("stopped_by_time") or run.manifest.get("interrupted")):
+        who = "the time budget" if run.manifest.get("stopped_by_time") else "the user"
+        notes.append(f"{who} stopped this run, so that its results cannot be repeated from the start")
     elif missing:
         faults.append(f"the evaluations {missing} are missing: run the study again")
     elif same_place:
@@ -206,8 +208,9 @@ def _black_box(needed: bool, resolved: Mapping[str, Any], model: str | None) -> 
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
     import numpy as np
 
-    order = np.random.default_rng(seed).permutation(len(keys))
-    return frozenset(keys[k] for k in order[:count])
+    whole = [key for key in keys if not PART_END.search(key)]
+    order = np.random.default_rng(seed).permutation(len(whole))
+    return frozenset(whole[k] for k in order[:count])
 
 
 def _same_place(run: Any, notes: list[str]) -> bool:

@@ -19,7 +19,7 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.runner.work import Executor
+    from uqsphere.runner.executors import Executor
 
 __all__ = ["Run", "open_run", "run"]
 
@@ -82,6 +82,9 @@ def open_run(folder: str | Path) -> Run:
     damage = damage_of(results)
     if damage:
         raise FolderError(f"{path / 'results.json'} is not what a run writes: {damage}")
+    mark = read_json(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
+    if isinstance(mark, dict) and mark.get("hash", results["study"].get("hash")) != results["study"].get("hash"):
+        raise FolderError(f"the run in {path} that extends another has not finished: run the study again")
     manifest = read_json(path / "manifest.json")
     damage = fault_of(manifest, MANIFEST)
     if damage:
@@ -97,6 +100,7 @@ def run(
     model: str | BlackBox | None = None,
     threads: int | None = None,
     fresh: bool = False,
+    extend: bool = False,
     seconds: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
@@ -112,20 +116,25 @@ def run(
         Default: the study file's stem + "-results" in the current folder.  A folder of the same study is
         resumed: what is stored there is not evaluated again.
     executor : anything with submit(), optional
-        Takes the evaluation of chunks; the model must then be a reference, not a function.
+        Takes the evaluations, such as a pool of `concurrent.futures` or a `distributed.Client`; the model must then
+        be a reference, not a function.  If None, the mechanics run here in threads, and a black box that is a
+        reference and proves dear in processes of its own.
     model : "FILE.py:FUNCTION" or function
         The black box of a black-box study.
     threads : int, optional
-        Threads of the mechanics; all processors if None.  Results do not depend on it.
+        Threads of the mechanics, or processes of a dear black box; all processors if None.  Results do not depend
+        on it.
     fresh : bool
         Drop what an earlier run of the same study stored.
+    extend : bool
+        Let a folder of another study with the same inputs be gone on with (`uqsphere.runner.extension`).
     seconds : float, optional
         Time budget in place of the study's.
     progress : callable(stage, done, total), optional
     notice : callable(text), optional
         Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
     stop : callable() -> bool, optional
-        Asked before and after every chunk; once it is true the run ends with what is there, and its manifest says
+        Asked before every call of the model; once it is true the run ends with what is there, and its manifest says
         `interrupted`.  The same study in the same folder goes on from there.
     reached : callable(rows), optional
         Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
@@ -140,6 +149,9 @@ def run(
     from threadpoolctl import threadpool_limits
 
     from uqsphere.model import NO_DAMPER
+    from uqsphere.runner.dask_cluster import as_executor
+    from uqsphere.runner.engine import Engine
+    from uqsphere.runner.extension import why_not_extended
     from uqsphere.runner.log import logged
     from uqsphere.runner.work import Ledger, OutOfBudget, Work
 
@@ -152,6 +164,8 @@ def run(
         raise UsageError("--model serves black-box studies; this one describes an impact scene")
     if executor is not None and callable(model):
         raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
+    if study.analysis.time_limit is not None and callable(model):
+        raise UsageError("analysis.time_limit needs the model as FILE.py:FUNCTION: it is kept by ending a process")
     reference = model if isinstance(model, str) else None
     box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
     check_range(study)
@@ -164,6 +178,13 @@ def run(
         study.hash,
         fresh=fresh,
         model=digest,
+        extension=why_not_extended if extend else None,
+    )
+    engine = Engine(
+        executor=as_executor(executor),
+        workers=threads,
+        can_spawn=reference is not None,
+        limited=study.analysis.time_limit is not None,
     )
     try:
         work = Work(
@@ -174,7 +195,8 @@ def run(
             threads=threads,
             model=reference,
             black_box=box,
-            executor=executor,
+            digest=digest,
+            engine=engine,
             progress=progress,
             seconds=study.analysis.budget.time if seconds is None else seconds,
             stop=stop,
@@ -188,6 +210,7 @@ def run(
     except OutOfBudget as nothing:
         raise KeyboardInterrupt from nothing
     finally:
+        engine.close()
         store.close()
 
 
@@ -260,6 +283,8 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         stops={"sampling": sampled.stopped, "sensitivity": stopped},
         paper=compare_with_paper(work.study),
     )
+    if notice is not None and store.damaged:
+        notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
     return _write(whole, store, priced, dear, found)
 
 
@@ -278,6 +303,7 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
         "surrogate_evaluations": way.runs,
     }
     found = replace(found, plan=plan)
+    store.settle()
     save_points(work, store, found.sampled)
     save_courses(work, store, found.sampled)
     keep_data(work.study, store.folder)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.fallback import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
+from uqsphere.runner.remember import remembered
 from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Study
 
@@ -243,7 +244,11 @@ def first_look(work: Work) -> Pilot:
 
     def solve(scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
         evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
-        return solve_scene(scene, fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities)
+
+        def solved() -> Answers:
+            return solve_scene(scene, fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities)
+
+        return remembered(work.store, f"pilot.{fidelity}", scene, [fidelity, tolerance, quantities], solved)
 
     evaluations: dict[str, int] = {}
     tolerance = study.model.tolerance

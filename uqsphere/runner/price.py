@@ -21,8 +21,6 @@ Array = npt.NDArray[np.float64]
 
 #: runs of the first stage of the surrogate way, all of which are timed, and those that are timed by themselves
 FIRST_RUNS, FEW = 32, 8
-#: seconds that it takes at most to send a few runs to another process and to store them
-ROUND_TRIP = 0.05
 TASK = "dear"
 
 
@@ -90,14 +88,12 @@ def _timed(work: Work, design: Design | None, count: int) -> tuple[Design, float
     """The design with `count` runs, and seconds of each new one; None where they were stored already."""
     reused = work.ledger.reused
     new = count - (0 if design is None else design.count)
-    if work.black_box is not None and work.executor is None:
+    before, watch = work.engine.seconds, None
+    if work.black_box is not None and work.engine.here:
         watch = _Watch(work.black_box)
-        larger = enlarge(replace(work, black_box=watch), design, count)
-        spent = watch.seconds
-    else:
-        started = time.perf_counter()
-        larger = enlarge(work, design, count)
-        spent = max(time.perf_counter() - started - ROUND_TRIP, 0.0)
+    larger = enlarge(work if watch is None else replace(work, black_box=watch), design, count)
+    # elsewhere the engine has the seconds of the calls, which a dear model is known by just as well
+    spent = watch.seconds if watch is not None and work.engine.here else work.engine.seconds - before
     return larger, None if work.ledger.reused > reused else spent / new
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -48,9 +48,10 @@ class Rehearsal:
     source: Store
     chosen: frozenset[str]
     used: set[str] = field(default_factory=set)
+    damaged: list[str] = field(default_factory=list)
     repeated: list[Repeated] = field(default_factory=list)
 
-    def load(self, key: str) -> npt.NDArray[np.float64] | None:
+    def load(self, key: str) -> npt.NDArray[Any] | None:
         """The stored chunk, or None for one that is to be evaluated again."""
         found = self.source.load(key)
         if found is None:
@@ -58,19 +59,35 @@ class Rehearsal:
         self.used.add(key)
         return None if key in self.chosen else found
 
-    def save(self, key: str, values: npt.NDArray[np.float64]) -> None:
-        """Compare what was evaluated now with what is stored."""
+    def keys(self, beginning: str) -> list[str]:
+        """None: a run that has finished needs no parts of a chunk."""
+        return []
+
+    def drop(self, keys: Sequence[str]) -> None:
+        """Nothing is stored here, so that nothing is in the way."""
+
+    def settle(self) -> None:
+        """The folder is the study's own."""
+
+    def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:
+        """Compare what was evaluated now with what is stored; a part of a chunk waits for the rest."""
+        if key not in self.chosen:
+            return
         stored = self.source.load(key)
         if stored is None:
             raise Absent(key)
-        same = stored.tobytes() == np.ascontiguousarray(values, dtype=np.float64).tobytes()
+        same = stored.dtype == values.dtype and stored.tobytes() == np.ascontiguousarray(values).tobytes()
         self.repeated.append(
             Repeated(chunk=key, rows=len(stored), same=same, difference=0.0 if same else _difference(stored, values))
         )
 
 
-def _difference(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> float:
-    if a.shape != b.shape or bool((np.isnan(a) != np.isnan(b)).any()):
+def _difference(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
+    if a.dtype != b.dtype or a.shape != b.shape:
+        return float("inf")
+    if a.dtype.names is not None:
+        return max(_difference(a[name].astype(float), b[name].astype(float)) for name in a.dtype.names)
+    if bool((np.isnan(a) != np.isnan(b)).any()):
         return float("inf")
     scale = np.maximum(np.abs(a), np.abs(b))
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -314,4 +314,6 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "speed_error_seconds": seconds,
         "stopped_by_time": ledger.stopped_by_time,
         "interrupted": ledger.interrupted,
+        "executor": work.engine.record(),
+        "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from uqsphere.errors import UsageError
 from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import cost_text, out_of_reach
@@ -220,8 +221,13 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             drawn = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=count)
             fresh = evaluate_draw(work, f"sampling.{start}", drawn)
         except OutOfBudget:
-            if sample is None:
+            if sample is None and work.ledger.interrupted:
                 raise
+            if sample is None:
+                raise UsageError(
+                    f"the time budget ended before the first {REPLICATES * count:,} evaluations were done; what was "
+                    "evaluated is kept, and a longer --budget goes on with it"
+                ) from None
             stopped = "time"
             break
         if points is None or sample is None:

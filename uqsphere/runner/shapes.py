@@ -280,8 +280,7 @@ _QUANTITY: Final = table(
     {"tolerance": maybe(_TOLERANCE), "ignorance": anything},
 )  # fmt: skip
 
-#: the content of results.json
-RESULTS: Final = table(
+_RESULTS: Final = table(
     {
         "study": table({"title": text, "hash": text, "seed": count}),
         "versions": named(text),
@@ -304,6 +303,16 @@ RESULTS: Final = table(
     {"warnings": many(text, most=1000), "paper": many(_PAPER, most=100)},
 )  # fmt: skip
 
+
+def _belonging(node: Any, place: str) -> str:
+    """Margins are those of limits."""
+    strange = [name for name in node["margins"] if name not in node["limits"]]
+    return f"{place}.margins.{strange[0][:60]}: there is no such limit" if strange else ""
+
+
+#: the content of results.json
+RESULTS: Final = both(_RESULTS, _belonging)
+
 #: the content of manifest.json
 MANIFEST: Final = table(
     {},
@@ -316,6 +325,9 @@ MANIFEST: Final = table(
         "seconds": named(number),
         "speed_error_seconds": many(number, most=20_000),
         "stopped_by_time": flag,
+        "interrupted": flag,
+        "executor": table({"kind": text, "workers": count, "why": text}, {"seconds_per_evaluation": maybe(number)}),
+        "damaged_chunks": many(text),
     },
 )
 
@@ -341,7 +353,8 @@ RESOLVED: Final = table(
                 "on_failure": word("abort", "bound", "drop"),
                 "accuracy": table(dict.fromkeys(("mean", "quantile", "sobol", "probability"), number)),
                 "budget": table({"evaluations": count, "time": number}),
-            }
+            },
+            {"rows_per_call": maybe(count), "time_limit": maybe(number)},
         ),
     },
     {

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +19,14 @@ from uqsphere.model import (
     STATUS_UNDECIDED,
     Answered,
     BlackBox,
-    answer,
     is_answered,
-    load_black_box,
     status_text,
 )
+from uqsphere.runner.chunks import CHUNK, chosen_columns
+from uqsphere.runner.engine import Engine
+from uqsphere.runner.executors import Executor
+from uqsphere.runner.gathering import collect
+from uqsphere.runner.worker import Task
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.inputs import Inputs, physical_from_normal, sub_inputs
@@ -48,17 +50,10 @@ Flags = npt.NDArray[np.bool_]
 
 #: independent randomisations of every design: intervals rest on their spread
 REPLICATES = 16
-#: rows that are evaluated and stored together
-CHUNK = 16_384
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01
-
-
-class Executor(Protocol):
-    """Anything that takes work: `concurrent.futures` pools and their like."""
-
-    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Have `function(*args)` done."""
+#: evaluations without a single answer after which no policy goes on
+NONE_ANSWERED = 1000
 
 
 class OutOfBudget(Exception):
@@ -69,7 +64,8 @@ class OutOfBudget(Exception):
 class Ledger:
     """What a run has spent so far, and what it has to report of it.
 
-    `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`.
+    `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`;
+    `note` is what the first failure said.
     """
 
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -81,6 +77,7 @@ class Ledger:
     started: float = field(default_factory=time.monotonic)
     stopped_by_time: bool = False
     interrupted: bool = False
+    note: str = ""
 
     @property
     def total(self) -> int:
@@ -135,10 +132,11 @@ class Work:
     threads: int | None = None
     model: str | None = None
     black_box: BlackBox | None = None
-    executor: Executor | None = None
+    digest: str | None = None
+    engine: Engine = field(default_factory=Engine)
     progress: Callable[[str, int, int], None] | None = None
     seconds: float = float("inf")
-    #: asked between chunks; true ends the run as its time budget would, with what is there
+    #: asked between calls of the model; true ends the run as its time budget would, with what is there
     stop: Callable[[], bool] | None = None
     #: told the errors of a stage, the rows of the speed-error table
     reached: Callable[[list[dict[str, Any]]], None] | None = None
@@ -146,9 +144,14 @@ class Work:
     spare: bool = False
 
     @property
+    def asked_to_stop(self) -> bool:
+        """Whether the user wants to see what is there."""
+        return self.stop is not None and self.stop()
+
+    @property
     def out_of_time(self) -> bool:
         """Whether the time budget is used up, or the user wants to see what is there; noted in the ledger."""
-        if self.stop is not None and self.stop():
+        if self.asked_to_stop:
             self.ledger.interrupted = True
             return True
         if self.ledger.elapsed > self.seconds:
@@ -202,81 +205,22 @@ def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replic
     return Draw(normals=normals, physical=physical)
 
 
-@lru_cache(maxsize=4)
-def _loaded(reference: str) -> BlackBox:
-    return load_black_box(reference)
-
-
-def _remote(
-    study: Study,
-    names: tuple[str, ...],
-    rows: Array,
-    quantities: tuple[str, ...],
-    fidelity: str,
-    tolerance: float,
-    reference: str | None,
-    fallback: Fallback | None,
-) -> Answered:
-    """One chunk in a worker process: one thread, the black box loaded there."""
-    box = _loaded(reference) if reference else None
-    return answer(
-        study,
-        names,
-        rows,
-        quantities,
+def task_of(work: Work, names: tuple[str, ...], fidelity: str) -> Task:
+    """What it takes to evaluate rows for this work, beside the rows."""
+    study = work.study
+    return Task(
+        study=study,
+        names=names,
+        # a black box gives all its outputs at once, and a dear one should not be asked again for another of them
+        columns=study.outputs if study.black_box else work.quantities,
+        needed=work.quantities,
         fidelity=fidelity,
-        tolerance=tolerance,
-        threads=1,
-        black_box=box,
-        fallback=fallback,
-    )
-
-
-def _answers(work: Work, names: tuple[str, ...], rows: Array, fidelity: str) -> Answered:
-    return answer(
-        work.study,
-        names,
-        rows,
-        work.quantities,
-        fidelity=fidelity,
-        tolerance=work.study.model.tolerance,
-        threads=work.threads,
-        black_box=work.black_box,
+        tolerance=study.model.tolerance,
         fallback=work.fallback,
+        model=work.model,
+        digest=work.digest,
+        go_on=study.analysis.on_failure != "abort",
     )
-
-
-def _chunks(
-    work: Work, names: tuple[str, ...], rows: Array, fidelity: str, todo: list[int]
-) -> Iterator[tuple[int, Answered]]:
-    """Evaluate the chunks `todo`, here or by the executor, in their order."""
-    if work.executor is None:
-        for k in todo:
-            yield k, _answers(work, names, rows[k * CHUNK : (k + 1) * CHUNK], fidelity)
-        return
-    futures = [
-        (
-            k,
-            work.executor.submit(
-                _remote,
-                work.study,
-                names,
-                rows[k * CHUNK : (k + 1) * CHUNK],
-                work.quantities,
-                fidelity,
-                work.study.model.tolerance,
-                work.model,
-                work.fallback,
-            ),
-        )
-        for k in todo
-    ]
-    try:
-        for k, future in futures:
-            yield k, future.result()
-    finally:
-        for _, future in futures:
-            future.cancel()
 
 
 def evaluate_points(
@@ -289,53 +233,49 @@ def evaluate_points(
     TooManyFailures
         By the study's failure policy.
     OutOfBudget
-        When the time is over, or the run interrupted, before the last missing chunk; chunks done stay stored.
+        When the time is over, or the run interrupted, before all is evaluated; what is done so far stays stored.
     """
     fidelity = fidelity or work.fidelity
-    q = len(work.quantities)
-    count = -(-len(rows) // CHUNK)
-    parts: dict[int, Answered] = {}
-    todo = []
-    for k in range(count):
-        expected = len(rows[k * CHUNK : (k + 1) * CHUNK])
-        packed = work.store.load(f"{key}.{k}") if work.store is not None else None
-        if packed is not None and packed.shape == (expected, 2 * q + 2):
-            parts[k] = Answered(
-                values=packed[:, :q],
-                censored=packed[:, q : 2 * q] > 0.0,
-                status=packed[:, 2 * q].astype(np.int64),
-                route=packed[:, 2 * q + 1].astype(np.int64),
-            )
-            work.ledger.reused += expected
-        else:
-            todo.append(k)
-    if todo and work.stop is not None and work.stop():
-        work.ledger.interrupted = True
-        raise OutOfBudget
-    for k, answered in _chunks(work, names, rows, fidelity, todo):
-        parts[k] = answered
-        if work.store is not None:
-            packed = np.concatenate(
-                [answered.values, answered.censored, answered.status[:, None], answered.routes[:, None]], axis=1
-            )
-            work.store.save(f"{key}.{k}", packed)
+    task = task_of(work, names, fidelity)
+    stage, ledger = key.split(".")[0], work.ledger
+    begun = False
+
+    def go_on() -> bool:
+        # the time budget lets every question begin, so that there is something to report; a user need not wait for that
+        return not (work.asked_to_stop or (begun and ledger.elapsed > work.seconds))
+
+    def tell(done: int) -> None:
+        nonlocal begun
+        begun = True
         if work.progress is not None:
-            work.progress(key.split(".")[0], min((k + 1) * CHUNK, len(rows)), len(rows))
-        if k != todo[-1] and work.out_of_time:
-            raise OutOfBudget
-    whole = Answered(
-        values=np.concatenate([parts[k].values for k in range(count)]),
-        censored=np.concatenate([parts[k].censored for k in range(count)]),
-        status=np.concatenate([parts[k].status for k in range(count)]),
-        route=np.concatenate([parts[k].routes for k in range(count)]),
+            work.progress(stage, done, len(rows))
+
+    found = collect(
+        task,
+        rows,
+        key,
+        store=work.store,
+        engine=work.engine,
+        box=work.black_box,
+        threads=work.threads,
+        go_on=go_on,
+        tell=tell,
     )
-    _account(work, fidelity, whole.status, whole.routes)
-    return whole
+    ledger.reused += found.reused
+    if not found.complete:
+        # it was one of the two; a `stop` that says no by now has said yes before
+        ledger.interrupted = not work.out_of_time or ledger.interrupted
+        raise OutOfBudget
+    answered = found.answered
+    if work.study.black_box:
+        answered = chosen_columns(answered, task.columns, work.quantities)
+    _account(work, fidelity, answered)
+    return answered
 
 
-def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64], routes: npt.NDArray[np.int64]) -> None:
+def _account(work: Work, fidelity: str, answered: Answered) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
-    ledger = work.ledger
+    ledger, status, routes = work.ledger, answered.status, answered.routes
     by_full = int((routes != ROUTE_ASKED).sum())
     ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + int((routes != ROUTE_FULL).sum())
     if by_full:
@@ -353,7 +293,11 @@ def _account(work: Work, fidelity: str, status: npt.NDArray[np.int64], routes: n
     reasons = "; ".join(
         f"{number} x {status_text(code, work.study.black_box)}" for code, number in sorted(ledger.failures.items())
     )
+    ledger.note = ledger.note or answered.note
+    reasons += f"; the first: {ledger.note}" if ledger.note else ""
     policy = work.study.analysis.on_failure
+    if failed == ledger.total and ledger.total >= NONE_ANSWERED:
+        raise TooManyFailures(f"none of {ledger.total} evaluations has an answer ({reasons})")
     if policy == "abort":
         raise TooManyFailures(
             f'{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '

@@ -98,7 +98,8 @@ class Analysis:
 
     `cost` is what one evaluation of a black box takes, in seconds; None: it is measured.
     `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
-    name of the user's.
+    name of the user's.  `rows_per_call` rows go into one call of a black box, by their number if None; `time_limit`
+    [s] ends an evaluation of a black box, none if None.
     """
 
     quantities: tuple[str, ...]
@@ -111,6 +112,8 @@ class Analysis:
     second_order: bool = False
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     tolerance_intervals: ToleranceRequest | None = None
+    rows_per_call: int | None = None
+    time_limit: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,11 +328,10 @@ def _margins_json(margins: Margins) -> dict[str, Any]:
 
 
 def _analysis_json(analysis: Analysis) -> dict[str, Any]:
-    """The request; a cost that was not given must not change the hash."""
+    """The request; keys of black boxes only where they are given, so that they change no other study's hash."""
     table = _lists(asdict(analysis))
-    if analysis.cost is None:
-        del table["cost"]
-    return table
+    own = ("cost", "rows_per_call", "time_limit")
+    return {key: value for key, value in table.items() if value is not None or key not in own}
 
 
 def _bound(value: float) -> float | None:

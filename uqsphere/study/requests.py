@@ -24,6 +24,8 @@ __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
 LATER_METHODS: Final = ("sorm", "monte_carlo", "active")
 MOST_LIMITS: Final = 50
+#: rows of one stored chunk, `uqsphere.runner.chunks`
+MOST_ROWS: Final = 16_384
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _TIME: Final = Quantity(name="time", symbol="t", dimension="time", meaning="the time")
@@ -205,6 +207,7 @@ def read_analysis(
         found = table.budget.evaluations
         findings.add(("analysis", "budget", "evaluations"), f"found {found}, a whole number above 0 is due")
     time = read_fixed(table.budget.time, ("analysis", "budget", "time"), _TIME, findings)
+    rows_per_call, time_limit = _calls(table, outputs is not None, findings)
     return Analysis(
         quantities=asked,
         accuracy=Accuracy(**table.accuracy.model_dump()),
@@ -215,6 +218,8 @@ def read_analysis(
         on_failure=table.on_failure,
         second_order=table.second_order,
         tolerance_intervals=read_tolerance(table.tolerance_intervals, findings),
+        rows_per_call=rows_per_call,
+        time_limit=time_limit,
     )
 
 
@@ -231,6 +236,24 @@ def _cost(given: Any, black_box: bool, findings: Findings) -> float | None:
         findings.add(place, f'found {shown(given)}, a time above 0 such as "10 s" is due')
         return None
     return seconds
+
+
+def _calls(table: AnalysisTable, black_box: bool, findings: Findings) -> tuple[int | None, float | None]:
+    """How a black box is called: rows in a call, and seconds an evaluation may take."""
+    for key in ("rows_per_call", "time_limit"):
+        if getattr(table, key) is not None and not black_box:
+            findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs])")
+            return None, None
+    rows = table.rows_per_call
+    if rows is not None and not 1 <= rows <= MOST_ROWS:
+        findings.add(("analysis", "rows_per_call"), f"found {rows}, from 1 to {MOST_ROWS:,} rows are allowed")
+    if table.time_limit is None:
+        return rows, None
+    limit = read_fixed(table.time_limit, ("analysis", "time_limit"), _TIME, findings)
+    if limit is not None and not limit > 0.0:
+        findings.add(("analysis", "time_limit"), f"found {table.time_limit!r}, a time above 0 is due")
+    # a limit is kept by ending a process: one row in each call unless the study says otherwise
+    return rows or 1, limit
 
 
 def _quantities(

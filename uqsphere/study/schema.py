@@ -175,6 +175,8 @@ class AnalysisTable(Table):
     methods: Any = "auto"
     cost: Any = None
     on_failure: OnFailure = "abort"
+    rows_per_call: int | None = None
+    time_limit: Any = None
     second_order: bool = False
     groups: dict[str, list[str]] = Field(default_factory=dict)
     tolerance_intervals: ToleranceTable | None = None

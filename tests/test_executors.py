@@ -1,0 +1,352 @@
+"""Who evaluates changes no byte; workers that die, hang or meet a bad row end nothing that can go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.bench.kills import answers_of
+from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
+from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
+from uqsphere.runner.executors import LocalWorkers, TimeOver, WorkerDied
+from uqsphere.study import Study
+
+#: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands
+MODEL = """\
+import os, time
+import numpy as np
+
+def good(inputs):
+    print("the model speaks")
+    return {"y": inputs["x1"] + inputs["x2"] ** 2}
+
+def dear(inputs):
+    time.sleep(0.001 * len(inputs["x1"]))
+    return good(inputs)
+
+def odd(inputs):
+    return (inputs["x1"] > 0.7) & (inputs["x1"] < 0.701)
+
+def raising(inputs):
+    if odd(inputs).any():
+        raise ZeroDivisionError("odd one")
+    return good(inputs)
+
+def hanging(inputs):
+    if odd(inputs).any():
+        time.sleep(3600)
+    return good(inputs)
+
+def dying(inputs):
+    if odd(inputs).any():
+        os._exit(7)
+    return good(inputs)
+
+def two(inputs):
+    return {"y": inputs["x1"], "z": inputs["x2"]}
+"""
+
+
+@pytest.fixture
+def box(tmp_path: Path, box_text: str) -> Any:
+    """A study of a black box with overrides, and the reference of one of its models."""
+    (tmp_path / "box.toml").write_text(box_text)
+    (tmp_path / "boxes.py").write_text(MODEL)
+
+    def build(name: str, *overrides: str) -> tuple[Study, str]:
+        return uqsphere.load_study(tmp_path / "box.toml", overrides), f"{tmp_path / 'boxes.py'}:{name}"
+
+    return build
+
+
+@pytest.fixture
+def workers() -> Iterator[LocalWorkers]:
+    pool = LocalWorkers(2)
+    yield pool
+    pool.close()
+
+
+# --- how rows are cut and packed ------------------------------------------------------------------
+
+
+def test_blocks_follow_from_counts_alone(box: Any) -> None:
+    study, _ = box("good")
+    assert [block_size(study, n, alone=True) for n in (1, 64, 2048, 10**7)] == [1, 1, 32, CHUNK]
+    assert [block_size(study, n, alone=False) for n in (1, 64, 2048, 10**7)] == [1, 1, 32, CHUNK]
+    single, _ = box("good", "analysis.rows_per_call=5")
+    assert block_size(single, 10**7, alone=True) == 5
+    limited, _ = box("good", 'analysis.time_limit="5 s"')
+    assert (limited.analysis.time_limit, block_size(limited, 10**7, alone=True)) == (5.0, 1)
+
+
+def test_new_keys_leave_the_hash_of_other_studies(box: Any) -> None:
+    plain, _ = box("good")
+    assert not {"rows_per_call", "time_limit"} & set(plain.resolved()["analysis"])
+    assert len({box("good", text)[0].hash for text in ("seed=1", "analysis.rows_per_call=1",
+                                                       'analysis.time_limit="1 s"')}) == 3  # fmt: skip
+
+
+@pytest.mark.parametrize("override", ["analysis.rows_per_call=0", "analysis.rows_per_call=20_000",
+                                      'analysis.time_limit="0 s"', 'analysis.time_limit="5 m"'])  # fmt: skip
+def test_calls_that_cannot_be_are_refused(box: Any, override: str) -> None:
+    with pytest.raises(StudyError):
+        box("good", override)
+
+
+def test_a_scene_has_no_calls(study_from: Any) -> None:
+    for override in ("analysis.rows_per_call=1", 'analysis.time_limit="1 s"'):
+        with pytest.raises(StudyError, match="black box"):
+            study_from(override)
+
+
+def test_plain_answers_are_stored_in_eight_bytes_each() -> None:
+    from uqsphere.model import Answered
+
+    values = np.array([[1.0, -0.0], [np.nan, 2.0], [3.0, np.pi]])
+    none = np.zeros(values.shape, dtype=bool)
+    plain = Answered(values=values, censored=none, status=np.zeros(3, dtype=np.int64))
+    assert packed(plain).nbytes == values.nbytes
+    flagged = Answered(values=values, censored=none | (values == 2.0), status=np.array([0, 7, 0]))
+    for answered in (plain, flagged):
+        back = unpacked(packed(answered), 3, 2)
+        assert back is not None
+        assert back.values.tobytes() == values.tobytes()
+        assert (back.censored == answered.censored).all()
+        assert (back.status == answered.status).all()
+    assert unpacked(packed(plain), 2, 2) is None
+    assert unpacked(packed(flagged), 3, 1) is None
+    assert unpacked(np.zeros((3, 2), dtype=np.int32), 3, 2) is None
+
+
+# --- spawned processes ----------------------------------------------------------------------------
+
+
+def test_processes_work_and_errors_come_back(workers: LocalWorkers) -> None:
+    futures = [workers.submit(pow, 2, k) for k in range(20)]
+    assert [future.result() for future in futures] == [2**k for k in range(20)]
+    with pytest.raises(RuntimeError, match="ValueError"):
+        workers.submit(int, "x").result()
+    assert len(workers.process_ids()) == 2
+
+
+def test_a_process_that_dies_is_replaced(workers: LocalWorkers) -> None:
+    with pytest.raises(WorkerDied, match="code 3"):
+        workers.submit(os._exit, 3).result()
+    slow = workers.submit(time.sleep, 3600)
+    while not slow.running() or not workers.process_ids():
+        time.sleep(0.01)
+    for process in workers.process_ids():
+        os.kill(process, signal.SIGKILL)
+    with pytest.raises(WorkerDied, match="signal 9"):
+        slow.result()
+    assert workers.submit(abs, -1).result() == 1
+
+
+def test_a_limit_of_time_is_kept(workers: LocalWorkers) -> None:
+    late = workers.submit_limited(time.sleep, 3600, limit=0.05)
+    with pytest.raises(TimeOver, match=r"0\.05 s"):
+        late.result()
+    assert workers.submit_limited(abs, -1, limit=60.0).result() == 1
+
+
+def test_closing_ends_what_runs() -> None:
+    pool = LocalWorkers(1)
+    slow = pool.submit(time.sleep, 3600)
+    while not pool.process_ids():
+        time.sleep(0.01)
+    pool.close()
+    assert pool.process_ids() == []
+    with pytest.raises(WorkerDied):
+        slow.result()
+    with pytest.raises(RuntimeError):
+        pool.submit(abs, 1)
+
+
+# --- the same bytes -------------------------------------------------------------------------------
+
+
+class Backwards:
+    """An executor that does its work at once and hands it back without callbacks."""
+
+    class Done:
+        def __init__(self, value: Any) -> None:
+            self.value = value
+
+        def result(self) -> Any:
+            return self.value
+
+        def cancel(self) -> None:
+            raise AssertionError("nothing to cancel")
+
+    def submit(self, function: Any, *arguments: Any) -> Any:
+        return self.Done(function(*arguments))
+
+
+class Shuffled:
+    """An executor whose answers come back in another order."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, function: Any, *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, lambda: function(*arguments)))
+        if len(self.waiting) == 64 or arguments[1].shape[0] < 32:
+            for each, work in reversed(self.waiting):
+                each.set_result(work())
+            self.waiting.clear()
+        return future
+
+
+def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path) -> None:
+    study, reference = box("good")
+    here = uqsphere.run(study, out=tmp_path / "here", model=reference, threads=1)
+    assert here.manifest["executor"]["kind"] == "this process"
+    digest = answers_of(here.folder)
+    chunks = sorted(os.listdir(here.folder / "evaluations"))
+    with ThreadPoolExecutor(3) as threads:
+        for executor in (threads, Backwards(), Shuffled()):
+            name = type(executor).__name__
+            run = uqsphere.run(study, out=tmp_path / name, model=reference, executor=executor)
+            assert answers_of(run.folder) == digest
+            assert sorted(os.listdir(run.folder / "evaluations")) == chunks
+            assert run.manifest["executor"]["kind"] == name
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_dear_black_box_gets_processes(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    from uqsphere.runner import engine
+
+    study, reference = box("dear", "analysis.accuracy.sobol=5.0")
+    alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
+    monkeypatch.setattr(engine, "DEAR", 0.1)
+    monkeypatch.setattr(engine, "WORTH", 0.1)
+    spread = uqsphere.run(study, out=tmp_path / "spread", model=reference, threads=count)
+    record = spread.manifest["executor"]
+    assert (record["kind"], record["workers"]) == ("local processes", count)
+    assert "an evaluation takes" in record["why"]
+    assert answers_of(alone.folder) == answers_of(spread.folder)
+
+
+# --- rows that fail -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "override", "status"), [
+    ("raising", "analysis.on_failure='drop'", "raised an exception"),
+    ("hanging", 'analysis.time_limit="0.3 s"', "took longer"),
+    ("dying", "analysis.rows_per_call=256", "ended the process"),
+])  # fmt: skip
+def test_a_row_that_fails_fails_alone(box: Any, tmp_path: Path, name: str, override: str, status: str) -> None:
+    study, reference = box(name, "analysis.on_failure='drop'", override, 'analysis.methods=["qmc"]',
+                           "analysis.accuracy.quantile=0.5")  # fmt: skip
+    if name == "raising":
+        found = uqsphere.run(study, out=tmp_path / "r", model=reference)
+    else:
+        pool = LocalWorkers(2)
+        try:
+            found = uqsphere.run(study, out=tmp_path / "r", model=reference, executor=pool)
+        finally:
+            pool.close()
+    samples = found.samples()
+    odd = (samples["x1"] > 0.7) & (samples["x1"] < 0.701)
+    assert 0 < odd.sum() == found.results["model"]["failures"]
+    assert ((samples["status"] != 0) == odd).all()
+    assert samples.loc[odd, "y"].isna().all()
+    from uqsphere.model import status_text
+
+    assert status in status_text(int(samples.loc[odd, "status"].iloc[0]), True)
+
+
+def test_abort_ends_with_what_the_model_said(box: Any, tmp_path: Path) -> None:
+    study, reference = box("raising")
+    with pytest.raises(ModelError, match="ZeroDivisionError: odd one"):
+        uqsphere.run(study, out=tmp_path / "r", model=reference)
+    study, reference = box("hanging", 'analysis.time_limit="20 ms"', "analysis.rows_per_call=32")
+    with pytest.raises(ModelError, match="longer than"):
+        uqsphere.run(study, out=tmp_path / "late", model=reference)
+
+
+def test_a_model_that_never_answers_ends_every_policy(box: Any, tmp_path: Path) -> None:
+    study, _ = box("good", "analysis.on_failure='bound'")
+
+    def broken(inputs: dict[str, Any]) -> dict[str, Any]:
+        raise NameError("no such name")
+
+    with pytest.raises(TooManyFailures, match=r"none of 2048.*no such name"):
+        uqsphere.run(study, out=tmp_path / "r", model=broken)
+
+
+def test_what_needs_a_reference_says_so(box: Any, tmp_path: Path) -> None:
+    study, _ = box("good", 'analysis.time_limit="1 s"')
+    with pytest.raises(UsageError, match="time_limit"):
+        uqsphere.run(study, out=tmp_path / "r", model=lambda inputs: inputs)
+
+
+def test_an_executor_that_is_lost_leaves_what_is_done(box: Any, tmp_path: Path) -> None:
+    study, reference = box("good")
+
+    class Lost(ThreadPoolExecutor):
+        handed = 0
+
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:  # type: ignore[override]
+            self.handed += 1
+            if self.handed > 20:
+                raise ConnectionResetError("gone")
+            return super().submit(function, *arguments)
+
+    with Lost(2) as pool, pytest.raises(AccessError, match="workers were lost"):
+        uqsphere.run(study, out=tmp_path / "r", model=reference, executor=pool)
+    again = uqsphere.run(study, out=tmp_path / "r", model=reference)
+    assert again.manifest["evaluations_reused"] > 0
+    whole = uqsphere.run(study, out=tmp_path / "whole", model=reference)
+    assert answers_of(again.folder) == answers_of(whole.folder)
+
+
+# --- Dask -----------------------------------------------------------------------------------------
+
+
+def test_an_address_that_is_none_is_refused() -> None:
+    from uqsphere.runner.dask_cluster import dask_cluster
+
+    for address in ("localhost", "http://x", "tcp://", ""):
+        with pytest.raises(UsageError, match="--dask"), dask_cluster(address, 1):
+            pass
+
+
+def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_path: Path, study_from: Any) -> None:
+    pytest.importorskip("distributed")
+    from uqsphere.runner.dask_cluster import dask_cluster
+
+    study, reference = box("dear", "analysis.accuracy.sobol=5.0")
+    alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
+    scene = study_from(quick=True)
+    own = uqsphere.run(scene, out=tmp_path / "own")
+    killed = []
+
+    with dask_cluster("local", 2) as executor:
+
+        def kill(stage: str, done: int, total: int) -> None:
+            if done > total // 4 and len(killed) < 2:
+                # a worker that is being started again has no process yet
+                alive = [worker.pid for worker in executor.client.cluster.workers.values() if worker.pid]
+                for process in [each for each in alive if each not in killed][:1]:
+                    killed.append(process)
+                    os.kill(process, signal.SIGKILL)
+
+        spread = uqsphere.run(study, out=tmp_path / "spread", model=reference, executor=executor, progress=kill)
+        assert killed
+        assert answers_of(spread.folder) == answers_of(alone.folder)
+        # a client by itself is taken as it is
+        far = uqsphere.run(scene, out=tmp_path / "far", executor=executor.client)
+        assert answers_of(far.folder) == answers_of(own.folder)
+        assert json.loads((far.folder / "manifest.json").read_text())["executor"]["kind"] == "dask"

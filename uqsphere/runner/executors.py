@@ -1,0 +1,346 @@
+"""Who evaluates: spawned processes of this machine, a Dask cluster, or anything else with `submit()`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import AccessError, ModelError, UqsphereError
+from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered
+from uqsphere.runner.worker import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
+
+__all__ = ["Executor", "LocalWorkers", "TimeOver", "WorkerDied", "evaluate_guarded", "gather", "processors"]
+
+Array = npt.NDArray[np.float64]
+
+#: times that a piece of work may cost a worker its life before it is held to be the cause
+LIVES: Final = 4
+#: pieces of work that are handed out at once where it is not known how many workers there are
+WINDOW: Final = 64
+#: seconds without an answer after which an executor looks after its workers
+PATIENCE: Final = 5.0
+_START: Final = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from uqsphere.runner.worker import serve; serve()"
+)
+
+
+class Executor(Protocol):
+    """Anything that takes work: `concurrent.futures` pools and their like."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Have `function(*args)` done."""
+
+
+class WorkerDied(Exception):
+    """The process that was at work ended before it answered."""
+
+
+class TimeOver(Exception):
+    """An evaluation took longer than its limit, and its process was ended."""
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    future: Future[Any]
+    first: Callable[..., None] | None
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    limit: float | None
+
+
+class LocalWorkers:
+    """Processes of this machine, started when there is work for them, each with one thread.
+
+    A process that dies, or is ended because its limit of time is over, is replaced by the next job.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._threads: list[threading.Thread] = []
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._closed = False
+
+    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        """Have `function(*args)` done by the next free process."""
+        return self.submit_limited(function, *args)
+
+    def submit_limited(
+        self,
+        function: Callable[..., Any],
+        /,
+        *args: Any,
+        first: Callable[..., None] | None = None,
+        limit: float | None = None,
+    ) -> Future[Any]:
+        """The same; `first(*args)` is done before the `limit` in seconds begins to count."""
+        if self._closed:
+            raise RuntimeError("the workers have been sent home")
+        future: Future[Any] = Future()
+        self._jobs.put(_Job(future=future, first=first, function=function, arguments=args, limit=limit))
+        if len(self._threads) < self.count:
+            thread = threading.Thread(target=self._attend, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return future
+
+    def close(self) -> None:
+        """End the processes, whatever they are at."""
+        self._closed = True
+        for _ in self._threads:
+            self._jobs.put(None)
+        for process in list(self._processes):
+            with contextlib.suppress(OSError):
+                process.kill()
+        for thread in self._threads:
+            thread.join(timeout=10.0)
+
+    def process_ids(self) -> list[int]:
+        """Identifiers of the processes that are alive."""
+        return [process.pid for process in list(self._processes) if process.poll() is None]
+
+    def _attend(self) -> None:
+        """Serve one process with jobs, and replace it when it dies."""
+        process: subprocess.Popen[bytes] | None = None
+        try:
+            while (job := self._jobs.get()) is not None and not self._closed:
+                if not job.future.set_running_or_notify_cancel():
+                    continue
+                try:
+                    if process is None or process.poll() is not None:
+                        process = self._spawn()
+                    result = self._ask(process, job)
+                except (WorkerDied, TimeOver) as error:
+                    self._bury(process)
+                    process = None
+                    job.future.set_exception(error)
+                except Exception as error:
+                    job.future.set_exception(error)
+                else:
+                    job.future.set_result(result)
+        finally:
+            self._bury(process)
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
+        single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-c", _START, json.dumps([os.path.abspath(part) for part in sys.path])],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **single},
+        )
+        self._processes.add(process)
+        if self._closed:
+            process.kill()
+        return process
+
+    def _bury(self, process: subprocess.Popen[bytes] | None) -> None:
+        if process is None:
+            return
+        process.kill()
+        for stream in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):
+                if stream is not None:
+                    stream.close()
+        process.wait()
+        self._processes.discard(process)
+
+    def _ask(self, process: subprocess.Popen[bytes], job: _Job) -> Any:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        over = threading.Event()
+
+        def end() -> None:
+            over.set()
+            process.kill()
+
+        timer: threading.Timer | None = None
+        try:
+            send(process.stdin, (job.first, job.function, job.arguments))
+            kind, content = receive(process.stdout)
+            if kind == "started":
+                if job.limit is not None:
+                    timer = threading.Timer(job.limit, end)
+                    timer.daemon = True
+                    timer.start()
+                kind, content = receive(process.stdout)
+        except (EOFError, OSError) as error:
+            if over.is_set():
+                raise TimeOver(f"it took longer than {job.limit:g} s") from error
+            code = process.wait()
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            raise WorkerDied(f"its process ended with {how}") from error
+        finally:
+            if timer is not None:
+                timer.cancel()
+        if kind == "failed":
+            raise content
+        return content
+
+
+_guard: dict[int, LocalWorkers] = {}
+_guard_lock = threading.Lock()
+
+
+def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[Answered, float]:
+    """`evaluate_remote` under a limit of time where the executor knows none: in a process of the worker's own."""
+    with _guard_lock:
+        workers = _guard.setdefault(os.getpid(), LocalWorkers(1))
+        found: tuple[Answered, float] = workers.submit_limited(
+            evaluate_remote, packed, rows, first=prepare, limit=limit
+        ).result()
+    return found
+
+
+# --- handing out and gathering --------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class _Piece:
+    """Rows from `start` to `stop`, and how often they have cost a worker its life."""
+
+    start: int
+    stop: int
+    deaths: int = 0
+    future: Any = field(default=None, repr=False)
+
+
+def gather(
+    executor: Any,
+    task: Task,
+    rows: Array,
+    blocks: list[tuple[int, int]],
+    *,
+    limit: float | None,
+    go_on: Callable[[], bool],
+) -> Iterator[tuple[int, int, Answered, float]]:
+    """Have blocks of rows evaluated, and yield (start, stop, answers, seconds) as they come back, in any order.
+
+    No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  A block whose worker died
+    is handed out again; one that goes on to do so, or passes its limit of time, is cut into rows, and a row that does
+    fails.
+    """
+    packed = pack_task(task)
+    todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
+    pending: set[int] = set()
+    pieces: dict[int, _Piece] = {}
+    ready: queue.SimpleQueue[int] = queue.SimpleQueue()
+    numbers = iter(range(10**12))
+
+    def hand_out() -> None:
+        while todo and len(pending) < _window(executor):
+            piece, number = todo.popleft(), next(numbers)
+            try:
+                piece.future = _submit(executor, packed, rows[piece.start : piece.stop], limit)
+            except Exception as error:
+                raise _broken(error) from error
+            pieces[number] = piece
+            pending.add(number)
+            if hasattr(piece.future, "add_done_callback"):
+                piece.future.add_done_callback(lambda _, number=number: ready.put(number))
+            else:
+                ready.put(number)  # it has to be waited for in its turn
+
+    try:
+        while True:
+            if go_on():
+                hand_out()
+            if not pending:
+                return
+            try:
+                number = ready.get(timeout=PATIENCE)
+            except queue.Empty:
+                if hasattr(executor, "look_after"):
+                    executor.look_after()
+                continue
+            pending.discard(number)
+            piece = pieces.pop(number)
+            try:
+                answered, seconds = piece.future.result()
+            except Exception as error:
+                found = _after(error, piece, task, todo)
+                if found is None:
+                    continue
+                answered, seconds = found, 0.0
+            yield piece.start, piece.stop, answered, seconds
+    finally:
+        for number in pending:
+            with contextlib.suppress(Exception):
+                pieces[number].future.cancel()
+
+
+def _window(executor: Any) -> int:
+    """Pieces that keep the workers busy while answers travel."""
+    count = getattr(executor, "count", None) or getattr(executor, "_max_workers", None)
+    return 2 * int(count) + 2 if count else WINDOW
+
+
+def _submit(executor: Any, packed: bytes, rows: Array, limit: float | None) -> Any:
+    if limit is None:
+        return executor.submit(evaluate_remote, packed, rows)
+    limit *= len(rows)
+    if isinstance(executor, LocalWorkers):
+        return executor.submit_limited(evaluate_remote, packed, rows, first=prepare, limit=limit)
+    return executor.submit(evaluate_guarded, packed, rows, limit)
+
+
+def _after(error: Exception, piece: _Piece, task: Task, todo: deque[_Piece]) -> Answered | None:
+    """What becomes of a piece without an answer: None if it is handed out again, else failed rows."""
+    if isinstance(error, UqsphereError):
+        raise error
+    single = piece.stop - piece.start == 1
+    if isinstance(error, TimeOver):
+        if single:
+            return _fail(task, STATUS_TIME, f"the model: {error}")
+    elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
+        piece.deaths += 1
+        if piece.deaths < LIVES:
+            todo.appendleft(piece)
+            return None
+        if task.model is None:
+            raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
+        if single:
+            return _fail(task, STATUS_DIED, f"the model: {error}")
+    else:
+        raise _broken(error) from error
+    todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
+    return None
+
+
+def _fail(task: Task, status: int, note: str) -> Answered:
+    if not task.go_on:
+        raise ModelError(note)
+    return failed_rows(1, len(task.columns), status, note)
+
+
+#: names of the errors by which pools and clusters say that they are gone
+_LOST: Final = ("BrokenProcessPool", "BrokenThreadPool", "CommClosedError", "FutureCancelledError",
+                "FuturesCancelledError", "FutureLostError")  # fmt: skip
+
+
+def _broken(error: Exception) -> Exception:
+    """An error of the executor itself, told so that one can act on it; another one as it is."""
+    name = type(error).__name__
+    if isinstance(error, (CancelledError, OSError, EOFError)) or name in _LOST:
+        return AccessError(
+            f"the workers were lost ({name}: {error}); what was evaluated is kept, and the same command goes on with it"
+        )
+    return error

@@ -1,0 +1,245 @@
+"""What runs where the evaluations are made: in this process, in a spawned one, or on a worker of a cluster.
+
+A spawned process reads jobs from its standard input and answers on what was its standard output; whatever the model
+prints goes to stderr.  It ends when its input does, so that it never outlives the run.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import queue
+import struct
+import sys
+import threading
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+import uqsphere
+from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError
+from uqsphere.mechanics.fallback import Fallback
+from uqsphere.model import (
+    STATUS_RAISED,
+    Answered,
+    BlackBox,
+    answer,
+    load_black_box,
+    model_digest,
+)
+from uqsphere.study import Study
+
+__all__ = ["Task", "evaluate_remote", "evaluate_rows", "join", "pack_task", "prepare", "receive", "send", "serve"]
+
+Array = npt.NDArray[np.float64]
+
+_LENGTH: Final = struct.Struct(">Q")
+#: one evaluation at a time in a process: nothing is known of a model's threads, and the kernel has its own
+_one_at_a_time = threading.Lock()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What it takes to evaluate rows, beside the rows.
+
+    Attributes
+    ----------
+    names, columns : the inputs that the rows have, and the answers that are due
+    needed : those answers without which a black box's answer is none
+    model, digest : reference of the black box, and what tells its state; None for the impact model
+    go_on : whether a row whose evaluation raises is an answer (a failed row), not the end of the run
+    versions : of the packages that answers depend on; empty if they need not agree
+    """
+
+    study: Study
+    names: tuple[str, ...]
+    columns: tuple[str, ...]
+    needed: tuple[str, ...]
+    fidelity: str
+    tolerance: float
+    fallback: Fallback | None = None
+    model: str | None = None
+    digest: str | None = None
+    go_on: bool = False
+    versions: tuple[tuple[str, str], ...] = ()
+
+
+def pack_task(task: Task) -> bytes:
+    """A task as it travels: with the versions that a worker must have, and a path that holds in any folder."""
+    model = None
+    if task.model is not None:
+        file, _, name = task.model.rpartition(":")
+        model = f"{Path(file).resolve()}:{name}"
+    return pickle.dumps(replace(task, model=model, versions=_versions()), protocol=5)
+
+
+@lru_cache(maxsize=1)
+def _versions() -> tuple[tuple[str, str], ...]:
+    found = [("uqsphere", uqsphere.__version__), ("python", ".".join(platform.python_version_tuple()[:2]))]
+    return (*found, *((name, metadata.version(name)) for name in ("numpy", "scipy", "numba")))
+
+
+@lru_cache(maxsize=16)
+def _opened(packed: bytes) -> tuple[Task, BlackBox | None]:
+    """The task and its model, once in the life of a process."""
+    task: Task = pickle.loads(packed)
+    unlike = [
+        f"{name} {there} here and {here} on the worker"
+        for (name, there), (_, here) in zip(task.versions, _versions(), strict=True)
+        if here != there
+    ]
+    if unlike:
+        raise UsageError(f"a worker has other versions, and its answers would differ: {'; '.join(unlike)}")
+    if task.model is None:
+        return task, None
+    if model_digest(task.model) != task.digest:
+        raise ModelError(f"the file of {task.model} on a worker is not the one of this run")
+    return task, load_black_box(task.model)
+
+
+def prepare(packed: bytes, rows: Array) -> None:
+    """Load what `evaluate_remote` needs, so that no limit of time counts it."""
+    _opened(packed)
+
+
+def evaluate_remote(packed: bytes, rows: Array) -> tuple[Answered, float]:
+    """Answers of rows in a worker process, with the seconds they took; one thread."""
+    from threadpoolctl import threadpool_limits
+
+    task, box = _opened(packed)
+    with _one_at_a_time, threadpool_limits(limits=1, user_api="blas"):
+        began = time.perf_counter()
+        return evaluate_rows(task, rows, box, 1), time.perf_counter() - began
+
+
+def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | None) -> Answered:
+    """Answers of rows (n, d) in one call of the model; a row that makes it raise fails alone, if the task goes on.
+
+    Raises
+    ------
+    ModelError
+        When the black box raises and the task does not go on, or returns something of the wrong form.
+    """
+
+    def call(some: Array) -> Answered:
+        return answer(
+            task.study,
+            task.names,
+            some,
+            task.columns,
+            fidelity=task.fidelity,
+            tolerance=task.tolerance,
+            threads=threads,
+            black_box=box,
+            fallback=task.fallback,
+            needed=task.needed,
+        )
+
+    try:
+        return call(rows)
+    except ModelRaised as error:
+        if not task.go_on:
+            raise
+        if len(rows) == 1:
+            return failed_rows(1, len(task.columns), STATUS_RAISED, str(error))
+    return join([evaluate_rows(task, rows[k : k + 1], box, threads) for k in range(len(rows))])
+
+
+def failed_rows(count: int, columns: int, status: int, note: str) -> Answered:
+    """Rows without an answer."""
+    return Answered(
+        values=np.full((count, columns), np.nan),
+        censored=np.zeros((count, columns), dtype=bool),
+        status=np.full(count, status, dtype=np.int64),
+        note=note,
+    )
+
+
+def join(parts: list[Answered]) -> Answered:
+    """Answers one after the other, with the first note there is."""
+    if len(parts) == 1:
+        return parts[0]
+    return Answered(
+        values=np.concatenate([part.values for part in parts]),
+        censored=np.concatenate([part.censored for part in parts]),
+        status=np.concatenate([part.status for part in parts]),
+        route=np.concatenate([part.routes for part in parts]),
+        note=next((part.note for part in parts if part.note), ""),
+    )
+
+
+# --- a spawned process ----------------------------------------------------------------------------
+
+
+def send(stream: IO[bytes], content: Any) -> None:
+    """Write one message to a pipe."""
+    data = pickle.dumps(content, protocol=5)
+    stream.write(_LENGTH.pack(len(data)) + data)
+    stream.flush()
+
+
+def receive(stream: IO[bytes]) -> Any:
+    """The next message of a pipe.
+
+    Raises
+    ------
+    EOFError
+        When the other side has gone.
+    """
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        raise EOFError
+    size = _LENGTH.unpack(head)[0]
+    data = stream.read(size)
+    if len(data) < size:
+        raise EOFError
+    return pickle.loads(data)
+
+
+def _carried(error: BaseException) -> Exception:
+    """The error in a form that travels."""
+    if isinstance(error, UqsphereError):
+        return error
+    return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+def serve() -> None:
+    """Take jobs from standard input until it ends: (prepare or None, function, arguments) each.
+
+    Every job is answered by ("started", None) and then by ("done", result) or ("failed", error).
+    """
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides what an interruption means
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    jobs: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def read() -> None:
+        stdin = os.fdopen(os.dup(0), "rb")
+        while True:
+            try:
+                jobs.put(receive(stdin))
+            except EOFError:
+                os._exit(0)  # whoever asked has gone: nobody waits for what is being evaluated
+
+    threading.Thread(target=read, daemon=True).start()
+    while True:
+        first, function, arguments = jobs.get()
+        try:
+            if first is not None:
+                first(*arguments)
+            send(answers, ("started", None))
+            result = function(*arguments)
+        except (Exception, SystemExit) as error:
+            send(answers, ("failed", _carried(error)))
+        else:
+            send(answers, ("done", result))
