@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-__all__ = ["Progress", "plain", "table"]
+__all__ = ["Progress", "document", "plain", "table"]
 
 #: seconds between two lines of progress where there is no terminal
 _LINE_EVERY = 5.0
@@ -18,6 +20,13 @@ _BAR = 24
 def plain(text: str) -> str:
     """A text without control characters, so that a study cannot steer the terminal."""
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def document(content: Any) -> None:
+    """Print one JSON document: the whole of what stdout carries."""
+    # a stdout that cannot take every character still gets one whole document
+    narrow = (sys.stdout.encoding or "ascii").lower().replace("-", "") != "utf8"
+    print(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=narrow))
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
