@@ -78,14 +78,14 @@ def coverage_figure(rows: Sequence[CoverageRow]) -> Picture:
                    markersize=7, label="cells" if place == 0 else None)  # fmt: skip
         error = 196.0 * (NOMINAL * (1.0 - NOMINAL) / row.repetitions) ** 0.5
         panel.errorbar([100.0 * row.covered], [place], xerr=[error], color=BLUE, marker="o", markersize=5,
-                       label="pooled, with what chance allows" if place == 0 else None)  # fmt: skip
+                       label="pooled, and what chance allows" if place == 0 else None)  # fmt: skip
     panel.axvspan(100.0 * POOLED[0], 100.0 * POOLED[1], color=GREEN, alpha=0.15, linewidth=0.0)
-    panel.axvline(100.0 * LEAST, color=RED, linewidth=1.0, linestyle="--", label=f"least of a cell, {LEAST:.0%}")
+    panel.axvline(100.0 * LEAST, color=RED, linewidth=1.0, linestyle="--", label=f"cells: at least {LEAST:.0%}")
     panel.set_yticks(range(len(due)), [f"{row.kind}, {row.way}, {row.points}" for row in due])
     panel.invert_yaxis()
-    panel.set_xlabel("intervals that hold the truth [%]; green: what is due of pooled ones")
+    panel.set_xlabel("intervals that hold the truth [%]; green: due")
     panel.grid(True, axis="x")
-    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+    figure.legend(loc="outside upper center", ncols=3)
     inside = sum(POOLED[0] <= row.covered <= POOLED[1] for row in due)
     return Picture(name="coverage", title="Coverage of nominal 95 % intervals", figure=figure,
                    finding=f"Pooled, {inside} of {len(due)} kinds lie where they are due.")  # fmt: skip
@@ -164,13 +164,17 @@ def rough_figure(content: dict[str, Any]) -> Picture:
 
 def study_figure(content: dict[str, Any], column: int) -> Picture:
     """Error over what was asked against evaluations (column 0) or seconds (1): a panel for each study."""
+    from matplotlib.ticker import LogLocator
+
     runs = content["runs"]
     figure, axes = new_figure(2.5 * len(runs), rows=len(runs))
-    words = ("mean", "quantile", "probability", "index", "variance")
-    shown = ("mean", "worst quantile", "probability", "widest index", "left unexplained by the surrogate")
+    words = ("mean", "quantile", "probability", "index")
+    shown = ("mean", "worst quantile", "probability", "widest index")
     used: set[int] = set()
+    at = [p[column] for run in runs for s in run["series"] for p in s["points"] if p[column] > 0.0]
     for panel, run in zip(axes, runs, strict=True):
-        for s in run["series"]:
+        # nothing is asked of what a surrogate leaves unexplained
+        for s in (s for s in run["series"] if "variance" not in s["kind"]):
             k = next(k for k, word in enumerate(words) if word in s["kind"])
             points = [p for p in s["points"] if p[column] > 0.0]
             panel.plot(
@@ -180,10 +184,12 @@ def study_figure(content: dict[str, Any], column: int) -> Picture:
             used |= {k} if points else set()
         panel.axhline(1.0, color=INK, linewidth=1.0, linestyle="--")
         _logarithmic(panel, "xy")
+        panel.set_xlim(min(at, default=1.0) / 1.3, 1.3 * max(at, default=10.0))
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         panel.set_title(run["study"])
         panel.set_ylabel("error over asked")
     axes[-1].set_xlabel("model evaluations" if column == 0 else "seconds since the start")
-    figure.legend(loc="outside lower center", ncols=3)
+    figure.legend(loc="outside lower center", ncols=4)
     reached = [s["points"][-1][2] <= s["asked"] for run in runs for s in run["series"] if "variance" not in s["kind"]]
     return Picture(
         name="studies-evaluations" if column == 0 else "studies-seconds", figure=figure,
