@@ -83,7 +83,7 @@ def plain_chaos(points: Array, outputs: Array, degree: int) -> Chaos:
     if indices is None:
         raise ValueError(f"degree {degree} has more terms than there are points ({len(outputs)})")
     values = products([orthonormal_values("normal", points[:, j], degree) for j in range(d)], indices)
-    coefficients = np.linalg.lstsq(values.T, outputs, rcond=None)[0]
+    coefficients = np.asarray(np.linalg.lstsq(values.T, outputs, rcond=None)[0], dtype=np.float64)
     piece = Piece(coefficients=coefficients, multi_indices=indices, transform=None)
     return Chaos(pieces=(piece,), border=None, germs=("normal",) * d, cross_validation_error=1.0,
                  samples=len(outputs), solver="least squares")  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.bench import chaos, coverage, overhead, rough, study_runs, surrogates
+from uqsphere.bench.chaos_models import MODELS
 from uqsphere.errors import FolderError, UsageError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def _measure_chaos(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]
         rival = "" if one.rival_true is None else f"; OpenTURNS {one.rival_true:.1e} in {one.rival_seconds:.1f} s"
         notice(f"{one.model}, {one.samples} points, seed {one.seed}: {one.true:.1e} in {one.seconds:.2f} s{rival}")
 
-    found = chaos.measure(list(chaos.MODELS), sizes, range(1, 2 if quick else 4), rival_sizes=sizes, notice=tell)
+    found = chaos.measure(list(MODELS), sizes, range(1, 2 if quick else 4), rival_sizes=sizes, notice=tell)
     return {"peer": chaos.rival_present(), "checked": chaos.CHECKED, "fits": [asdict(one) for one in found]}
 
 

@@ -38,7 +38,7 @@ def chaos_figure(fits: Sequence[Measured]) -> Picture:
     # both are rounding below that
     floor = 1e-16
     for k, samples in enumerate(sizes):
-        look = {"color": _COLOURS[k % 6], "marker": MARKS[k % 6], "linestyle": "none", "markersize": 5}
+        look: dict[str, Any] = {"color": _COLOURS[k % 6], "marker": MARKS[k % 6], "linestyle": "none", "markersize": 5}
         here = [one for one in pairs if one.samples == samples]
         if here:
             theirs = [max(one.rival_true or 0.0, floor) for one in here]
