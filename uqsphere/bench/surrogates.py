@@ -92,8 +92,8 @@ def text(content: dict[str, Any]) -> str:
     lines += ["", f"Below {content['due']:g} from {DUE_POINTS} evaluations: {good} of {len(at)} fits."]
     if good < len(at):
         lines.append(
-            f"Of the {len(at) - good} others {knew} report an error above {content['due']:g} themselves: the largest "
-            "of several peaks has kinks. A run samples, and the expansion is no more than its control variate."
+            f"Of the {len(at) - good} others {knew} report an error above {content['due']:g} themselves. "
+            "A run samples, and the expansion is no more than its control variate."
         )
     return "\n".join(lines)
 

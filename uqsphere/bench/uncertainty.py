@@ -180,8 +180,10 @@ def _text(content: dict[str, Any]) -> str:
              f"{machine['python']}; {packages}.", "One thread of linear algebra throughout."]  # fmt: skip
     for name, part in content["parts"].items():
         how = ", quick" if part["quick"] else ""
-        lines += ["", f"## {PARTS[name].title}", "", f"`uqsphere bench --uq {name}`: {part['seconds']:,.0f} s{how}.",
-                  "", PARTS[name].text(part)]  # fmt: skip
+        told = f"`uqsphere bench --uq {name}`: {part['seconds']:,.0f} s{how}."
+        # what was measured in pieces says so
+        told += f" {part['note']}" if "note" in part else ""
+        lines += ["", f"## {PARTS[name].title}", "", told, "", PARTS[name].text(part)]
     return "\n".join(lines)
 
 

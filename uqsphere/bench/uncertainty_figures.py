@@ -109,7 +109,7 @@ def surrogate_figure(content: dict[str, Any]) -> Picture:
     panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return Picture(
         name="granite", title=f"Surrogates of {content['quantity']}, study {content['study']}", figure=figure,
-        finding="The output has kinks: the error falls slowly, and the fits say so themselves.",
+        finding="How far fits came with their evaluations, and what they report of themselves.",
     )  # fmt: skip
 
 
