@@ -117,15 +117,9 @@ def build_parser() -> argparse.ArgumentParser:
     listing = command("list", "what there is to choose from")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
     listing.add_argument("--json", action="store_true", help="print one JSON document on stdout")
-    bench = command("bench", "speed against error on this machine")
-    bench.add_argument("--quick", action="store_true", help="fewer rows and tolerances: a minute instead of ten")
-    bench.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR", help="where to write")
-    bench.add_argument("--reliability", type=int, nargs="?", const=10, metavar="N",
-                       help="rare-event methods on public problems instead, N runs each (default 10)")  # fmt: skip
-    bench.add_argument("--sweep", type=int, metavar="N", help="N hard scenes against a tighter tolerance instead")
-    bench.add_argument("--reference", action="store_true", help="with --sweep: against the reference integrator")
-    bench.add_argument("--seed", type=int, default=1, help="with --sweep: seed of the scenes (default 1)")
-    bench.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+    from uqsphere.bench.command import add_bench
+
+    add_bench(command("bench", "speed against error on this machine, and evidence for the uncertainty engine"))
     schema = command("schema", "print the JSON schema of study files, for editors")
     schema.add_argument("--json", action="store_true", help="the same: a schema is a JSON document")
     doctor = command("doctor", "check this installation")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.attend import attend
+from uqsphere.bench.command import command_bench as command_bench
 from uqsphere.console import plain, table
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
@@ -263,54 +264,6 @@ def command_list(chosen: argparse.Namespace) -> int:
         _document(content)
     else:
         print(text)
-    return 0
-
-
-def command_bench(chosen: argparse.Namespace) -> int:
-    """Measure speed against error, or sweep hard cases."""
-    if chosen.sweep is not None:
-        return _sweep(chosen)
-    if chosen.reliability is not None:
-        return _reliability(chosen)
-    from uqsphere.bench import run_bench
-
-    content = run_bench(chosen.out, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr))
-    text = content.pop("text")
-    if chosen.json:
-        _document(content)
-    else:
-        print(text)
-        print(f"\nwritten to {chosen.out}")
-    return 0
-
-
-def _reliability(chosen: argparse.Namespace) -> int:
-    from dataclasses import asdict
-
-    from uqsphere.bench.rare import rare_table, rare_text
-
-    if not 1 <= chosen.reliability <= 1000:
-        raise UsageError(f"--reliability takes 1 to 1,000 runs of each problem, found {chosen.reliability}")
-    rows = rare_table(repetitions=chosen.reliability, notice=lambda text: print(text, file=sys.stderr))
-    if chosen.json:
-        _document({"reliability": [asdict(row) for row in rows]})
-    else:
-        print(rare_text(rows))
-    return 0
-
-
-def _sweep(chosen: argparse.Namespace) -> int:
-    from uqsphere.bench.hard_scenes import design
-    from uqsphere.bench.sweep import against_itself, against_reference, as_document, table
-
-    if not 1 <= chosen.sweep <= 1_000_000:
-        raise UsageError(f"--sweep takes 1 to 1,000,000 scenes, found {chosen.sweep}")
-    plan = design(chosen.sweep, chosen.seed)
-    found = against_reference(plan, budget=600) if chosen.reference else against_itself(plan)
-    if chosen.json:
-        _document(as_document(found))
-    else:
-        print(table(found))
     return 0
 
 

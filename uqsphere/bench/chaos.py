@@ -78,7 +78,7 @@ def _error(predicted: Array, outputs: Array) -> float:
 
 def rival_error(model: ChaosModel, points: Array, outputs: Array, check: tuple[Array, Array]) -> float:
     """Least true error of OpenTURNS over degrees and norms; needs the package openturns."""
-    import openturns as ot  # type: ignore[import-not-found]
+    import openturns as ot
 
     ot.Log.Show(ot.Log.NONE)
     laws = [ot.Uniform(-1.0, 1.0) if germ == "uniform" else ot.Normal(0.0, 1.0) for germ in model.germs]
