@@ -26,7 +26,17 @@ from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.validity import RULES
 
-__all__ = ["CONSTRAINTS", "Breaks", "Rig", "binding", "break_on_ramp", "first_return", "ramp_scene", "shortest_striker", "usages"]
+__all__ = [
+    "CONSTRAINTS",
+    "Breaks",
+    "Rig",
+    "binding",
+    "break_on_ramp",
+    "first_return",
+    "ramp_scene",
+    "shortest_striker",
+    "usages",
+]
 
 Array = npt.NDArray[np.float64]
 

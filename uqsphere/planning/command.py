@@ -141,7 +141,8 @@ def plan_document(found: Plan, title: str) -> dict[str, Any]:
         "title": title,
         "limits": {
             limit.name: {"quantity": limit.quantity, "strength": float(subject.strengths[at, k]),
-                         "strength_low": float(subject.strengths[0, k]), "strength_high": float(subject.strengths[-1, k])}
+                         "strength_low": float(subject.strengths[0, k]),
+                         "strength_high": float(subject.strengths[-1, k])}
             for k, limit in enumerate(subject.limits)
         },
         "quantile": request.quantile,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +23,12 @@ Array = npt.NDArray[np.float64]
 #: colour, hatch and words of the fields of the map
 _FIELDS: Final[dict[str, tuple[str, str, str]]] = {
     "speed": (GREY, "..", "force too small"),
-    "reflection": (SKY, "//", "reflection first"),
-    "length": (BLUE, "--", "pulse too short"),
-    "equilibrium": (ORANGE, "\\\\", "no equilibrium"),
-    "pulse_yield": (RED, "xx", "bars yield in the pulse"),
-    "contact_yield": (PURPLE, "++", "bars yield under the sphere"),
-    "striker": (INK, "||", "striker still on the bar"),
+    "reflection": (SKY, "////", "reflection first"),
+    "length": (BLUE, "---", "pulse too short"),
+    "equilibrium": (ORANGE, "\\\\\\\\", "no equilibrium"),
+    "pulse_yield": (RED, "xxx", "bars yield in the pulse"),
+    "contact_yield": (PURPLE, "+++", "bars yield under the sphere"),
+    "striker": (INK, "|||", "striker still on the bar"),
     "not computed": (INK, "**", "not computed"),
 }
 
@@ -42,10 +42,13 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
     kept, whole = chart.kept[:, :, at], chart.kept[:, :, batch].all(axis=2)
     speed, rise = found.speeds, found.rises * 1e6
     with canvas.style():
+        from matplotlib.collections import PolyCollection
         from matplotlib.patches import Patch
 
         figure, (axes,) = canvas.new_figure(4.9)
-        handles = []
+        handles: list[Any] = []
+        edges_v = np.concatenate([speed[:1], np.sqrt(speed[1:] * speed[:-1]), speed[-1:]])
+        edges_r = np.concatenate([rise[:1], 0.5 * (rise[1:] + rise[:-1]), rise[-1:]])
         scatter = len(batch) > 1
         fields = [(whole, GREEN, "", 0.85, "all kept, strengths from 5 to 95 %" if scatter else "all kept")]
         if scatter:
@@ -57,12 +60,16 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         for where, colour, hatch, alpha, words in fields:
             if not where.any():
                 continue
-            # between the points of two fields the boundary is drawn half-way
-            drawn = axes.contourf(speed, rise, where.astype(float), levels=[0.5, 1.5], colors=[colour], alpha=alpha,
-                                  hatches=[hatch or None])  # fmt: skip
-            drawn.set_edgecolor(GREY)
-            drawn.set_linewidth(0.0)
-            handles.append(Patch(facecolor=(colour, alpha), hatch=hatch, edgecolor=GREY, linewidth=0.5, label=words))
+            colour = _paler(colour, alpha)
+            axes.add_collection(PolyCollection(_cells(where, edges_v, edges_r), facecolors=colour, edgecolors=colour,
+                                               linewidths=0.3))  # fmt: skip
+            if hatch:
+                marks = axes.contourf(
+                    speed, rise, where.astype(float), levels=[0.5, 1.5], colors="none", hatches=[hatch]
+                )
+                marks.set_edgecolor(GREY)
+                marks.set_linewidth(0.0)
+            handles.append(Patch(facecolor=colour, hatch=hatch, edgecolor=GREY, linewidth=0.5, label=words))
         _lengths(axes, speed, rise, found.shortest[:, :, at])
         own = subject.columns["striker.speed"], subject.columns.get("pulse.rise", 0.0) * 1e6
         if speed[0] <= own[0] <= speed[-1] and rise[0] <= own[1] <= rise[-1]:
@@ -75,11 +82,31 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         axes.set_ylim(rise[0], rise[-1])
         axes.set_xlabel("striker speed [m/s]")
         axes.set_ylabel("rise of the pulse [µs]")
-        axes.set_title(f"{canvas.shorten(title, 60)}; striker of {chart.length:.3g} m\n"
-                       f"|P_A \u2212 P_B| at fracture at most {found.request.level:.3g} of the larger force")  # fmt: skip
+        axes.set_title(
+            f"{canvas.shorten(title, 60)}; striker of {chart.length:.3g} m\n"
+            f"|P_A \u2212 P_B| at fracture at most {found.request.level:.3g} of the larger force"
+        )
         figure.legend(handles=handles, loc="outside lower left", ncols=2)
     return canvas.render(Picture(name="plan", title=f"Plan of a test: {title}", finding=_finding(found, which),
                                  figure=figure))  # fmt: skip
+
+
+def _paler(colour: str, share: float) -> tuple[float, ...]:
+    """A colour on white, of which `share` is left: solid, so that neighbours leave no seam."""
+    from matplotlib.colors import to_rgb
+
+    return tuple(share * part + 1.0 - share for part in to_rgb(colour))
+
+
+def _cells(where: npt.NDArray[np.bool_], edges_v: Array, edges_r: Array) -> list[Array]:
+    """Corners of the rectangles that cover the marked points, one for each run of them in a row."""
+    found = []
+    for r, row in enumerate(where):
+        change = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
+        for begin, end in change.reshape(-1, 2):
+            left, right, low, high = edges_v[begin], edges_v[end], edges_r[r], edges_r[r + 1]
+            found.append(np.array([(left, low), (right, low), (right, high), (left, high)]))
+    return found
 
 
 def _lengths(axes: Axes, speed: Array, rise: Array, shortest: Array) -> None:

@@ -44,6 +44,8 @@ FRACTILES: Final = tuple((np.arange(10) + 0.5) / 10.0)
 #: ramps whose windows are listed, and halvings that place an edge between two speeds of the map
 LISTED: Final = 9
 HALVINGS: Final = 12
+#: speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
+_FINER: Final = 3
 #: pulses that follow from a striker and a ramp
 SHAPES: Final = ("rectangular", "ramp", "trapezoid")
 #: longest ramp where none is asked for [s]
@@ -147,8 +149,11 @@ def _check(study: Study) -> None:
         raise UsageError("a test is planned for a sphere between bars; this study is a black box")
     shape = str(study.options["pulse.shape"])
     if shape not in SHAPES:
-        raise UsageError(f"a plan varies striker and ramp, which a {shape} pulse does not follow from (allowed: "
-                         f"{', '.join(SHAPES)}; --set 'pulse={{shape=\"rectangular\"}}' puts one in place)")  # fmt: skip
+        raise UsageError(
+            f"a plan varies striker and ramp, which a {shape} pulse does not follow from "
+            f"(allowed: {', '.join(SHAPES)}; "
+            "--set 'pulse={shape=\"rectangular\"}' puts one in place)"
+        )
     if not study.limits:
         raise UsageError("a plan needs to know when the sphere breaks: give the study a limit, [limits.NAME]")
     if not _fracture_limits(study):
@@ -158,8 +163,9 @@ def _check(study: Study) -> None:
 def _strength(limit: Limit, fractiles: Array) -> Array:
     """Strength over the model's factor, which stands at its median."""
     factor = median(limit.model_factor) if isinstance(limit.model_factor, Law) else limit.model_factor
-    strength = ppf(limit.strength, fractiles) if isinstance(limit.strength, Law) else np.full(len(fractiles), limit.strength)
-    return np.asarray(strength / factor)
+    if isinstance(limit.strength, Law):
+        return np.asarray(ppf(limit.strength, fractiles) / factor)
+    return np.full(len(fractiles), limit.strength / factor)
 
 
 def subject_of(study: Study, quantile: float = 0.5) -> Subject:
@@ -277,25 +283,22 @@ def plan_test(study: Study, request: Request) -> Plan:
 
     c = subject.columns
     transit = 2.0 * c["sphere.radius"] / wave_speed(c["sphere.E"], c["sphere.density"])
-    listed = np.unique(np.linspace(0, ramps - 1, min(LISTED, ramps)).round().astype(int))
     maps = [{name: gridded(values) for name, values in one.items()} for one in used]
-    windows = _windows(subject, request, speeds, rises, listed, maps)
+    places = np.unique(np.linspace(0, ramps - 1, min(LISTED, ramps)).round().astype(int))
+    listed = rises[places]
+    windows, nearest = _windows(subject, request, np.geomspace(*request.speeds, _FINER * (count - 1) + 1), listed)
     charts = []
-    for length, one, found in zip(request.lengths, maps, windows, strict=True):
+    for k, (length, one) in enumerate(zip(request.lengths, maps, strict=True)):
         binds, kept = binding(one)
-        nearest = {
-            (kind, float(rises[r])): _in_the_way(subject, one, binds, kind, int(r))
-            for kind in KINDS
-            for r in listed
-            if not any(window.kind == kind and window.rise == rises[r] for window in found)
-        }
-        charts.append(Chart(length=length, used=one, binds=binds, kept=kept, windows=found, nearest=nearest))
+        charts.append(
+            Chart(length=length, used=one, binds=binds, kept=kept, windows=tuple(windows[k]), nearest=nearest[k])
+        )
     return Plan(
         request=request,
         subject=subject,
         speeds=speeds,
         rises=rises,
-        listed=tuple(float(rises[r]) for r in listed),
+        listed=tuple(listed.tolist()),
         breaks=Breaks(**{name: gridded(getattr(breaks, name)) for name in ("share", "limit", "time", "force",
                                                                              "imbalance")}),
         transits=gridded(breaks.time / transit),
@@ -319,12 +322,11 @@ def _name(place: int) -> str:
     return "not computed" if place < 0 else list(CONSTRAINTS)[place]
 
 
-def _in_the_way(subject: Subject, used: Mapping[str, Array], binds: npt.NDArray[np.int64], kind: str, r: int) -> str:
-    """What is broken at the speed that comes nearest to a window."""
-    at = _of_kind(subject, kind)
-    worst = _largest({name: values[r][:, at] for name, values in used.items()})
+def _in_the_way(used: Mapping[str, Array], at: list[int]) -> str:
+    """What is broken at the speed that comes nearest to a window; usages (S, m) of one ramp, `at` those that count."""
+    worst = _largest(used)[:, at]
     s = int(worst.max(axis=1).argmin())
-    return _name(int(binds[r, s, at[int(worst[s].argmax())]]))
+    return _name(int(binding(used)[0][s, at[int(worst[s].argmax())]]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,26 +342,31 @@ class _Edge:
 
 
 def _windows(
-    subject: Subject, request: Request, speeds: Array, rises: Array, listed: npt.NDArray[np.int64],
-    maps: Sequence[Mapping[str, Array]],
-) -> list[tuple[Window, ...]]:  # fmt: skip
-    """Windows of the listed ramps, their edges placed by halving, for every length."""
+    subject: Subject, request: Request, speeds: Array, rises: Array
+) -> tuple[list[list[Window]], list[dict[tuple[str, float], str]]]:
+    """Windows of the listed ramps for every length, their edges placed by halving; what is in the way of the others."""
+    every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
+    _, _, judged = judge_points(subject, request, every_speed, every_rise)
     edges: list[_Edge] = []
     open_at: dict[tuple[int, str, float], bool] = {}
-    for chart, used in enumerate(maps):
+    nearest: list[dict[tuple[str, float], str]] = [{} for _ in judged]
+    for chart, flat in enumerate(judged):
+        used = {name: values.reshape(len(rises), len(speeds), -1) for name, values in flat.items()}
         kept = binding(used)[1]
         for kind in KINDS:
-            whole = kept[:, :, _of_kind(subject, kind)].all(axis=2)
-            for r in listed:
-                rise = float(rises[r])
-                open_at[chart, kind, rise] = bool(whole[r, 0])
+            at = _of_kind(subject, kind)
+            for r, rise in enumerate(rises.tolist()):
+                whole = kept[r][:, at].all(axis=1)
+                if not whole.any():
+                    nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
+                open_at[chart, kind, rise] = bool(whole[0])
                 edges += [
                     _Edge(chart=chart, kind=kind, rise=rise, low=float(speeds[s]), high=float(speeds[s + 1]),
-                          opens=bool(whole[r, s + 1]))
-                    for s in np.flatnonzero(np.diff(whole[r]))
+                          opens=bool(whole[s + 1]))
+                    for s in np.flatnonzero(np.diff(whole))
                 ]  # fmt: skip
     placed = _place(subject, request, edges)
-    windows: list[list[Window]] = [[] for _ in maps]
+    windows: list[list[Window]] = [[] for _ in judged]
     for (chart, kind, rise), begins_open in open_at.items():
         low, below = (float(speeds[0]), None) if begins_open else (np.nan, None)
         inside = begins_open
@@ -372,8 +379,9 @@ def _windows(
                 windows[chart].append(Window(kind=kind, rise=rise, low=low, high=speed, below=below, above=name))
                 inside = False
         if inside:
-            windows[chart].append(Window(kind=kind, rise=rise, low=low, high=float(speeds[-1]), below=below, above=None))
-    return [tuple(found) for found in windows]
+            high = float(speeds[-1])
+            windows[chart].append(Window(kind=kind, rise=rise, low=low, high=high, below=below, above=None))
+    return windows, nearest
 
 
 def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[tuple[float, str]]:
