@@ -174,7 +174,8 @@ def directly(found: Plan, speed: float, rise: float, length: float, place: int) 
 def keeps(found: Plan, speed: float, rise: float, length: float, place: int) -> bool:
     """Whether a scene computed directly keeps reflection, length, equilibrium and speed; its bars are elastic here."""
     time, apart, back = directly(found, speed, rise, length, place)
-    pulse_falls = 2.0 * length / float(wave_speed(210e9, 7850.0)) + 0.5 * rise
+    c = found.subject.columns
+    pulse_falls = 2.0 * length / float(wave_speed(c["bars.E"], c["bars.density"])) + 0.5 * rise
     return time < min(back, pulse_falls) and apart <= found.request.level
 
 
@@ -196,7 +197,7 @@ def test_edges_of_the_window_are_where_single_scenes_change(plan: Plan) -> None:
 
 def test_points_of_the_map_are_single_scenes(plan: Plan) -> None:
     tried = {"kept": 0, "broken": 0}
-    for r, s, place in ((0, 4, 5), (0, 12, 5), (4, 12, 0), (4, 12, 10), (8, 8, 5), (8, 20, 10), (2, 28, 0)):
+    for r, s, place in ((0, 4, 9), (0, 18, 9), (4, 18, 0), (4, 24, 18), (8, 10, 9), (8, 22, 18), (2, 28, 0)):
         time, apart, _ = directly(plan, plan.speeds[s], plan.rises[r], 0.4, place)
         if math.isfinite(time):
             tried["broken"] += 1
@@ -224,20 +225,22 @@ def test_a_ramp_opens_what_a_step_leaves_narrow(plan: Plan) -> None:
         return max(of, default=1.0)
 
     assert widest(float(plan.rises[-2])) > 2.0 * widest(0.0)
+    # under a step the forces are in balance near 1 m/s alone; under a ramp far beyond, and for the batch as well
     request = request_of(load(), lengths=(1.0,))
-    speeds = np.array([0.9, 1.3, 1.5, 2.0, 4.0, 1.3, 2.0, 4.0])
-    rises = np.array([0.0] * 5 + [60e-6] * 3)
-    _, _, (used,) = judge_points(plan.subject, request, speeds, rises)
-    batch = binding(used)[1][:, plan.subject.batch].all(axis=1)
-    assert batch.tolist() == [False, True, False, False, False, True, True, True]
+    speeds = np.array([0.8, 0.95, 1.2, 1.5, 3.2, 5.0, 1.5, 3.0, 5.0])
+    _, _, (used,) = judge_points(plan.subject, request, speeds, np.repeat([0.0, 80e-6], [6, 3]))
+    kept = binding(used)[1]
+    assert kept[:, plan.subject.place].tolist() == [False, True, True, True, False, False, True, True, True]
+    assert kept[6:][:, plan.subject.batch].all()
 
 
-def test_windows_of_the_batch_lie_within_those_of_the_median(plan: Plan) -> None:
-    for chart in plan.charts:
-        own = [w for w in chart.windows if w.kind == "quantile"]
-        for window in (w for w in chart.windows if w.kind == "batch"):
-            assert any(w.rise == window.rise and w.low <= window.low * 1.001 and window.high <= w.high * 1.001
-                       for w in own)  # fmt: skip
+def test_windows_of_the_batch_hold_for_every_specimen_of_it(plan: Plan) -> None:
+    windows = [(k, w) for k, chart in enumerate(plan.charts) for w in chart.windows if w.kind == "batch"]
+    ends = np.array([(w.low, w.high) for _, w in windows]).ravel()
+    _, _, judged = judge_points(plan.subject, plan.request, ends, np.repeat([w.rise for _, w in windows], 2))
+    whole = [binding(used)[1][:, plan.subject.batch].all(axis=1).reshape(-1, 2) for used in judged]
+    assert len(windows) > 3
+    assert all(whole[k][n].all() for n, (k, _) in enumerate(windows))
 
 
 def test_a_tighter_balance_and_a_shorter_striker_keep_less(plan: Plan) -> None:
@@ -256,8 +259,8 @@ def test_a_tighter_balance_and_a_shorter_striker_keep_less(plan: Plan) -> None:
 def test_the_earlier_of_two_limits_breaks_the_sphere() -> None:
     both, one = load(*CORE), load()
     alone = subject_of(one)
-    assert subject_of(both).strengths.shape == (11, 2)
-    assert alone.strengths.shape == (11, 1)
+    assert subject_of(both).strengths.shape == (19, 2)
+    assert alone.strengths.shape == (19, 1)
     request = request_of(both, speeds=(1.0, 2.0))
     speeds, rises = np.array([1.0, 3.0]), np.array([20e-6, 40e-6])
     _, together, _ = judge_points(subject_of(both), request, speeds, rises)

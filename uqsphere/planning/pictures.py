@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 #: colour, hatch and words of the fields of the map
 _FIELDS: Final[dict[str, tuple[str, str, str]]] = {
-    "speed": (GREY, "..", "force too small"),
+    "speed": (GREY, "", "force too small"),
     "reflection": (SKY, "////", "reflection first"),
     "length": (BLUE, "---", "pulse too short"),
     "equilibrium": (ORANGE, "\\\\\\\\", "no equilibrium"),
@@ -60,8 +60,8 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         for where, colour, hatch, alpha, words in fields:
             if not where.any():
                 continue
-            colour = _paler(colour, alpha)
-            axes.add_collection(PolyCollection(_cells(where, edges_v, edges_r), facecolors=colour, edgecolors=colour,
+            fill = _paler(colour, alpha)
+            axes.add_collection(PolyCollection(_cells(where, edges_v, edges_r), facecolors=fill, edgecolors=fill,
                                                linewidths=0.3))  # fmt: skip
             if hatch:
                 marks = axes.contourf(
@@ -69,7 +69,7 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
                 )
                 marks.set_edgecolor(GREY)
                 marks.set_linewidth(0.0)
-            handles.append(Patch(facecolor=colour, hatch=hatch, edgecolor=GREY, linewidth=0.5, label=words))
+            handles.append(Patch(facecolor=fill, hatch=hatch, edgecolor=GREY, linewidth=0.5, label=words))
         _lengths(axes, speed, rise, found.shortest[:, :, at])
         own = subject.columns["striker.speed"], subject.columns.get("pulse.rise", 0.0) * 1e6
         if speed[0] <= own[0] <= speed[-1] and rise[0] <= own[1] <= rise[-1]:
@@ -91,14 +91,15 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
                                  figure=figure))  # fmt: skip
 
 
-def _paler(colour: str, share: float) -> tuple[float, ...]:
+def _paler(colour: str, share: float) -> tuple[float, float, float]:
     """A colour on white, of which `share` is left: solid, so that neighbours leave no seam."""
     from matplotlib.colors import to_rgb
 
-    return tuple(share * part + 1.0 - share for part in to_rgb(colour))
+    red, green, blue = (share * part + 1.0 - share for part in to_rgb(colour))
+    return red, green, blue
 
 
-def _cells(where: npt.NDArray[np.bool_], edges_v: Array, edges_r: Array) -> list[Array]:
+def _cells(where: Any, edges_v: Array, edges_r: Array) -> list[Array]:
     """Corners of the rectangles that cover the marked points, one for each run of them in a row."""
     found = []
     for r, row in enumerate(where):

@@ -1,8 +1,9 @@
 """The window of a test: a map over striker speed and ramp, its edges, and the constraint that binds at every point.
 
-The scene of a study stands at its means; what scatters is the strength.  Ten specimens stand for the batch, at the
-middles of ten equal parts of the strength's distribution, the 5 % and the 95 % fractile among them: a weak one breaks
-early, a strong one late, and the test should serve both.  A specimen is at the same fractile of every limit.
+The scene of a study stands at its means; what scatters is the strength.  Nineteen specimens stand for the batch, at
+every twentieth of the strength's distribution from the 5 % to the 95 % fractile: a weak one breaks early, a strong one
+late, and the test should serve both.  A specimen is at the same fractile of every limit.  The difference of the forces
+swings, so that a test may find one strength in balance and the next one not.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ __all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "pla
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-#: middles of ten equal parts of the strength's distribution
-FRACTILES: Final = tuple((np.arange(10) + 0.5) / 10.0)
+#: where in the distribution of the strength the specimens of a batch are
+FRACTILES: Final = tuple(float(k) / 20.0 for k in range(1, 20))
 #: ramps whose windows are listed, and halvings that place an edge between two speeds of the map
 LISTED: Final = 9
 HALVINGS: Final = 12
 #: speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
-_FINER: Final = 3
+_FINER: Final = 2
 #: pulses that follow from a striker and a ramp
 SHAPES: Final = ("rectangular", "ramp", "trapezoid")
 #: longest ramp where none is asked for [s]
