@@ -34,6 +34,7 @@ FLOORS = {
     "uqsphere.attend": 8,
     "uqsphere.given": 8,
     "uqsphere.experiment": 8,
+    "uqsphere.planning": 8,
     "uqsphere.verify": 8,
     "uqsphere.compare": 8,
     "uqsphere.doctor": 8,

@@ -111,8 +111,11 @@ def build_parser() -> argparse.ArgumentParser:
     given.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
     from uqsphere.experiment import add_records
+    from uqsphere.planning.command import add_plan
 
     add_records(command("records", "pulse, contact forces and stiffness from records of strain gauges"))
+
+    add_plan(command("plan", "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"))
 
     listing = command("list", "what there is to choose from")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))

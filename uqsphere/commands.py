@@ -15,6 +15,7 @@ from uqsphere.console import plain, table
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
+from uqsphere.planning.command import command_plan as command_plan
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of

@@ -1,0 +1,274 @@
+"""`uqsphere plan STUDY`: the window of a test in the terminal, as JSON, as tables and as figures."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from uqsphere.console import plain, print_document, table
+from uqsphere.errors import UsageError
+from uqsphere.quantities import UnitError, format_value, parse_value
+
+if TYPE_CHECKING:
+    from uqsphere.planning.window import Chart, Plan, Window
+
+__all__ = ["add_plan", "command_plan", "plan_document"]
+
+#: most points of a map in one direction, and striker lengths
+_MOST_POINTS: Final = 400
+_MOST_LENGTHS: Final = 6
+#: how the sides of a window and the kinds of specimen are called
+_RANGE: Final = "range"
+
+
+def add_plan(parser: argparse.ArgumentParser) -> None:
+    """The options of `uqsphere plan`."""
+    parser.add_argument("study", metavar="FILE", type=Path)
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
+                        help="replace a value of the study")  # fmt: skip
+    parser.add_argument("--speed", metavar="LOW,HIGH", help="striker speeds, m/s unless a unit stands there "
+                        "(default: those of the margins, or a decade about the study's)")  # fmt: skip
+    parser.add_argument("--rise", metavar="LOW,HIGH", help="ramps of the pulse, us unless a unit stands there "
+                        "(default: 0 up to the length of the pulse)")  # fmt: skip
+    parser.add_argument("--length", metavar="L[,L]", help="striker lengths, m unless a unit stands there "
+                        "(default: the study's)")  # fmt: skip
+    parser.add_argument("--imbalance", type=float, default=0.1, metavar="X",
+                        help="largest |P_A - P_B| at fracture over the larger force (default 0.1)")  # fmt: skip
+    parser.add_argument("--quantile", type=float, default=0.5, metavar="P",
+                        help="the specimen that is shown: quantile of the strength (default 0.5)")  # fmt: skip
+    parser.add_argument("--grid", default="60x41", metavar="NxM", help="speeds and ramps of the map (default 60x41)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write plan.csv, windows.csv and the figure here")
+    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+
+
+def _numbers(text: str, dimension: str, unit: str, option: str) -> list[float]:
+    """Values in SI of a list with commas; a bare number has the unit."""
+    found = []
+    for part in (piece.strip() for piece in text.split(",")):
+        try:
+            float(part)
+        except ValueError:
+            bare = False
+        else:
+            bare = True
+        try:
+            found.append(parse_value(f"{part} {unit}" if bare else part, dimension))
+        except UnitError as error:
+            raise UsageError(f"{option}: {error}") from None
+    return found
+
+
+def _range(text: str | None, dimension: str, unit: str, option: str, *, zero: bool) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    found = _numbers(text, dimension, unit, option)
+    least = "0" if zero else "above 0"
+    if len(found) != 2 or not found[0] < found[1] or found[0] < 0.0 or (found[0] == 0.0 and not zero):
+        raise UsageError(f"{option} takes two values, the lower {least} and first, found {text!r}")
+    return found[0], found[1]
+
+
+def _lengths(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    found = sorted(set(_numbers(text, "length", "m", "--length")))
+    if not 1 <= len(found) <= _MOST_LENGTHS or found[0] <= 0.0:
+        raise UsageError(f"--length takes 1 to {_MOST_LENGTHS} lengths above 0, found {text!r}")
+    return found
+
+
+def _grid(text: str) -> tuple[int, int]:
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isascii() and part.isdigit() and len(part) < 5 for part in parts):
+        raise UsageError(f"--grid takes speeds x ramps, such as 60x41, found {text!r}")
+    speeds, ramps = (int(part) for part in parts)
+    if not (2 <= speeds <= _MOST_POINTS and 2 <= ramps <= _MOST_POINTS):
+        raise UsageError(f"--grid takes 2 to {_MOST_POINTS} points in each direction, found {text!r}")
+    return speeds, ramps
+
+
+def command_plan(chosen: argparse.Namespace) -> int:
+    """Speeds, ramps and lengths at which a sphere breaks before a reflection, in equilibrium, between elastic bars."""
+    speeds = _range(chosen.speed, "speed", "m/s", "--speed", zero=False)
+    rises = _range(chosen.rise, "time", "us", "--rise", zero=True)
+    lengths, grid = _lengths(chosen.length), _grid(chosen.grid)
+    for name, value in (("--imbalance", chosen.imbalance), ("--quantile", chosen.quantile)):
+        if not 0.0 < value < 1.0:
+            raise UsageError(f"{name} must lie between 0 and 1, found {value:g}")
+    from uqsphere.study import load_study
+
+    study = load_study(chosen.study, chosen.overrides)
+    from uqsphere.planning.window import plan_test, request_of
+
+    request = request_of(study, speeds=speeds, rises=rises, lengths=lengths, level=chosen.imbalance,
+                         quantile=chosen.quantile, grid=grid)  # fmt: skip
+    for text in study.warnings:
+        print(f"warning: {plain(text)}", file=sys.stderr)
+    try:
+        found = plan_test(study, request)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    content = plan_document(found, study.title)
+    written = _write(chosen.out, found, content) if chosen.out is not None else []
+    if chosen.json:
+        print_document({**content, "written": written})
+    else:
+        print("\n".join([_text(found), *(f"wrote {path}" for path in written)]))
+    return 0
+
+
+# --- what is found, as JSON and text --------------------------------------------------------------
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def plan_document(found: Plan, title: str) -> dict[str, Any]:
+    """A plan as plain JSON, SI.
+
+    `binding` (ramps x speeds) names the constraint that binds for the specimen asked for, `kept` tells whether it keeps
+    them all, `share` how much of the batch does.
+    """
+    from uqsphere.mechanics.design import CONSTRAINTS
+
+    subject, request, names = found.subject, found.request, list(CONSTRAINTS)
+    at, batch = subject.place, list(subject.batch)
+    return {
+        "title": title,
+        "limits": {
+            limit.name: {"quantity": limit.quantity, "strength": float(subject.strengths[at, k]),
+                         "strength_low": float(subject.strengths[0, k]),
+                         "strength_high": float(subject.strengths[-1, k])}
+            for k, limit in enumerate(subject.limits)
+        },
+        "quantile": request.quantile,
+        "batch": [float(subject.fractiles[k]) for k in batch],
+        "imbalance": request.level,
+        "fidelity": subject.fidelity,
+        "first_return": _finite(subject.first_return),
+        "not_checked": ["pulse_yield", "contact_yield"] if not _knows_yield(found) else [],
+        "constraints": dict(CONSTRAINTS),
+        "speeds": found.speeds.tolist(),
+        "rises": found.rises.tolist(),
+        "shortest_striker": [[_finite(value) for value in row] for row in found.shortest[:, :, at]],
+        "charts": [
+            {
+                "length": chart.length,
+                "windows": [_window(window) for window in chart.windows],
+                "in_the_way": [{"specimens": kind, "rise": rise, "constraint": name}
+                               for (kind, rise), name in chart.nearest.items()],
+                "binding": [[names[k] if k >= 0 else None for k in row] for row in chart.binds[:, :, at]],
+                "kept": chart.kept[:, :, at].tolist(),
+                "share": chart.kept[:, :, batch].mean(axis=2).tolist(),
+            }
+            for chart in found.charts
+        ],
+    }  # fmt: skip
+
+
+def _knows_yield(found: Plan) -> bool:
+    return found.subject.columns.get("bars.yield_strength", 0.0) > 0.0
+
+
+def _window(window: Window) -> dict[str, Any]:
+    return {"specimens": window.kind, "rise": window.rise, "low": window.low, "high": window.high,
+            "below": window.below, "above": window.above}  # fmt: skip
+
+
+def _cells(chart: Chart, kind: str, rise: float) -> tuple[str, str]:
+    """Windows of one ramp and what ends them, or what is in the way."""
+    windows = [window for window in chart.windows if window.kind == kind and window.rise == rise]
+    if not windows:
+        return "none", chart.nearest[kind, rise]
+    return (
+        "; ".join(f"{window.low:.4g} to {window.high:.4g}" for window in windows),
+        "; ".join(f"{window.below or _RANGE} / {window.above or _RANGE}" for window in windows),
+    )
+
+
+def _text(found: Plan) -> str:
+    from uqsphere.mechanics.design import CONSTRAINTS
+
+    subject, request = found.subject, found.request
+    scatter = len(subject.batch) > 1
+    lines = [("the sphere breaks by", ", ".join(
+        f"{limit.name} ({format_value(float(subject.strengths[subject.place, k]), limit.quantity)})"
+        for k, limit in enumerate(subject.limits)
+    ))]  # fmt: skip
+    lines.append(("specimen shown", f"quantile {request.quantile:g} of the strength" if scatter else "the only one"))
+    lines.append(("|P_A - P_B| at fracture", f"at most {request.level:.3g} of the larger force"))
+    back = subject.first_return
+    lines.append(("first reflected wave", f"after {back * 1e6:.4g} us" if math.isfinite(back) else "none comes"))
+    blocks = [table(("what", "value"), lines)]
+    if not _knows_yield(found):
+        blocks.append("note: the yield strength of the bars is not given, so that they are not known to stay elastic")
+    head = ["ramp [us]", "speeds [m/s]", "ends by, below / above"]
+    if scatter:
+        head += ["the same for 5 to 95 % of the strengths", "ends by"]
+    seen = set()
+    for chart in found.charts:
+        rows = []
+        for rise in found.listed:
+            cells = list(_cells(chart, "quantile", rise))
+            if scatter:
+                cells += _cells(chart, "batch", rise)
+            rows.append([f"{rise * 1e6:.4g}", *cells])
+            seen |= {name for name in CONSTRAINTS if any(name in cell for cell in cells)}
+        blocks.append(f"striker of {chart.length:.4g} m\n" + table(head, rows))
+    blocks.append("\n".join(f"{name}: {words}" for name, words in CONSTRAINTS.items() if name in seen))
+    return "\n\n".join(blocks)
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def _write(folder: Path, found: Plan, content: dict[str, Any]) -> list[str]:
+    from uqsphere.planning.pictures import plan_figure
+    from uqsphere.runner.tables import csv_text
+    from uqsphere.store import write_atomically
+
+    windows = [
+        [chart["length"], *(window[key] if window[key] is not None else "" for key in
+                            ("specimens", "rise", "low", "high", "below", "above"))]
+        for chart in content["charts"] for window in chart["windows"]
+    ]  # fmt: skip
+    head = ["striker_length [m]", "specimens", "rise [s]", "speed_low [m/s]", "speed_high [m/s]", "below", "above"]
+    files = [("plan.csv", csv_text(*_points(found))), ("windows.csv", csv_text(head, windows))]
+    files += [(f"plan{'' if len(found.charts) == 1 else f'-{k + 1}'}.svg", plan_figure(found, k, content["title"]))
+              for k in range(len(found.charts))]  # fmt: skip
+    for name, text in files:
+        write_atomically(folder / name, text)
+    return [str(folder / name) for name, _ in files]
+
+
+def _points(found: Plan) -> tuple[list[str], list[list[Any]]]:
+    """Header and rows of every point of the map, for the specimen that is asked for; what is not known is empty."""
+    from uqsphere.mechanics.design import CONSTRAINTS
+
+    subject, names = found.subject, list(CONSTRAINTS)
+    at, batch = subject.place, list(subject.batch)
+    head = ["striker_length [m]", "speed [m/s]", "rise [s]", "kept", "share_of_strengths", "binding",
+            *(f"used_{name}" for name in names), "limit", "fracture_time [s]", "fracture_force [N]", "imbalance",
+            "wave_transits", "shortest_striker [m]"]  # fmt: skip
+    share = [chart.kept[:, :, batch].mean(axis=2) for chart in found.charts]
+
+    def cell(value: float) -> float | str:
+        return float(value) if math.isfinite(value) else ""
+
+    rows: list[list[Any]] = []
+    for k, chart in enumerate(found.charts):
+        for r, rise in enumerate(found.rises):
+            for s, speed in enumerate(found.speeds):
+                place, limit = int(chart.binds[r, s, at]), int(found.breaks.limit[r, s, at])
+                rows.append(
+                    [chart.length, float(speed), float(rise), int(chart.kept[r, s, at]), float(share[k][r, s]),
+                     names[place] if place >= 0 else "", *(cell(chart.used[name][r, s, at]) for name in names),
+                     subject.limits[limit].name if limit >= 0 else "",
+                     *(cell(part[r, s, at]) for part in (found.breaks.time, found.breaks.force, found.breaks.imbalance,
+                                                         found.transits, found.shortest))]
+                )  # fmt: skip
+    return head, rows

@@ -1,0 +1,409 @@
+"""The window of a test: a map over striker speed and ramp, its edges, and the constraint that binds at every point.
+
+The scene of a study stands at its means; what scatters is the strength.  Nineteen specimens stand for the batch, at
+every twentieth of the strength's distribution from the 5 % to the 95 % fractile: a weak one breaks early, a strong one
+late, and the test should serve both.  A specimen is at the same fractile of every limit.  The difference of the forces
+swings, so that a test may find one strength in balance and the next one not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import UsageError
+from uqsphere.mechanics.bars import wave_speed
+from uqsphere.mechanics.design import (
+    CONSTRAINTS,
+    Breaks,
+    Rig,
+    binding,
+    break_on_ramp,
+    first_return,
+    ramp_scene,
+    shortest_striker,
+    usages,
+)
+from uqsphere.mechanics.loading import Path, path_of
+from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.model import scene_of
+from uqsphere.study import Limit, Study
+from uqsphere.uq.distribution import median, ppf
+from uqsphere.uq.laws import Law
+
+__all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+#: where in the distribution of the strength the specimens of a batch are
+FRACTILES: Final = tuple(float(k) / 20.0 for k in range(1, 20))
+#: ramps whose windows are listed, and halvings that place an edge between two speeds of the map
+LISTED: Final = 9
+HALVINGS: Final = 12
+#: speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
+_FINER: Final = 2
+#: pulses that follow from a striker and a ramp
+SHAPES: Final = ("rectangular", "ramp", "trapezoid")
+#: longest ramp where none is asked for [s]
+_LONGEST: Final = 200e-6
+#: which specimens a window is for
+KINDS: Final = ("quantile", "batch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is asked: ranges of speed [m/s] and ramp [s], striker lengths [m], largest difference of the forces over
+    the largest so far, the quantile of the strength, and points of the map in speed and ramp."""
+
+    speeds: tuple[float, float]
+    rises: tuple[float, float]
+    lengths: tuple[float, ...]
+    level: float = 0.1
+    quantile: float = 0.5
+    grid: tuple[int, int] = (60, 41)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """The sphere and rig of a study: numbers at their means, limits with their paths, strengths (m, L) at m fractiles.
+
+    `place` is the fractile that is asked for, `batch` those that stand for the batch.
+    """
+
+    columns: Mapping[str, float]
+    rigid_contact: bool
+    demands: Mapping[str, tuple[str, Mapping[str, float]]]
+    limits: tuple[Limit, ...]
+    paths: tuple[Path, ...]
+    fractiles: Array
+    strengths: Array
+    place: int
+    batch: tuple[int, ...]
+    fidelity: str
+    fall: float
+    first_return: float
+    round_trip: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """Speeds [m/s] at which every constraint is kept under one ramp [s], and what ends them below and above.
+
+    `below` and `above` are None where the range that was asked for ends first.
+    """
+
+    kind: str
+    rise: float
+    low: float
+    high: float
+    below: str | None
+    above: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """The map of one striker length [m]; arrays (R, S, m) over ramps, speeds and fractiles.
+
+    `used` is the usage of every constraint, `binds` the place of the one that binds (-1: not computed), `kept` whether
+    all are kept.  `nearest` tells for a listed ramp without a window what is in its way.
+    """
+
+    length: float
+    used: Mapping[str, Array]
+    binds: npt.NDArray[np.int64]
+    kept: Flags
+    windows: tuple[Window, ...]
+    nearest: Mapping[tuple[str, float], str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A map for every striker length, over speeds (S,) [m/s] and ramps (R,) [s].
+
+    `breaks`, `transits` and `shortest` (R, S, m) hold for all lengths: the fracture under a pulse that lasts, waves
+    that have crossed the sphere by then, and the least striker length [m] whose pulse lasts until then.
+    """
+
+    request: Request
+    subject: Subject
+    speeds: Array
+    rises: Array
+    listed: tuple[float, ...]
+    breaks: Breaks
+    transits: Array
+    shortest: Array
+    charts: tuple[Chart, ...]
+
+
+def _fracture_limits(study: Study) -> list[tuple[Limit, Path]]:
+    found = [(limit, path_of(limit.quantity, study.demands)) for limit in study.limits if limit.fracture is not False]
+    return [(limit, path) for limit, path in found if path is not None]
+
+
+def _check(study: Study) -> None:
+    if study.black_box:
+        raise UsageError("a test is planned for a sphere between bars; this study is a black box")
+    shape = str(study.options["pulse.shape"])
+    if shape not in SHAPES:
+        raise UsageError(
+            f"a plan varies striker and ramp, which a {shape} pulse does not follow from "
+            f"(allowed: {', '.join(SHAPES)}; "
+            "--set 'pulse={shape=\"rectangular\"}' puts one in place)"
+        )
+    if not study.limits:
+        raise UsageError("a plan needs to know when the sphere breaks: give the study a limit, [limits.NAME]")
+    if not _fracture_limits(study):
+        raise UsageError("no limit of the study means fracture: a plan needs one of force, pressure, stress or energy")
+
+
+def _strength(limit: Limit, fractiles: Array) -> Array:
+    """Strength over the model's factor, which stands at its median."""
+    factor = median(limit.model_factor) if isinstance(limit.model_factor, Law) else limit.model_factor
+    if isinstance(limit.strength, Law):
+        return np.asarray(ppf(limit.strength, fractiles) / factor)
+    return np.full(len(fractiles), limit.strength / factor)
+
+
+def subject_of(study: Study, quantile: float = 0.5) -> Subject:
+    """What is to be broken, and in which rig.
+
+    Raises
+    ------
+    UsageError
+        For a black box, a study without a limit that means fracture, a pulse that does not follow from a striker and
+        a ramp, or a scene outside the domain of the model.
+    """
+    _check(study)
+    limits, paths = zip(*_fracture_limits(study), strict=True)
+    scatter = any(isinstance(limit.strength, Law) for limit in limits)
+    fractiles = np.unique([*FRACTILES, quantile]) if scatter else np.array([quantile])
+    scene = scene_of(study, {}, 1, over_frequency=True)
+    if scene.status[0] == 1:
+        raise UsageError(f"this scene cannot be computed: {STATUS[1]}")
+    returned, round_trip = first_return(scene)
+    return Subject(
+        columns={name: float(column[0]) for name, column in scene.columns.items()},
+        rigid_contact=scene.rigid_contact,
+        demands=study.demands,
+        limits=limits,
+        paths=paths,
+        fractiles=fractiles,
+        strengths=np.stack([_strength(limit, fractiles) for limit in limits], axis=1),
+        place=int(np.flatnonzero(fractiles == quantile)[0]),
+        batch=tuple(int(k) for k in np.flatnonzero(np.isin(fractiles, FRACTILES))) if scatter else (0,),
+        fidelity="massless" if study.model.fidelity == "massless" else "full",
+        fall=float(scene.column("pulse.fall", 0.0)[0]) if scene.shape == "trapezoid" else 0.0,
+        first_return=returned,
+        round_trip=round_trip,
+    )
+
+
+def _below(value: float) -> float:
+    """The largest of 1, 2, 4, 5 and 8 times a power of ten that is not above `value`.
+
+    >>> _below(155.0), _below(1e-4)
+    (100.0, 0.0001)
+    """
+    power = 10.0 ** np.floor(np.log10(value) + 1e-9)
+    return float(max(step * power for step in (1.0, 2.0, 4.0, 5.0, 8.0) if step * power <= value * (1.0 + 1e-9)))
+
+
+def request_of(
+    study: Study,
+    *,
+    speeds: tuple[float, float] | None = None,
+    rises: tuple[float, float] | None = None,
+    lengths: Sequence[float] | None = None,
+    **options: Any,
+) -> Request:
+    """A request with what is left out taken from the study.
+
+    Speeds: those of its margins, or a decade to either side of its own.  Lengths: its own.  Ramps: up to the pulse of
+    the longest striker or the first return of a reflection, at most 200 us.
+
+    Raises
+    ------
+    UsageError
+        As `subject_of`, or where the study does not have what is left out.
+    """
+    _check(study)
+    scene = scene_of(study, {}, 1, over_frequency=True)
+    c = {name: float(column[0]) for name, column in scene.columns.items()}
+    if lengths is None:
+        if "striker.length" not in c or "pulse.duration" in c:
+            raise UsageError("the study gives its pulse without a striker's length: ask for some by --length")
+        lengths = (c["striker.length"],)
+    if speeds is None:
+        asked = study.margins
+        own = c["striker.speed"]
+        speeds = asked.between if asked and asked.solve == "striker.speed" else (0.1 * own, 10.0 * own)
+    if rises is None:
+        speed = wave_speed(*(c.get(f"striker.{key}", c[f"bars.{key}"]) for key in ("E", "density")))
+        rises = (0.0, _below(min(2.0 * max(lengths) / speed, first_return(scene)[0], _LONGEST)))
+    return Request(speeds=speeds, rises=rises, lengths=tuple(lengths), **options)
+
+
+def judge_points(
+    subject: Subject, request: Request, speeds: Array, rises: Array
+) -> tuple[Scene, Breaks, list[dict[str, Array]]]:
+    """Fracture at n points of speed [m/s] and ramp [s], and the usages (n, m) for every length of the request."""
+    columns = {name: np.full(len(speeds), value) for name, value in subject.columns.items()} | {"striker.speed": speeds}
+    scene = ramp_scene(columns, rises, rigid_contact=subject.rigid_contact, demands=subject.demands)
+    names = [limit.quantity for limit in subject.limits]
+    breaks = break_on_ramp(scene, names, subject.paths, subject.strengths, fidelity=subject.fidelity)
+    return scene, breaks, [usages(scene, breaks, _rig(subject, request, length)) for length in request.lengths]
+
+
+def _rig(subject: Subject, request: Request, length: float) -> Rig:
+    return Rig(length=length, fall=subject.fall, level=request.level, first_return=subject.first_return,
+               round_trip=subject.round_trip)  # fmt: skip
+
+
+def plan_test(study: Study, request: Request) -> Plan:
+    """The map of a test, a chart for every striker length.
+
+    Raises
+    ------
+    UsageError
+        See `subject_of`.
+    """
+    subject = subject_of(study, request.quantile)
+    count, ramps = request.grid
+    speeds, rises = np.geomspace(*request.speeds, count), np.linspace(*request.rises, ramps)
+    every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
+    scene, breaks, used = judge_points(subject, request, every_speed, every_rise)
+    shape = (ramps, count, len(subject.fractiles))
+
+    def gridded(flat: Any) -> Any:
+        return flat.reshape(shape)
+
+    c = subject.columns
+    transit = 2.0 * c["sphere.radius"] / wave_speed(c["sphere.E"], c["sphere.density"])
+    maps = [{name: gridded(values) for name, values in one.items()} for one in used]
+    places = np.unique(np.linspace(0, ramps - 1, min(LISTED, ramps)).round().astype(int))
+    listed = rises[places]
+    windows, nearest = _windows(subject, request, np.geomspace(*request.speeds, _FINER * (count - 1) + 1), listed)
+    charts = []
+    for k, (length, one) in enumerate(zip(request.lengths, maps, strict=True)):
+        binds, kept = binding(one)
+        charts.append(
+            Chart(length=length, used=one, binds=binds, kept=kept, windows=tuple(windows[k]), nearest=nearest[k])
+        )
+    return Plan(
+        request=request,
+        subject=subject,
+        speeds=speeds,
+        rises=rises,
+        listed=tuple(listed.tolist()),
+        breaks=Breaks(**{name: gridded(getattr(breaks, name)) for name in ("share", "limit", "time", "force",
+                                                                             "imbalance")}),
+        transits=gridded(breaks.time / transit),
+        shortest=gridded(shortest_striker(scene, breaks, subject.fall)),
+        charts=tuple(charts),
+    )  # fmt: skip
+
+
+def _of_kind(subject: Subject, kind: str) -> list[int]:
+    """Fractiles that a window of a kind has to hold for."""
+    return [subject.place] if kind == "quantile" else list(subject.batch)
+
+
+def _largest(used: Mapping[str, Array]) -> Array:
+    """The usage that binds, larger than all others where the sphere does not break or is not computed."""
+    stacked = np.stack([np.where(np.isnan(values), -np.inf, values) for values in used.values()])
+    return np.where(np.isnan(used["speed"]), np.inf, stacked.max(axis=0))
+
+
+def _name(place: int) -> str:
+    return "not computed" if place < 0 else list(CONSTRAINTS)[place]
+
+
+def _in_the_way(used: Mapping[str, Array], at: list[int]) -> str:
+    """What is broken at the speed that comes nearest to a window; usages (S, m) of one ramp, `at` those that count."""
+    worst = _largest(used)[:, at]
+    s = int(worst.max(axis=1).argmin())
+    return _name(int(binding(used)[0][s, at[int(worst[s].argmax())]]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Edge:
+    """A change between two speeds of the map, under one ramp, for one length and kind; `opens` upwards."""
+
+    chart: int
+    kind: str
+    rise: float
+    low: float
+    high: float
+    opens: bool
+
+
+def _windows(
+    subject: Subject, request: Request, speeds: Array, rises: Array
+) -> tuple[list[list[Window]], list[dict[tuple[str, float], str]]]:
+    """Windows of the listed ramps for every length, their edges placed by halving; what is in the way of the others."""
+    every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
+    _, _, judged = judge_points(subject, request, every_speed, every_rise)
+    edges: list[_Edge] = []
+    open_at: dict[tuple[int, str, float], bool] = {}
+    nearest: list[dict[tuple[str, float], str]] = [{} for _ in judged]
+    for chart, flat in enumerate(judged):
+        used = {name: values.reshape(len(rises), len(speeds), -1) for name, values in flat.items()}
+        kept = binding(used)[1]
+        for kind in KINDS:
+            at = _of_kind(subject, kind)
+            for r, rise in enumerate(rises.tolist()):
+                whole = kept[r][:, at].all(axis=1)
+                if not whole.any():
+                    nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
+                open_at[chart, kind, rise] = bool(whole[0])
+                edges += [
+                    _Edge(chart=chart, kind=kind, rise=rise, low=float(speeds[s]), high=float(speeds[s + 1]),
+                          opens=bool(whole[s + 1]))
+                    for s in np.flatnonzero(np.diff(whole))
+                ]  # fmt: skip
+    placed = _place(subject, request, edges)
+    windows: list[list[Window]] = [[] for _ in judged]
+    for (chart, kind, rise), begins_open in open_at.items():
+        low, below = (float(speeds[0]), None) if begins_open else (np.nan, None)
+        inside = begins_open
+        for edge, (speed, name) in zip(edges, placed, strict=True):
+            if (edge.chart, edge.kind, edge.rise) != (chart, kind, rise):
+                continue
+            if edge.opens:
+                low, below, inside = speed, name, True
+            else:
+                windows[chart].append(Window(kind=kind, rise=rise, low=low, high=speed, below=below, above=name))
+                inside = False
+        if inside:
+            high = float(speeds[-1])
+            windows[chart].append(Window(kind=kind, rise=rise, low=low, high=high, below=below, above=None))
+    return windows, nearest
+
+
+def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[tuple[float, str]]:
+    """The speed of every edge, on its inner side, and the constraint that is broken beyond it."""
+    if not edges:
+        return []
+    rises = np.array([edge.rise for edge in edges])
+    inner = np.array([edge.high if edge.opens else edge.low for edge in edges])
+    outer = np.array([edge.low if edge.opens else edge.high for edge in edges])
+    names = [""] * len(edges)
+    for turn in range(HALVINGS + 1):
+        # the last turn asks what is broken just outside
+        middle = np.sqrt(inner * outer) if turn < HALVINGS else outer
+        _, _, used = judge_points(subject, request, middle, rises)
+        judged = [(binding(one), _largest(one)) for one in used]
+        held = np.zeros(len(edges), dtype=bool)
+        for k, edge in enumerate(edges):
+            (binds, kept), worst = judged[edge.chart]
+            at = _of_kind(subject, edge.kind)
+            held[k] = kept[k, at].all()
+            names[k] = _name(int(binds[k, at[int(worst[k, at].argmax())]]))
+        if turn < HALVINGS:
+            inner, outer = np.where(held, middle, inner), np.where(held, outer, middle)
+    return [(float(speed), name) for speed, name in zip(inner, names, strict=True)]
