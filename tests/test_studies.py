@@ -28,7 +28,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
     "ishigami": ((), (3.4, 3.6)),
     "crusher_margin": (ROUGH, (1.3e7, 1.6e7)),
-    "granite_10mm_test": (ROUGH, (1.1e4, 1.5e4)),
+    "granite_10mm_test": (ROUGH, (1.0e4, 1.3e4)),
 }
 
 
