@@ -1,6 +1,6 @@
 """What the paper's printed equations would give, beside the right ones, as the figure of the errata.
 
-    python -m uqsphere.bench.errata docs/figures/errata.svg
+python -m uqsphere.bench.errata docs/figures/errata.svg
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def errata_figure() -> Picture:
         panel.legend(loc="best")
     return Picture(
         name="errata", title="Printed equations beside the right ones", figure=figure,
-        finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls twice"
-                " as fast, the oscillation of a linear contact never dies out and its plateau is twice as high, and the"
+        finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
+                " twice as fast, the oscillation of a linear contact never dies out and its plateau is twice as high, and the"
                 " pressure keeps the largest contact radius and is too low in the centre.",
     )  # fmt: skip
 

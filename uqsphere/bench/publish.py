@@ -107,7 +107,9 @@ def _report(folder: Path, entry: Published) -> Path:
         page = build_report(found.folder)
         text = page.read_text("utf-8")
         if page.stat().st_size > _LARGEST:
-            raise UsageError(f"{folder.name}: the page has {page.stat().st_size:,} bytes, at most {_LARGEST:,} are kept")
+            raise UsageError(
+                f"{folder.name}: the page has {page.stat().st_size:,} bytes, at most {_LARGEST:,} are kept"
+            )
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         for name in ("report.html", "study.toml", "results.json"):
