@@ -69,8 +69,8 @@ def errata_figure() -> Picture:
     return Picture(
         name="errata", title="Printed equations beside the right ones", figure=figure,
         finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
-                " twice as fast, the oscillation of a linear contact never dies out and its plateau is twice as high, and the"
-                " pressure keeps the largest contact radius and is too low in the centre.",
+                " twice as fast, the oscillation of a linear contact never dies out, its plateau is twice as high, and"
+                " the pressure keeps the largest contact radius and is too low in the centre.",
     )  # fmt: skip
 
 
