@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -29,6 +29,8 @@ def errata_figure() -> Picture:
     from uqsphere.report.canvas import BLUE, GREY, ORANGE, Picture, new_figure
 
     figure, panels = new_figure(8.4, rows=3)
+    right: dict[str, Any]
+    wrong: dict[str, Any]
     right, wrong = {"color": BLUE, "label": "right"}, {"color": ORANGE, "linestyle": "--", "label": "as printed"}
 
     # t_c = 2 alpha_c/v0, so that with alpha_c = 1 and v0 = 2 times are over t_c; then beta/Z is 1
@@ -69,7 +71,7 @@ def errata_figure() -> Picture:
     return Picture(
         name="errata", title="Printed equations beside the right ones", figure=figure,
         finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
-                " twice as fast, the oscillation of a linear contact never dies out, its plateau is twice as high, and"
+                " twice as fast, the oscillation of a linear contact does not die out, its plateau is twice as high, and"
                 " the pressure keeps the largest contact radius and is too low in the centre.",
     )  # fmt: skip
 
