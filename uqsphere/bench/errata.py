@@ -71,7 +71,7 @@ def errata_figure() -> Picture:
     return Picture(
         name="errata", title="Printed equations beside the right ones", figure=figure,
         finding="As printed the massless sphere is unloaded by a sine although it never loses contact, the tail falls"
-                " twice as fast, the oscillation of a linear contact does not die out, its plateau is twice as high, and"
+                " twice as fast, the oscillation of a linear contact never dies, its plateau is twice as high, and"
                 " the pressure keeps the largest contact radius and is too low in the centre.",
     )  # fmt: skip
 
