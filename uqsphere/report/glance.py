@@ -130,10 +130,9 @@ def _valid(contents: Contents) -> str:
     for grade, words in (("failure", "No: outside the model’s validity"), ("warning", "With warnings")):
         broken = [c for c in contents.results["validity"] if c.get(f"share_{grade}", 0.0) > 0.0]
         if broken:
-            named = [
-                f"{_FOUND.get(c['check'], check_name(c['check']))} ({plain_percent(c[f'share_{grade}'])} of the samples)"
-                for c in broken
-            ]
+            shares = [plain_percent(c[f"share_{grade}"]) for c in broken]
+            said = [_FOUND.get(c["check"], check_name(c["check"])) for c in broken]
+            named = [f"{text} ({share} of the samples)" for text, share in zip(said, shares, strict=True)]
             return f"{words}: {listed(named)}."
     unknown = [c for c in contents.results["validity"] if c["worst"] is None]
     if unknown:
