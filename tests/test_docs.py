@@ -273,7 +273,7 @@ def test_every_file_named_exists_or_is_written(page: str) -> None:
     for word in named:
         if not re.search(r"\w\.(py|md|toml|json|csv|npy|html|svg|txt)$", word) or word.startswith("FILE"):
             continue
-        there = any((place / word).exists() for place in (ROOT, ROOT / "uqsphere", ROOT / "docs"))
+        there = any((place / word).exists() for place in (ROOT, ROOT / "uqsphere", ROOT / "docs", ROOT / "studies"))
         written = f'"{Path(word).name}"' in code or Path(word).stem.isupper() or Path(word).name in made
         figure = Path(word).suffix == ".svg" and Path(word).stem.split("-")[0] in code
         assert there or written or figure, (page, word)

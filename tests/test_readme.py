@@ -16,12 +16,15 @@ README = ROOT / "README.md"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
-def console_blocks() -> list[tuple[str, str]]:
-    """(command, expected output) pairs of the README's console blocks, in order."""
+def console_blocks(page: Path = README) -> list[tuple[str, str]]:
+    """(command, expected output) pairs of a page's console blocks, in order; a command ends where no line goes on."""
     pairs = []
-    for block in re.findall(r"^```console\n(.*?)^```$", README.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+    for block in re.findall(r"^```console\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
         for piece in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
             command, _, output = piece.partition("\n")
+            while command.endswith("\\"):
+                more, _, output = output.partition("\n")
+                command = f"{command}\n{more}"
             pairs.append((command, output))
     return pairs
 
@@ -36,7 +39,7 @@ def run(command: str, folder: Path) -> str:
     done = subprocess.run(
         ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode in (0, 2, 3), done.stderr
+    assert done.returncode in (0, 2, 3, 4), done.stderr
     progress = re.compile(r"[\w-]+: [\d,]+ of [\d,]+ evaluations")
     messages = [line for line in done.stderr.splitlines() if not progress.match(line)]
     return "\n".join([*messages, done.stdout])
@@ -47,14 +50,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("tour")
 
 
-def test_the_tour_is_what_the_commands_print(folder: Path) -> None:
+def differences(page: Path, folder: Path) -> list[str]:
+    """The commands of a page, run in order in `folder`, that print something else than the page says."""
     checker = doctest.OutputChecker()
     wrong = []
-    for command, expected in console_blocks():
+    for command, expected in console_blocks(page):
         found = run(command, folder)
         if not checker.check_output(expected, found, FLAGS):
             wrong.append(f"$ {command}\nexpected:\n{expected}\nfound:\n{found}")
-    assert not wrong, "\n\n".join(wrong)
+    return wrong
+
+
+def test_the_tour_is_what_the_commands_print(folder: Path) -> None:
+    assert not differences(README, folder)
 
 
 def test_the_readme_has_its_two_commands_and_a_figure() -> None:

@@ -27,6 +27,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "limestone_three_ways": (ROUGH, (0.9e9, 2.0e9)),
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
     "ishigami": ((), (3.4, 3.6)),
+    "gauge_records": (ROUGH, (2.2e9, 2.5e9)),
     "crusher_margin": (ROUGH, (1.3e7, 1.6e7)),
     "granite_10mm_test": (ROUGH, (1.0e4, 1.3e4)),
 }

@@ -44,12 +44,19 @@ def _cautions(results: dict[str, Any]) -> list[str]:
             also = ", on both sides of the target" if undecided else ""
             found.append(
                 f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
-                f"between {low:.2g} and {high:.2g}{also}"
+                f"between {_share(low)} and {_share(high)}{also}"
             )
     missed = results["accuracy"]["missed"]
     if missed:
         found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")
     return found
+
+
+def _share(probability: float) -> str:
+    """Two figures of a probability; close to 1 of what is missing, so that 0.9999 does not read as certain."""
+    if 0.99 <= probability < 1.0:
+        return f"1 - {1.0 - probability:.2g}"
+    return f"{probability:.2g}"
 
 
 def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -93,6 +100,10 @@ def _first_reason(texts: list[str]) -> str:
     return next((text for text in texts if text), "")
 
 
+def _specimens(count: int) -> str:
+    return f"{count:,} specimen{'' if count == 1 else 's'}"
+
+
 def _governing(results: dict[str, Any]) -> list[str]:
     """What each limit hangs on, and what to measure first."""
     rows: list[tuple[str, ...]] = []
@@ -103,7 +114,7 @@ def _governing(results: dict[str, Any]) -> list[str]:
             called = ""
         first = (limit.get("measure_first") or {}).get("rows") or []
         if first:
-            rows.append((called, "measure first", first[0]["input"], f"{first[0]['tests']:,} specimens"))
+            rows.append((called, "measure first", first[0]["input"], _specimens(first[0]["tests"])))
     return [table(("limit", "hangs on", "share", ""), rows), ""] if rows else []
 
 

@@ -4,6 +4,10 @@ Every repetition draws its own noise, gains and baseline.  The forces that the i
 of the scene at every instant, E* against the scene's own.
 
     python -m uqsphere.bench.inverse --repetitions 200
+
+The record of the experimentalist's tutorial is one such test, of a softer sphere that breaks while it is loaded:
+
+    python -m uqsphere.bench.inverse --write studies/gauge_records_test.csv
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import argparse
 import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -26,7 +31,7 @@ from uqsphere.records.mending import make_record, set_baseline
 from uqsphere.records.pulse import Bar
 from uqsphere.records.reading import Table
 
-__all__ = ["Made", "coverage", "main", "make_test", "rig_of", "scene_of_test"]
+__all__ = ["Made", "coverage", "main", "make_test", "rig_of", "scene_of_test", "tutorial_record"]
 
 Array = npt.NDArray[np.float64]
 
@@ -171,14 +176,29 @@ def coverage(repetitions: int = 200, *, noise: float = 2e-6, gain_sd: float = 0.
     }  # fmt: skip
 
 
+def tutorial_record() -> str:
+    """CSV of a made-up test: the sphere has 47 GPa, and its forces fall off 170 us after first touch."""
+    made = make_test(
+        scene_of_test(**{"sphere.E": 47e9}), rng=np.random.default_rng(8), noise=2e-6, gain_sd=0.01, offset=2e-5,
+        step=1e-6, fracture=170e-6, brittle=25e-6,
+    )  # fmt: skip
+    scaled = made.table.values * 1e6
+    lines = [f"{time:.0f},{incident:.1f},{receiving:.1f}" for time, incident, receiving in scaled]
+    return "\n".join(["time [us],incident [microstrain],receiving [microstrain]", *lines]) + "\n"
+
+
 def main() -> None:
-    """Print the coverage as JSON."""
+    """Print the coverage as JSON, or write the record of the tutorial."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repetitions", type=int, default=200)
     parser.add_argument("--noise", type=float, default=2e-6, help="strain")
     parser.add_argument("--gain-sd", type=float, default=0.01)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--write", type=Path, metavar="FILE.csv", help="write the record of the tutorial instead")
     chosen = parser.parse_args()
+    if chosen.write is not None:
+        chosen.write.write_text(tutorial_record(), encoding="utf-8")
+        return
     print(
         json.dumps(coverage(chosen.repetitions, noise=chosen.noise, gain_sd=chosen.gain_sd, seed=chosen.seed), indent=1)
     )

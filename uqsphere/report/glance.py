@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding
@@ -117,12 +117,22 @@ def _measure(entry: Mapping[str, Any] | None) -> str:
     return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
 
 
+#: what a check finds, where its name does not say it to somebody who meets it for the first time
+_FOUND: Final = {
+    "bar_yield_contact": "the bars yield under the sphere",
+    "bar_yield_pulse": "the pulse makes the bars yield",
+    "force_balance": "the two contact forces differ",
+}
+
+
 def _valid(contents: Contents) -> str:
     """Whether an assumption of the model is broken, and which."""
     for grade, words in (("failure", "No: outside the model’s validity"), ("warning", "With warnings")):
         broken = [c for c in contents.results["validity"] if c.get(f"share_{grade}", 0.0) > 0.0]
         if broken:
-            named = [f"{check_name(c['check'])} ({plain_percent(c[f'share_{grade}'])} of the samples)" for c in broken]
+            shares = [plain_percent(c[f"share_{grade}"]) for c in broken]
+            said = [_FOUND.get(c["check"], check_name(c["check"])) for c in broken]
+            named = [f"{text} ({share} of the samples)" for text, share in zip(said, shares, strict=True)]
             return f"{words}: {listed(named)}."
     unknown = [c for c in contents.results["validity"] if c["worst"] is None]
     if unknown:
