@@ -21,7 +21,7 @@ from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.sampling import sobol_points
-from uqsphere.ways import choose_way
+from uqsphere.ways import CHEAP, choose_way
 
 MODELS = {model.name: model for model in coverage_models()}
 DEAR = """
@@ -155,7 +155,7 @@ def test_two_runs_agree_and_one_that_is_resumed_evaluates_nothing(ask) -> None:
 
 def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock says 20 s an evaluation at first, and nothing the second time."""
-    ticks = iter(range(0, 10**9, 400))
+    ticks = iter(range(0, 10**9, 20))
     monkeypatch.setattr(pricing.time, "perf_counter", lambda: float(next(ticks)))
     text = ("analysis.budget.time='3 h'", "analysis.budget.evaluations=3000")
     no_cost = DEAR.replace('cost = "10 s"\n', "")
@@ -163,7 +163,8 @@ def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.M
     box = Counted(ishigami)
     first = ask(box, *text)
     cost = first.manifest["plan"]["cost_seconds_per_evaluation"]
-    assert cost == pytest.approx(400.0 / 24.0)
+    # the rows are timed one by one, each for one tick
+    assert cost == pytest.approx(20.0)
     assert first.results["plan"]["way"] == "surrogate"
     assert box.rows <= 3.0 * 3600.0 / cost
     monkeypatch.setattr(pricing.time, "perf_counter", lambda: 0.0)
@@ -256,7 +257,9 @@ def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study
     assert not way.surrogate
     assert choose_way(study, 1.01 * way.crossover).surrogate
     assert not choose_way(study, 0.99 * way.crossover).surrogate
-    assert way.crossover * (way.sampling - way.runs) == pytest.approx(10.0)
+    assert way.crossover == CHEAP
+    short = choose_way(study_from("analysis.budget.evaluations=5000", text=DEAR), 1e-9)
+    assert short.crossover * (5000 - short.runs) == pytest.approx(10.0)
 
 
 def test_listed_methods_and_the_impact_model_are_sampled(study_from: Callable[..., Study]) -> None:

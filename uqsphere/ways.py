@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 from uqsphere.study import Study
 
-__all__ = ["FIRST_SAMPLE", "FITS", "OVERHEAD", "Way", "choose_way"]
+__all__ = ["CHEAP", "FIRST_SAMPLE", "FITS", "OVERHEAD", "Way", "choose_way"]
 
 #: evaluations that sampling begins with, and that a surrogate of a smooth model is content with
 FIRST_SAMPLE = 2_048
 _RUNS = 256
 #: seconds that a surrogate takes besides the runs of the model: at all, and for the fits of each quantity
 OVERHEAD, FITS = 5.0, 5.0
+#: cost of an evaluation below which a model is cheap in any case [s]: timed row by row, a vectorised one seems dearer
+#: than it is, and sampling answers more than a surrogate does
+CHEAP = 1e-3
 #: quantities that jump where a contact is lost one oscillation earlier: sampling is slow on them
 _ROUGH = ("contact_time", "pulse_width", "rise_time", "loading_rate")
 
@@ -80,7 +83,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     seconds : time budget in place of the study's.
 
     With n evaluations by sampling, m by a surrogate and its overhead o the two take n c and m c + o: the surrogate
-    is taken above the crossover c = o/(n - m), or where the budget has no room for sampling at all.
+    is taken above the crossover c = o/(n - m), but not below a millisecond, or where the budget has no room for
+    sampling at all.
     """
     analysis = study.analysis
     cost = analysis.cost if cost is None else cost
@@ -90,7 +94,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
     if cost and cost * affordable > seconds:
         affordable = int(seconds / cost)
     overhead = OVERHEAD + FITS * len(analysis.quantities)
-    crossover = overhead / max(planned - _RUNS, 1)
+    # sampling ends with the budget, whatever accuracy it was forecast to take more for
+    crossover = max(overhead / max(min(planned, analysis.budget.evaluations) - _RUNS, 1), CHEAP)
 
     def way(surrogate: bool, why: str) -> Way:
         return Way(surrogate=surrogate, why=why, sampling=planned, runs=_RUNS, crossover=crossover,
