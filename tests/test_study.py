@@ -73,7 +73,15 @@ def test_granite_is_the_study_of_the_contract() -> None:
 @pytest.mark.parametrize("path", sorted(STUDIES.glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_study(path: Path) -> None:
     study = load_study(path)
-    assert study.warnings == ()
+    # Only a recorded pulse has something to say: what was mended of the record.
+    said = [warning.split(": ", 2)[2] for warning in study.warnings]
+    if path.stem == "gauge_records":
+        assert said == [
+            "incident: a baseline of -7.037 microstrain is taken off",
+            "13 cubics follow the record to 0.02 of its peak",
+        ]
+    else:
+        assert said == []
     resolved = json.loads(json.dumps(study.resolved(), allow_nan=False))
     assert resolved["order"] == list(study.inputs().names)
     assert set(study.at_means()) == set(study.fixed) | set(study.random)
