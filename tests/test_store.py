@@ -163,10 +163,12 @@ def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
 def test_an_empty_folder_and_one_that_died_early_are_taken(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     opened(tmp_path / "empty").close()
+    assert (tmp_path / "empty" / "study.resolved.json").is_file()
     (tmp_path / "died").mkdir()
     (tmp_path / "died" / ".lock").touch()
     (tmp_path / "died" / ".study.resolved.json.abc123").write_text('{"hash": "ff')
     opened(tmp_path / "died").close()
+    assert (tmp_path / "died" / "study.resolved.json").is_file()
 
 
 @pytest.mark.parametrize("mark", ['{"hash": "other"}', "[]", "{}", '{"hash": '])
