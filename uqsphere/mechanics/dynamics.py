@@ -31,6 +31,7 @@ __all__ = [
     "Motion",
     "Scaled",
     "integrate",
+    "march_rows",
     "motion",
     "scaled_arguments",
     "solve",
@@ -149,7 +150,7 @@ def scaled_arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any
     }
 
 
-def _march(
+def march_rows(
     arguments: dict[str, Any],
     order: npt.NDArray[np.int64],
     mode: int,
@@ -162,7 +163,11 @@ def _march(
     wanted: int = _WANTED_ALL,
     asked: float = 0.0,
 ) -> Motion | None:
-    """Run the kernel on rows `order`, with more room for those that run out of it."""
+    """Run the kernel on rows `order`, with more room for those that run out of it.
+
+    answers (n, ANSWERS), status (n,) and steps (n,) are written at those rows.  keep = 1 keeps the motion of the last
+    of them and returns it.
+    """
     from uqsphere.mechanics.kernel import march
     from uqsphere.mechanics.series import TERMS
 
@@ -258,7 +263,7 @@ def integrate(
         if graze is not None:
             given["graze"] = graze
         found, its_status, its_steps = empty_answers(len(order)), np.zeros_like(order), np.zeros_like(order)
-        _march(given, np.arange(len(order)), mode, closer, True, found, its_status, its_steps, wanted=wanted,
+        march_rows(given, np.arange(len(order)), mode, closer, True, found, its_status, its_steps, wanted=wanted,
                asked=tolerance)  # fmt: skip
         return found, its_status, its_steps
 
@@ -293,7 +298,7 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
 
         answers, steps = empty_answers(1), np.zeros(1, dtype=np.int64)
         only = np.zeros(1, dtype=np.int64)
-        found = _march(
+        found = march_rows(
             scaled_arguments(scene, np.array([row])),
             only,
             MODES[fidelity],

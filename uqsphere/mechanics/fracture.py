@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.dynamics import MODES, _march, scaled_arguments, thread_count
+from uqsphere.mechanics.dynamics import MODES, march_rows, scaled_arguments, thread_count
 from uqsphere.mechanics.layout import ANSWER_END, WANT_ENERGY, empty_answers
 from uqsphere.mechanics.loading import Path
 from uqsphere.mechanics.scene import Scene
@@ -103,7 +103,7 @@ def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float,
     status, steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     answers = empty_answers(n)
     only = np.array([row])
-    found = _march(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
+    found = march_rows(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
     if status[row] != 0 or found is None or len(found.start) == 0:
         return None
     # contact may be lost inside the last step

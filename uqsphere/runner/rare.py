@@ -26,7 +26,7 @@ from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 from uqsphere.uq.reliability import reliability_index, strength_tails, target_met
 
-__all__ = ["METHOD", "DesignFound", "find_design", "refine_limits"]
+__all__ = ["METHOD", "DesignFound", "find_design", "narrower", "refine_limits"]
 
 Array = npt.NDArray[np.float64]
 
@@ -197,7 +197,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
     """The limit's answer with the rare-event probability, unless sampling's own interval is the narrower."""
     checks = list(rare.checks)
     own, old = rare.estimate, answer.miss
-    kept, text = _choose(own, old)
+    kept, text = narrower(own, old)
     if text:
         checks.append(text)
     exceeded = answer.exceedance
@@ -216,7 +216,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
     return _with_design(work, updated, rare.design, space)
 
 
-def _choose(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
+def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
     """The narrower of two estimates that agree; where they do not, one that holds both, and why."""
     if own.value is None or own.low is None or own.high is None:
         better = old.value is None or old.high is None or (own.high is not None and own.high < old.high)

@@ -13,7 +13,7 @@ from uqsphere.model import is_answered
 from uqsphere.runner.curves import evaluate_at, moved_study, strength_solved
 from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, _choose
+from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_points
 from uqsphere.study import ENERGY, Limit, Study
@@ -106,7 +106,7 @@ def union_estimate(work: Work, sampled: Sampled, limits: Sequence[Limit], factor
         on_failure="bound",
     )
     rare = find_probability(function, seed=work.study.seed, accuracy=asked, budget=left)
-    return _choose(rare.estimate, plain)[0]
+    return narrower(rare.estimate, plain)[0]
 
 
 def _limit_function(work: Work, limits: Sequence[Limit], factor: Array) -> Any:
