@@ -15,8 +15,10 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import StudyError
 from uqsphere.mechanics.field import field_at
+from uqsphere.mechanics.field_view import view_field
 from uqsphere.mechanics.gauges import gauge_strain
 from uqsphere.report import bar_figures, canvas
+from uqsphere.report.field_figure import draw_field
 from uqsphere.runner.deterministic import history_summary
 
 GAUGES = ('[[gauges]]\nbar = "incident"\nposition = "0.25 m"\n[[gauges]]\nbar = "receiving"\nposition = "150 mm"\n'
@@ -88,7 +90,10 @@ def test_pictures_have_their_words(written):
             ("incident bar, 0.25 m", "receiving bar, 0.15 m", "reflected", "transmitted", "[µs]"),
         ),
         (bar_figures.draw_forces, ("two waves", "contact B", "imbalance R")),
-        (bar_figures.draw_field, ("axial stress [MPa]", "VII", "VIII", "X", "XI", "V", "incident")),
+        (
+            lambda found: draw_field(view_field(found)),
+            ("axial stress [MPa]", "VII", "VIII", "X", "XI", "V", "incident"),
+        ),
     ):
         svg = canvas.render(draw(history))
         assert all(f">{word}" in svg or word in svg for word in words), draw

@@ -142,6 +142,14 @@ class History:
             return False
         return self.later_peak.pressure > self.first_peak.pressure
 
+    @property
+    def hardest_contact(self) -> tuple[float, float]:
+        """a/r and p_0 [Pa] at the largest contact pressure of either face; theory (15)."""
+        pressure = max((peak.pressure for peak in (self.first_peak, self.later_peak) if peak is not None), default=0.0)
+        radius = float(self.solution.scene.columns["sphere.radius"][self.solution.row])
+        # Hertz: p_0 = (2/pi) E* a/r_eff
+        return pressure * 0.5 * np.pi * self.effective_radius / self.modulus / radius, pressure
+
     def pressure_over_contact(self, distance: Any, face: str = "A") -> Array:
         """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]

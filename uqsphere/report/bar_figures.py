@@ -1,4 +1,4 @@
-"""What the bars see of one scene as figures and tables: gauge signals, forces by wave analysis, stress over x and t."""
+"""What the bars see of one scene as figures and tables: gauge signals, and forces by wave analysis."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import field_grid, first_tension, last_time
+from uqsphere.mechanics.field import last_time
+from uqsphere.mechanics.field_view import shown_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, equilibrium, force_imbalance, gauge_strain
 from uqsphere.mechanics.waves import BARS, force_at, states_at
 from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PAPER, PURPLE, RED, Picture
+from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,11 +22,8 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
 
 __all__ = [
-    "draw_field",
     "draw_forces",
     "draw_gauges",
-    "extent",
-    "field_rows",
     "force_rows",
     "gauge_rows",
     "wave_forces",
@@ -35,12 +33,8 @@ Array = npt.NDArray[np.float64]
 
 #: gauges with a panel of their own; further ones are in the table
 _PANELS: Final = 5
-#: instants of the tables, points of the drawn field and of its table (places, times)
+#: instants of the tables
 _ROWS: Final = 4000
-_PIXELS: Final = (300, 380)
-_NODES: Final = (48, 160)
-#: a region needs this share of its bar's picture for a name
-_ROOM: Final = 0.012
 _LEVEL: Final = 0.05
 
 
@@ -54,7 +48,7 @@ def _micro(value: float) -> str:
 def draw_gauges(history: History) -> Picture:
     """Signals of the gauges in microstrain over microseconds, what arrives when, and where waves overlap."""
     records = history.gauges[:_PANELS]
-    end = min(_shown(history), *(float(record.time[-1]) for record in records))
+    end = min(shown_time(history), *(float(record.time[-1]) for record in records))
     begin = min(float(record.time[0]) for record in records)
     with canvas.style():
         figure, axes = canvas.new_figure(1.0 + 1.9 * len(records), rows=len(records), sharex=True)
@@ -146,7 +140,7 @@ def wave_forces(history: History) -> tuple[BarForces | None, str]:
 def draw_forces(history: History) -> Picture:
     """Forces at both faces by one, two and three waves beside those of the contacts, and their imbalance."""
     found, reason = wave_forces(history)
-    end = found.end if found is not None else min(history.record_end, _shown(history))
+    end = found.end if found is not None else min(history.record_end, shown_time(history))
     times = np.linspace(0.0, end, 1500)
     exact = _contact_forces(history, times)
     balance = equilibrium(history, _LEVEL)
@@ -210,140 +204,4 @@ def force_rows(history: History) -> tuple[list[str], list[list[Any]]] | None:
                force_imbalance(exact[:, 0], exact[:, 1])]  # fmt: skip
     heading = ["time at the faces [us]", "one wave (B) [N]", "two waves (A) [N]", "three waves [N]", "contact A [N]",
                "contact B [N]", "imbalance [-]"]  # fmt: skip
-    return heading, np.stack(columns, axis=1).tolist()
-
-
-# --- field --------------------------------------------------------------------------------------------
-
-
-def _shown(history: History) -> float:
-    """How far the pictures go in time [s]: the record, at least one round trip where something comes back."""
-    solution = history.solution
-    trips = [solution.round_trip(bar) for bar in (0, 1)]
-    echoes = [trip for bar, trip in enumerate(trips) if solution.echoes(bar)]
-    last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0))
-    if not echoes and math.isfinite(solution.pulse_end):
-        last = min(last, 6.0 * solution.pulse_end)
-    return min(last, history.horizon)
-
-
-def extent(history: History) -> tuple[tuple[float, float], float]:
-    """What a picture of the bars shows: length of each bar [m], as far as it goes, and the last instant [s]."""
-    solution, last = history.solution, _shown(history)
-    trips = [solution.round_trip(bar) for bar in (0, 1) if solution.echoes(bar)]
-    # the regions can be told apart up to the second return; what comes later is in xt.svg
-    last = min(last, 2.2 * max(trips, default=math.inf))
-    speed = solution.wave_speed
-    reach = [min(0.5 * speed * solution.round_trip(bar), 1.2 * speed * last) for bar in (0, 1)]
-    return (reach[0], reach[1]), last
-
-
-def draw_field(history: History) -> Picture:
-    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    solution = history.solution
-    (left, right), last = extent(history)
-    begin = -left / solution.wave_speed
-    # between the pixels' edges: the sphere's own place is no bar
-    edges = np.linspace(-left, right, _PIXELS[0] + 1)
-    places = 0.5 * (edges[1:] + edges[:-1])
-    times = begin + (np.arange(_PIXELS[1]) + 0.5) / _PIXELS[1] * (last - begin)
-    stress = field_grid(history, places, times).stress * 1e-6
-    top = max(float(np.abs(stress).max()), 1e-12)
-    colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(6.2)
-        image = axes.imshow(
-            stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, interpolation="nearest",
-            extent=(-left, right, begin * 1e6, last * 1e6),
-        )  # fmt: skip
-        figure.colorbar(image, ax=axes, label="axial stress [MPa], tension positive", pad=0.02)
-        _fronts(axes, history, (left, right), begin, last)
-        axes.plot([0.0, 0.0], [0.0, min(history.record_end, last) * 1e6], color=INK, linewidth=3.0)
-        _names(axes, history, places, times)
-        _tensions(axes, history, last)
-        axes.set_xlim(-left, right)
-        axes.set_ylim(begin * 1e6, last * 1e6)
-        axes.set_xlabel("place along the bars, sphere at 0 [m]")
-        axes.set_ylabel("time since first touch [µs]")
-        axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
-    return Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(history),
-                   figure=figure)  # fmt: skip
-
-
-def _fronts(axes: Axes, history: History, reach: tuple[float, float], begin: float, last: float) -> None:
-    """Fronts (solid) and tails (dashed) of the pulse, on their way in, away from the sphere, and back."""
-    solution = history.solution
-    speed = solution.wave_speed
-    for delay, line in ((0.0, "-"), (solution.pulse_end, "--")):
-        if not math.isfinite(delay):
-            continue
-        style: dict[str, Any] = {"color": INK, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
-        for bar, sign in ((0, -1.0), (1, 1.0)):
-            ends = np.array([0.0, sign * reach[bar]])
-            out = np.array([0.0, reach[bar] / speed])
-            if bar == 0:
-                axes.plot(ends, (delay - out) * 1e6, **style)
-            axes.plot(ends, (delay + out) * 1e6, **style)
-            if solution.echoes(bar):
-                axes.plot(ends, (delay + solution.round_trip(bar) - out) * 1e6, **style)
-
-
-def _names(axes: Axes, history: History, places: Array, times: Array) -> None:
-    """The paper's numbers of the regions that its text defines, and words for the others, where there is room."""
-    solution = history.solution
-    x, t = np.meshgrid(places, times)
-    d = np.abs(x) / solution.wave_speed
-    u, w, pulse = t - d, t + d, solution.pulse_end
-    trips = [solution.round_trip(bar) if solution.echoes(bar) else math.inf for bar in (0, 1)]
-    struck, there = (x < 0.0) & (w < trips[0]), (x > 0.0) & (w < trips[1])
-    regions = {
-        "incident": struck & (w > 0.0) & (w < pulse) & (u < 0.0),
-        "V": struck & (w > pulse) & (u < 0.0),
-        "VI": struck & (w < pulse) & (u > 0.0),
-        "VII": struck & (w > pulse) & (u > 0.0) & (u < pulse),
-        "X": struck & (w > pulse) & (u > pulse),
-        "VIII": there & (u > 0.0) & (u < pulse),
-        "XI": there & (u > pulse),
-        "returned": (x < 0.0) & (w > trips[0]) & (u < trips[0]),
-        " returned": (x > 0.0) & (w > trips[1]) & (u < trips[1]),
-    }
-    for name, inside in regions.items():
-        if inside.mean() > _ROOM:
-            axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
-                      fontsize=9.0, color=INK)  # fmt: skip
-
-
-def _tensions(axes: Axes, history: History, last: float) -> None:
-    for bar, sign in (("incident", -1.0), ("receiving", 1.0)):
-        found = first_tension(history, bar)
-        if found is not None and found.time < last:
-            axes.plot(sign * found.position, found.time * 1e6, marker="o", markersize=6, color=INK,
-                      markerfacecolor=PAPER, clip_on=False, zorder=5)  # fmt: skip
-
-
-def _field_finding(history: History) -> str:
-    text = "V: at rest behind the pulse; VI: pulse and reflected wave; VII: reflected wave alone; VIII: transmitted "
-    text += "wave; X, XI: the same after the pulse has passed (numbers of the paper)."
-    for bar in BARS:
-        found = first_tension(history, bar)
-        if found is None:
-            text += f" The {bar} bar sees no tension."
-        else:
-            text += f" The {bar} bar is first under tension {found.position:.4g} m from the sphere after "
-            text += f"{_micro(found.time)} (circle)."
-    return text
-
-
-def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
-    """Heading and rows of field.csv: place, time, stress and velocity on a grid of both bars."""
-    (left, right), last = extent(history)
-    places = np.concatenate([-left * (1.0 - np.arange(_NODES[0] // 2) / (_NODES[0] // 2)), [0.0],
-                             right * (1.0 + np.arange(_NODES[0] // 2)) / (_NODES[0] // 2)])  # fmt: skip
-    times = np.linspace(-left / history.solution.wave_speed, last, _NODES[1])
-    found = field_grid(history, places, times)
-    x, t = np.meshgrid(places, times)
-    columns = [x.ravel(), t.ravel() * 1e6, found.stress.ravel() * 1e-6, found.velocity.ravel()]
-    heading = ["place [m]", "time [us]", "stress [MPa]", "particle velocity [m/s]"]
     return heading, np.stack(columns, axis=1).tolist()

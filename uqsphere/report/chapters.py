@@ -14,6 +14,7 @@ from uqsphere.report import (
     figures,
     force_band,
     fracture,
+    hardest_scene,
     limit_surface,
     method,
     origins,
@@ -292,7 +293,7 @@ def measure_chapter(contents: Contents) -> Chapter:
 
 
 def quantities_chapter(contents: Contents) -> Chapter:
-    """Distributions that were not shown above, and the force over time."""
+    """Distributions that were not shown above, the force over time, and the hardest scene in its bars and inside."""
     shown = {*_decided(contents), *_of_limits(contents)}
     blocks = [_distribution(contents, name) for name in contents.results["quantities"] if name not in shown]
     blocks.append(
@@ -303,6 +304,17 @@ def quantities_chapter(contents: Contents) -> Chapter:
             table=force_band.hardest_table(contents),
             appendix=True,
             files=("tables/courses.csv",) if contents.courses is not None else (),
+        )
+    )
+    bars, inside = hardest_scene.bars_figure(contents), hardest_scene.stress_inside_figure(contents)
+    blocks.append(
+        Block(heading="What the bars see of the hardest scene", finding=bars.finding if bars else "", picture=bars)
+    )
+    blocks.append(
+        Block(
+            heading="Stress inside the sphere in the hardest scene",
+            finding=inside.finding if inside else "",
+            picture=inside,
         )
     )
     return Chapter(

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.mechanics.field_view import view_field
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.report import bar_figures, canvas
+from uqsphere.report.field_figure import draw_field, field_rows
 from uqsphere.report.stress_figure import stress_figure
 from uqsphere.report.timelines import history_figure, xt_figure
 from uqsphere.runner.tables import csv_text
@@ -52,11 +54,8 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
         "xt.svg": xt_figure(scene, found),
     }
     contents |= _bars(found)
-    pressure = float(max(found.pressure_a.max(), found.pressure_b.max()))
-    radius, nu = (float(scene.columns[name][0]) for name in ("sphere.radius", "sphere.nu"))
-    # Hertz: p_0 = (2/pi) E* a/r_eff, theory (15)
-    scales = scene.scales
-    ratio = pressure * 0.5 * np.pi * float(scales.effective_radius[0] / scales.modulus[0]) / radius
+    ratio, pressure = found.hardest_contact
+    nu = float(scene.columns["sphere.nu"][found.solution.row])
     if not outside(ratio, nu):
         contents["stress.svg"] = stress_figure(ratio, nu, pressure)
     for name, text in contents.items():
@@ -66,8 +65,8 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
 
 def _bars(found: History) -> dict[str, str]:
     """What the bars see, by file name."""
-    contents = {"field.csv": csv_text(*bar_figures.field_rows(found))}
-    pictures = [bar_figures.draw_field(found), bar_figures.draw_forces(found)]
+    contents = {"field.csv": csv_text(*field_rows(found))}
+    pictures = [draw_field(view_field(found)), bar_figures.draw_forces(found)]
     if found.gauges:
         contents["gauges.csv"] = csv_text(*bar_figures.gauge_rows(found))
         pictures.append(bar_figures.draw_gauges(found))

@@ -111,7 +111,21 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
         f"apart by {format_value(value * pressure, 'core_tension', 3)}, {depth:.2g} r below either contact; "
         "the tension at the rim of the contact is steeper and larger, and cuts rings."
     )
-    return Picture(name="stress", title="Stress inside the sphere at the largest force", finding=finding, figure=figure)
+    return Picture(
+        name="stress",
+        title="Stress inside the sphere at the largest force",
+        finding=finding,
+        figure=figure,
+        header=("across, over r", "along the axis, over r", "largest principal stress [Pa]", "largest shear [Pa]"),
+        rows=_rows(across, along, tension * pressure, shear * pressure),
+    )
+
+
+def _rows(*columns: Array) -> tuple[tuple[float, ...], ...]:
+    """Every third point of the upper quarter: the others are its mirror images."""
+    quarter = columns[1][0] >= 0.0
+    kept = [column[::3, quarter][:, ::3].ravel().tolist() for column in columns]
+    return tuple(zip(*kept, strict=True))
 
 
 def stress_figure(contact_ratio: float, nu: float, pressure: float) -> str:

@@ -1,4 +1,4 @@
-"""The contact forces over time of some sampled scenes: their band, and the hardest of them."""
+"""The contact forces over time of some sampled scenes: their band, and the hardest of them, with what its bars see."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ SCENES, INSTANTS = 64, 240
 _TRIAL, _LONGEST = 3000, 120.0
 #: share of the largest force below which the first loading is over
 _OVER = 0.01
+#: places and instants of the stored stress in the bars
+_PLACES, _TIMES = 150, 190
 LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -33,9 +35,11 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     -------
     dict or None
         `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the scene with the largest force, its
-        `inputs` (SI), `force_a` and `force_b`; `scenes`, `fidelity`.
+        `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0 [Pa], at the
+        largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
     """
-    from uqsphere.mechanics.history import force_courses
+    from uqsphere.mechanics.field_view import view_field
+    from uqsphere.mechanics.history import force_courses, trace
     from uqsphere.model import scene_of
 
     names = work.scene_names
@@ -66,10 +70,14 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     content: dict[str, Any] = {"time": times.tolist(), "scenes": len(rows), "fidelity": work.fidelity}
     for face, name in enumerate(("force_a", "force_b")):
         content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
+    course = trace(scene, hardest, points=2, **kept)  # type: ignore[arg-type]
+    ratio, pressure = course.hardest_contact
     content["hardest"] = {
         "inputs": {name: float(rows[hardest, k]) for k, name in enumerate(names)},
         "force_a": forces[hardest, 0].tolist(),
         "force_b": forces[hardest, 1].tolist(),
+        "contact": {"ratio": ratio, "nu": float(scene.columns["sphere.nu"][hardest]), "pressure": pressure},
+        "bars": view_field(course, places=_PLACES, times=_TIMES).as_document(),
     }
     return content
 
