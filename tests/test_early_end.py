@@ -11,6 +11,7 @@ import pytest
 
 import uqsphere
 from uqsphere.console import Progress, bar
+from uqsphere.mechanics.field_view import FieldView
 from uqsphere.report import build_report
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
@@ -78,6 +79,20 @@ def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., S
     assert middle.max() <= 1.02 * largest.median()
     hardest = max(max(courses["hardest"]["force_a"]), max(courses["hardest"]["force_b"]))
     assert largest.quantile(0.9) < hardest <= 1.001 * largest.max()
+    # the stress inside and the field in the bars are those of the same scene
+    contact, view = courses["hardest"]["contact"], FieldView.from_document(courses["hardest"]["bars"])
+    radius = courses["hardest"]["inputs"]["sphere.radius"]
+    # theory (14), (15): P = (2/3) pi a² p_0
+    force = 2.0 / 3.0 * np.pi * (contact["ratio"] * radius) ** 2 * contact["pressure"]
+    assert hardest <= 1.0001 * force
+    assert hardest == pytest.approx(force, rel=0.02)
+    assert view.stress.shape == (190, 150)
+    report = build_report(run.folder).read_text(encoding="utf-8")
+    for heading in ("What the bars see of the hardest scene", "Stress inside the sphere in the hardest scene"):
+        assert heading in report
+    for name in ("bars-hardest", "stress-hardest"):
+        lines = (run.folder / "figures" / f"{name}.csv").read_text(encoding="utf-8").splitlines()
+        assert len(lines) > 1000
 
 
 def test_a_black_box_has_no_forces(tmp_path: Path) -> None:
