@@ -20,6 +20,7 @@ from uqsphere.report.wording import (
     plain_percent,
     symbol,
 )
+from uqsphere.uq.failure_shares import BY_INFORMATION
 
 __all__ = ["Glance", "allowed_value", "glances"]
 
@@ -98,8 +99,10 @@ def _driver(contents: Contents, quantity: str) -> str:
         shares = limit.get("governing_inputs") or {}
         if limit["quantity"] == quantity and shares:
             first = max(shares, key=lambda n: float(shares[n]))
+            several = limit.get("governing_inputs_method") == BY_INFORMATION
+            whole = "what its failures tell of the inputs" if several else "its scatter"
             parts.append(
-                f"Of {limit_name(name)}: {input_name(first)} ({100.0 * float(shares[first]):.0f} % of its scatter)."
+                f"Of {limit_name(name)}: {input_name(first)} ({100.0 * float(shares[first]):.0f} % of {whole})."
             )
     return " ".join(
         [

@@ -26,6 +26,7 @@ from uqsphere.report.wording import (
     symbol,
     value_text,
 )
+from uqsphere.uq.failure_shares import BY_INFORMATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -221,8 +222,11 @@ def _steps(limit: Mapping[str, Any]) -> tuple[float, float, list[tuple[str, floa
 
     The way in logarithms is shared out by importance factors, the squared direction cosines of the design point:
     for margins that are products of lognormal variables that is exact, as the shares of Euler's allocation.
+    Failures in several directions have no such way.
     """
     margin, shares = limit["margin"], limit.get("governing_inputs") or {}
+    if limit.get("governing_inputs_method") == BY_INFORMATION:
+        return 0.0, 0.0, []
     bad = "0.05" if limit["aim"] == "survive" else "0.95"
     ends = [(margin.get(key) or {"value": None})["value"] for key in ("median", bad)]
     if None in ends or min(ends) <= 0.0 or ends[0] == ends[1]:

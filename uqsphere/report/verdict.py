@@ -26,6 +26,7 @@ from uqsphere.report.wording import (
     symbol,
     value_text,
 )
+from uqsphere.uq.failure_shares import BY_INFORMATION
 
 __all__ = ["Verdict", "cautions", "ignorance_text", "verdicts"]
 
@@ -162,7 +163,10 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         order = sorted(governing, key=lambda n: -governing[n])
         kept = [n for n in order if governing[n] >= 0.05][:3] or order[:1]
         text += listed([f"{input_name(n)} ({100.0 * governing[n]:.0f} %)" for n in kept])
-        text += ", by their shares in the direction of the failures. "
+        if limit.get("governing_inputs_method") == BY_INFORMATION:
+            text += ", by how much a failure tells of each; failures lie in several directions. "
+        else:
+            text += ", by their shares in the direction of the failures. "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
     return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()

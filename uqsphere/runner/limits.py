@@ -12,6 +12,7 @@ from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf
 from uqsphere.uq.estimates import Estimate, exact
+from uqsphere.uq.failure_shares import BY_DIRECTION, failure_shares
 from uqsphere.uq.inputs import conditional_normal, normal_scores, strength_tie
 from uqsphere.uq.reliability import (
     LimitState,
@@ -47,7 +48,7 @@ class LimitAnswer:
     margin: dict[str, Estimate]
     governing: dict[str, float] | None
     met: bool | None
-    governing_method: str = "squared direction of the centre of failures in standard normal space"
+    governing_method: str = BY_DIRECTION
     design: dict[str, float] | None = None
     design_points: int = 0
     design_reason: str = "no search for a design point was made"
@@ -117,36 +118,24 @@ def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[st
     return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
 
 
-def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> dict[str, float] | None:
-    """Shares of the inputs in the direction of the failures' centre in standard normal space.
-
-    For a plane limit state these are the squared direction cosines of the design point.  The strength's own
-    direction is integrated: given the demand, E[z 1(z < zeta)] = -phi(zeta).
-    """
+def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> tuple[dict[str, float] | None, str]:
+    """Shares of the inputs in the failures, the strength among them, and how they were found."""
     from scipy.special import ndtr, ndtri
 
     keep = ~state.broken
+    names, score = list(work.drawn.names), None
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
             score = np.asarray(ndtri(cdf(limit.strength, np.where(keep, state.demands, 0.0))))
-        score = np.clip(score_given_inputs(state, score), -37.0, 37.0)
-        weight = np.where(keep, ndtr(score), 0.0)
-        own = -float(np.exp(-0.5 * score**2)[keep].sum()) / np.sqrt(2.0 * np.pi)
+        score = np.clip(score_given_inputs(state, score), -37.0, 37.0)[keep]
+        weight = np.asarray(ndtr(score))
+        names.append(f"limits.{limit.name}.strength")
     else:
-        weight = np.where(keep, (state.demands > limit.strength).astype(float), 0.0)
-        own = 0.0
-    mass = float(weight.sum())
-    if not 0.0 < mass < keep.sum():
-        return None
-    if mass > 0.5 * keep.sum():
-        # both centres lie on one line through the origin; that of the fewer samples is seen more clearly
-        weight = np.where(keep, 1.0 - weight, 0.0)
-    centre = {name: float((weight * points.normals[:, :, k]).sum()) for k, name in enumerate(work.drawn.names)}
-    if isinstance(limit.strength, Law):
-        centre[f"limits.{limit.name}.strength"] = own
-    squares = {name: value**2 for name, value in centre.items()}
-    total = sum(squares.values())
-    return {name: value / total for name, value in squares.items()} if total > 0.0 else None
+        weight = (state.demands > limit.strength)[keep].astype(float)
+    found = failure_shares(points.normals[keep][:, : len(work.drawn.names)], weight, score)
+    if found is None:
+        return None, BY_DIRECTION
+    return dict(zip(names, found[0].tolist(), strict=True)), found[1]
 
 
 def judge_limits(work: Work, points: Draw, values: Sample) -> dict[str, LimitAnswer]:
@@ -157,6 +146,7 @@ def judge_limits(work: Work, points: Draw, values: Sample) -> dict[str, LimitAns
         missed, exceeded = miss(state, limit.aim), exceedance(state)
         if not work.drawn.names and not state.late.any() and not state.broken.any():
             missed, exceeded = (exact(e.value) if e.value is not None else e for e in (missed, exceeded))
+        shares, method = _governing(work, limit, points, state)
         answers[limit.name] = LimitAnswer(
             quantity=limit.quantity,
             aim=limit.aim,
@@ -166,7 +156,8 @@ def judge_limits(work: Work, points: Draw, values: Sample) -> dict[str, LimitAns
             reliability_index=reliability_index(missed.value),
             reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
             margin=margin_quantiles(state),
-            governing=_governing(work, limit, points, state),
+            governing=shares,
+            governing_method=method,
             met=None if limit.target is None else target_met(missed, limit.target),
         )
     return answers
