@@ -68,6 +68,7 @@ class CurveRows:
     #: points of each replicate that are used up
     used: int = 0
     _fits: dict[str, tuple[RowFit, RowBasis]] = field(default_factory=dict)
+    _curves: dict[str, Array] = field(default_factory=dict)
 
     @cached_property
     def points(self) -> Draw:
@@ -99,6 +100,7 @@ class CurveRows:
         self.rows = found
         self.used += len(found) * count
         self._fits.clear()
+        self._curves.clear()
 
     def at(self, value: float) -> Rows:
         """The rows at a value of the grid."""
@@ -156,7 +158,9 @@ class CurveRows:
 
     def curve(self, limit: Limit) -> Array:
         """Probability of exceeding a limit (J, R) at the values of the grid."""
-        return self.table(limit.quantity, judge_of(self.work, limit))
+        if limit.name not in self._curves:
+            self._curves[limit.name] = self.table(limit.quantity, judge_of(self.work, limit))
+        return self._curves[limit.name]
 
     def states(self, limit: Limit, values: Sequence[float], count: int) -> list[LimitState]:
         """States of a limit at any values within the grid, on the first `count` of the many points."""

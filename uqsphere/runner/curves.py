@@ -152,8 +152,10 @@ def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: st
         return Found()
     points, sample = rows.at(low)
     look = Look(work=work, points=points, samples={low: sample, high: sample})
-    rows.grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
-    rows.rows = {rows.grid[0]: (points, sample)}
+    grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
+    rows = CurveRows(
+        work=work, tag=tag, grid=grid, still=True, rows={grid[0]: (points, sample)}, used=STILL_POINTS
+    )
     return Found(look=look, rows=rows, note=_grow(rows, limits, least, most, accuracy))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,9 @@ from uqsphere.uq.sampling import sobol_points
 __all__ = ["draw_points", "evaluate_at", "limit_state", "moved_study", "probabilities", "strength_solved"]
 
 Array = npt.NDArray[np.float64]
+
+#: points that are drawn at a time
+BLOCK: Final = 256
 
 
 def strength_solved(name: str) -> str | None:
@@ -56,22 +60,31 @@ def _speed_at_energy(work: Work, physical: Array, energy: float) -> Array:
     return np.asarray(speed)
 
 
-@lru_cache(maxsize=16)
-def _normals(dimension: int, seed: int, start: int, count: int) -> Array:
-    """The same normal scores (R, count, dimension) at every value."""
+@lru_cache(maxsize=64)
+def _block(dimension: int, seed: int, number: int) -> Array:
+    """Normal scores (R, BLOCK, dimension) of a block of points, drawn together since a sequence is slow to set up."""
     from scipy.special import ndtri
 
     found = [
-        sobol_points(dimension=dimension, count=count, start=start, seed=seed, task="margins", replicate=r)
+        sobol_points(dimension=dimension, count=BLOCK, start=number * BLOCK, seed=seed, task="margins", replicate=r)
         for r in range(REPLICATES)
     ]
     return np.asarray(ndtri(np.stack(found)))
 
 
+def _normals(dimension: int, seed: int, start: int, count: int) -> Array:
+    """The same normal scores (R, count, dimension) at every value."""
+    blocks = range(start // BLOCK, (start + count - 1) // BLOCK + 1)
+    together = np.concatenate([_block(dimension, seed, number) for number in blocks], axis=1)
+    first = start - blocks[0] * BLOCK
+    return np.asarray(together[:, first : first + count])
+
+
 def draw_points(work: Work, *, start: int, count: int) -> Draw:
     """The points `start` to `start + count` of every replicate, not evaluated."""
     normals = _normals(len(work.drawn.names), work.study.seed, start, count)
-    physical = physical_from_normal(work.drawn, normals.reshape(-1, normals.shape[2])).reshape(normals.shape)
+    flat = normals.reshape(normals.shape[0] * normals.shape[1], normals.shape[2])
+    physical = physical_from_normal(work.drawn, flat).reshape(normals.shape)
     return Draw(normals=normals, physical=physical)
 
 
@@ -93,7 +106,7 @@ def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = 
         else:
             names, rows = (*names, "striker.speed"), np.concatenate([rows, speed[:, :, None]], axis=2)
     key = f"margins{tag}.{value:.12e}.{start}.{count}".replace("+", "p")
-    flat = rows.reshape(-1, rows.shape[2])
+    flat = rows.reshape(rows.shape[0] * rows.shape[1], rows.shape[2])
     # without scatter in the scene one row stands for all
     answered = evaluate_points(moved, key, names, flat if rows.shape[2] else flat[:1])
     shape = (*points.physical.shape[:2], len(work.quantities))

@@ -63,8 +63,8 @@ class RowFit:
 
     def basis(self, normals: Array) -> RowBasis:
         """What the predictions at points (R, n, d) have in common at all values."""
-        flat = normals.reshape(-1, normals.shape[2])
-        return RowBasis(columns=_products(flat, self.degrees).reshape(*normals.shape[:2], -1))
+        flat = normals.reshape(normals.shape[0] * normals.shape[1], normals.shape[2])
+        return RowBasis(columns=_products(flat, self.degrees).reshape(*normals.shape[:2], len(self.degrees)))
 
     def predict(self, value: float, basis: RowBasis) -> Array:
         """Answers (R, n) at a value of the scalar, each replicate by the fit that has not seen its fold."""
@@ -94,7 +94,7 @@ def fit_rows(values: Sequence[float], normals: Sequence[Array], answers: Sequenc
     places = np.repeat([math.log(v) if positive[0] else float(v) for v in values], sizes)
     y = np.concatenate([rows.reshape(-1) for rows in answers])
     y = np.log(y) if positive[1] else y
-    z = np.concatenate([points.reshape(-1, points.shape[2]) for points in normals])
+    z = np.concatenate([points.reshape(points.shape[0] * points.shape[1], points.shape[2]) for points in normals])
     fold = np.concatenate([np.repeat(np.arange(rows.shape[0]) % FOLDS, rows.shape[1]) for rows in answers])
     ends = float(places.min()), float(places.max())
     u = _scaled(places, ends)
