@@ -23,7 +23,7 @@ from uqsphere.uq.estimates import student
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.row_fit import RowBasis, RowFit, fit_rows
 
-__all__ = ["MANY", "CurveRows", "Judge", "Rows", "half_width", "judge_of"]
+__all__ = ["MANY", "CurveRows", "Judge", "Rows", "half_width", "half_widths", "judge_of"]
 
 Array = npt.NDArray[np.float64]
 Rows: TypeAlias = tuple[Draw, Sample]
@@ -36,6 +36,8 @@ MANY: Final = 512
 SCATTER: Final = ((-math.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (math.sqrt(3.0), 1.0 / 6.0))
 #: values on either side that a value shares its corrections with, the farthest that the corrections allow
 REACHES: Final = (7, 4, 2)
+#: values on either side whose rows say how much corrections scatter
+AROUND: Final = 7
 
 
 def judge_of(work: Work, limit: Limit) -> Judge:
@@ -55,7 +57,7 @@ def joined(first: Rows, second: Rows) -> Rows:
 
 @dataclass(kw_only=True)
 class CurveRows:
-    """Rows at the increasing values `grid`; the value j has the points j·m to (j + 1)·m of each block of rows.
+    """Rows at the increasing values `grid`, each with points of its own.
 
     `still`: the demands do not depend on the scalar (it is a strength), and the rows of the first value serve all.
     """
@@ -69,6 +71,7 @@ class CurveRows:
     used: int = 0
     _fits: dict[str, tuple[RowFit, RowBasis]] = field(default_factory=dict)
     _curves: dict[str, Array] = field(default_factory=dict)
+    _scatter: dict[str, Array] = field(default_factory=dict)
 
     @cached_property
     def points(self) -> Draw:
@@ -76,29 +79,36 @@ class CurveRows:
         return draw_points(self.work, start=0, count=MANY)
 
     @property
-    def each(self) -> int:
-        """Points of each replicate at one value."""
-        return 0 if not self.rows else int(next(iter(self.rows.values()))[1].status.shape[1])
+    def counts(self) -> dict[float, int]:
+        """Points of each replicate at each value that has rows."""
+        return {value: int(sample.status.shape[1]) for value, (_, sample) in self.rows.items()}
 
     @property
     def samples(self) -> int:
         """Evaluated points of each replicate, all values together."""
-        return self.each * len(self.rows)
+        return sum(self.counts.values())
 
-    def extend(self, count: int) -> None:
-        """Evaluate `count` more points of each replicate at every value.
+    def begin(self, count: int) -> None:
+        """Evaluate the first `count` points of each replicate at every value, at each value points of its own."""
+        self._extend(dict.fromkeys(self.grid[:1] if self.still else self.grid, count))
+
+    def double(self, values: Sequence[float]) -> None:
+        """Evaluate as many points as there are at some values.
 
         Raises
         ------
         OutOfBudget
             When the time is over; the rows are then as they were.
         """
-        found = {}
-        for k, value in enumerate(self.grid[:1] if self.still else self.grid):
-            own = evaluate_at(self.work, value, start=self.used + k * count, count=count, tag=self.tag)
-            found[value] = joined(self.rows[value], own) if value in self.rows else own
-        self.rows = found
-        self.used += len(found) * count
+        self._extend({value: self.counts[value] for value in values})
+
+    def _extend(self, more: dict[float, int]) -> None:
+        found, start = dict(self.rows), self.used
+        for value, count in more.items():
+            own = evaluate_at(self.work, value, start=start, count=count, tag=self.tag)
+            found[value] = joined(found[value], own) if value in found else own
+            start += count
+        self.rows, self.used = found, start
         self._fits.clear()
         self._curves.clear()
 
@@ -149,18 +159,37 @@ class CurveRows:
 
     def table(self, quantity: str, judge: Judge) -> Array:
         """Probabilities (J, R) at the values of the grid, every replicate by itself."""
+        return self._together(*self._parts(quantity, judge))
+
+    def _parts(self, quantity: str, judge: Judge) -> tuple[Array, Array, Array]:
+        """By the polynomial, and what that is off by, (J, R) each; p (1 - p), (J, 1)."""
         found = np.array([self.fitted(quantity, value, judge) for value in self.grid])
         missed = np.array([self.missed(quantity, value, judge, self.at(value)) for value in self.grid])
-        if self.still:
-            return np.clip(found + missed, 0.0, 1.0)
-        side = np.maximum(found.mean(axis=1) * (1.0 - found.mean(axis=1)), 1e-12)[:, None]
-        return np.asarray(np.clip(found + side * shared(missed / side), 0.0, 1.0))
+        p = found.mean(axis=1, keepdims=True)
+        return found, missed, np.maximum(p * (1.0 - p), 1e-12)
+
+    def _together(self, found: Array, missed: Array, side: Array) -> Array:
+        corrections = missed if self.still else side * shared(missed / side, tuple(self.counts.values()))
+        return np.asarray(np.clip(found + corrections, 0.0, 1.0))
 
     def curve(self, limit: Limit) -> Array:
         """Probability of exceeding a limit (J, R) at the values of the grid."""
         if limit.name not in self._curves:
-            self._curves[limit.name] = self.table(limit.quantity, judge_of(self.work, limit))
+            found, missed, side = self._parts(limit.quantity, judge_of(self.work, limit))
+            counts = np.array([self.at(value)[1].status.shape[1] for value in self.grid])
+            self._scatter[limit.name] = (missed / side).var(axis=1, ddof=1) * counts
+            self._curves[limit.name] = self._together(found, missed, side)
         return self._curves[limit.name]
+
+    def usual_error(self, limit: Limit, value: float, count: int) -> float:
+        """Standard error over p (1 - p) of a correction by `count` points of each replicate, by the rows around a value.
+
+        The few rows of one value may hold none of the rare ones that the polynomial misses by far.
+        """
+        table = self.curve(limit)
+        at = int(np.clip(np.searchsorted(self.grid, value), 0, len(self.grid) - 1))
+        near = self._scatter[limit.name][max(at - AROUND, 0) : at + AROUND]
+        return math.sqrt(float(near.mean()) / (count * table.shape[1]))
 
     def states(self, limit: Limit, values: Sequence[float], count: int) -> list[LimitState]:
         """States of a limit at any values within the grid, on the first `count` of the many points."""
@@ -171,15 +200,15 @@ class CurveRows:
         ]
 
 
-def shared(raw: Array) -> Array:
-    """Corrections (J, R), each drawn on those of its neighbours: by straight lines through as many as allow it.
+def shared(raw: Array, counts: tuple[int, ...]) -> Array:
+    """Corrections (J, R) by `counts` points each, every one drawn on its neighbours: by lines through as many as allow it.
 
     They allow it where they leave the lines by no more than their noise.  What may be hidden under the noise all the
     same is added to the spread of the replicates.
     """
     size, replicates = raw.shape
     for reach in REACHES:
-        weights = _lines(size, reach)
+        weights = _lines(counts, reach)
         smooth = weights @ raw
         left = raw - smooth
         noise = left.var(axis=1, ddof=1) / replicates
@@ -198,10 +227,11 @@ def shared(raw: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _lines(size: int, reach: int) -> Array:
-    """Weights (size, size) of straight lines fitted about each of equally spaced places, the near ones the most."""
+def _lines(counts: tuple[int, ...], reach: int) -> Array:
+    """Weights (J, J) of straight lines fitted about each of equally spaced places, by what is near and well known."""
+    size = len(counts)
     away = np.subtract.outer(np.arange(size), np.arange(size)).T.astype(float)
-    near = np.maximum(0.0, reach - np.abs(away))
+    near = np.maximum(0.0, reach - np.abs(away)) * np.array(counts)
     total, first, second = near.sum(axis=1), (near * away).sum(axis=1), (near * away**2).sum(axis=1)
     spread = (total * second - first**2)[:, None]
     return np.asarray(near * (second[:, None] - first[:, None] * away) / spread)
@@ -213,12 +243,15 @@ def known(sample: Sample, k: int) -> bool:
     return not (sample.failed.any() or sample.censored[:, :, k].any()) and bool(np.isfinite(values).all())
 
 
-def half_width(curve: Array, least: float) -> float:
-    """Largest half-width of the 95 % interval over the smaller side, where that is not below `least`; curve (J, R)."""
+def half_widths(curve: Array) -> tuple[Array, Array]:
+    """Half-widths of the 95 % intervals over the smaller side (J,), and the smaller side (J,), of curves (J, R)."""
     p = curve.mean(axis=1)
     side = np.minimum(p, 1.0 - p)
-    keep = side >= least
-    if not keep.any():
-        return 0.0
     error = curve.std(axis=1, ddof=1) / math.sqrt(curve.shape[1])
-    return float((student(curve.shape[1]) * error[keep] / side[keep]).max())
+    return student(curve.shape[1]) * error / np.where(side > 0.0, side, 1.0), side
+
+
+def half_width(curve: Array, least: float) -> float:
+    """Largest half-width of the 95 % interval over the smaller side, where that is not below `least`; curve (J, R)."""
+    widths, side = half_widths(curve)
+    return float(widths[side >= least].max(initial=0.0))

@@ -107,6 +107,8 @@ def _placed(
         if not side > 0.0:
             return None
         error = float(p.std(ddof=1)) / math.sqrt(p.size)
+        if not rows.still:
+            error = max(error, centre * (1.0 - centre) * rows.usual_error(limit, value, sample.status.shape[1]))
         if not isinstance(limit.strength, Law):
             # of a fixed strength a row tells only on which side it lies
             error = max(error, 1.0 / sample.status.size)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.curve_rows import CurveRows, half_width, known
+from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths, known
 from uqsphere.runner.moved import evaluate_at, limit_state, probabilities, strength_solved
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.study import Limit
@@ -127,7 +127,7 @@ def find_rows(
     ends = _region(work, limits, look, least)
     for _ in range(WIDER):
         rows = CurveRows(work=work, tag=tag, grid=_spaced(*ends, CURVE_VALUES))
-        rows.extend(count)
+        rows.begin(count)
         kept = [limit for limit in limits if rows.knows(limit.quantity)]
         if not kept:
             return Found(look=look)
@@ -146,16 +146,14 @@ def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: st
     if work.ledger.total + cost > work.study.analysis.budget.evaluations:
         return Found(reason=shortage(work, cost))
     rows = CurveRows(work=work, tag=tag, grid=[low, high], still=True)
-    rows.extend(STILL_POINTS)
+    rows.begin(STILL_POINTS)
     limits = [limit for limit in limits if rows.knows(limit.quantity)]
     if not limits:
         return Found()
     points, sample = rows.at(low)
     look = Look(work=work, points=points, samples={low: sample, high: sample})
     grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
-    rows = CurveRows(
-        work=work, tag=tag, grid=grid, still=True, rows={grid[0]: (points, sample)}, used=STILL_POINTS
-    )
+    rows = CurveRows(work=work, tag=tag, grid=grid, still=True, rows={grid[0]: (points, sample)}, used=STILL_POINTS)
     return Found(look=look, rows=rows, note=_grow(rows, limits, least, most, accuracy))
 
 
@@ -228,16 +226,29 @@ def law_curves(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
 
 
 def _grow(rows: CurveRows, limits: Sequence[Limit], least: float, most: int, accuracy: float) -> str:
-    """As many rows as the accuracy takes, doubled each time, and a remark where they were not to be had."""
+    """As many rows as the accuracy takes, doubled where it is missed, and a remark where they were not to be had."""
     work = rows.work
     highest = MOST_STILL if rows.still else MOST_POINTS
     while (worst := max(half_width(rows.curve(limit), 2.0 * least) for limit in limits)) > accuracy:
-        if rows.each >= highest or work.ledger.total + REPLICATES * rows.samples > most:
+        wanted = [value for value in _missing(rows, limits, least, accuracy) if rows.counts[value] < highest]
+        if not wanted or work.ledger.total + REPLICATES * sum(rows.counts[value] for value in wanted) > most:
             return _WIDE if worst > WORTH_A_WORD else ""
         try:
-            rows.extend(rows.each)
+            rows.double(wanted)
         except OutOfBudget:
             return _WIDE
         if not all(rows.knows(limit.quantity) for limit in limits):
             return "some rows have no answer"
     return ""
+
+
+def _missing(rows: CurveRows, limits: Sequence[Limit], least: float, accuracy: float) -> list[float]:
+    """The values at which a curve is not known well enough, and one on either side: they share what they tell."""
+    if rows.still:
+        return rows.grid[:1]
+    open_at = np.zeros(len(rows.grid), dtype=bool)
+    for limit in limits:
+        widths, side = half_widths(rows.curve(limit))
+        open_at |= (widths > accuracy) & (side >= 2.0 * least)
+    near = open_at | np.append(open_at[1:], False) | np.append(False, open_at[:-1])
+    return [value for value, wanted in zip(rows.grid, near, strict=True) if wanted]

@@ -22,7 +22,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "find_margins"]
+__all__ = ["MarginAnswer", "find_margins", "limit_values"]
 
 Array = npt.NDArray[np.float64]
 
@@ -124,6 +124,12 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
         limit = next(limit for limit in rest if limit.name == name)
         found[name] = replace(one, values=dict(one.answer(_asked(work, limit)).values))
     return found
+
+
+def limit_values(work: Work, limit: Limit, *, most: int) -> dict[float, Estimate]:
+    """The values asked for of one limit, by about `most` evaluations; none where there is no curve."""
+    found = _curves(work, [limit], most=most, tag="")[limit.name]
+    return {} if isinstance(found, str) else found.values
 
 
 def _member(work: Work, found: _Found | str, limit: Limit, value: float) -> dict[str, Any]:
