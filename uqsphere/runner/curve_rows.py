@@ -20,7 +20,7 @@ from uqsphere.runner.moved import draw_points, evaluate_at, limit_state, probabi
 from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import student
-from uqsphere.uq.reliability import LimitState
+from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.row_fit import RowBasis, RowFit, fit_rows
 
 __all__ = ["MANY", "CurveRows", "Judge", "Rows", "half_width", "half_widths", "judge_of"]
@@ -137,16 +137,19 @@ class CurveRows:
         fit, basis = self._fit(quantity)
         return fit.predict(value, basis)
 
-    def _expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> Array:
-        """Probability (R,) if rows scatter about the polynomial as those not seen do."""
-        found = np.zeros(demands.shape[0])
+    def _expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
+        """Probability (R,) if rows scatter about the polynomial as those not seen do; the variance of a row's own."""
+        first, second = np.zeros(demands.shape), np.zeros(demands.shape)
         for score, weight in SCATTER:
             moved = demands * math.exp(score * fit.error) if fit.logarithmic[1] else demands + score * fit.error
-            found += weight * probabilities(judge(points, moved, value))
-        return found
+            below, above = tails(judge(points, moved, value))
+            own = below / np.where(below + above > 0.0, below + above, 1.0)
+            first += weight * own
+            second += weight * own**2
+        return first.mean(axis=1), float(np.maximum(second - first**2, 0.0).mean())
 
-    def fitted(self, quantity: str, value: float, judge: Judge) -> Array:
-        """Probability (R,) by the polynomial alone."""
+    def fitted(self, quantity: str, value: float, judge: Judge) -> tuple[Array, float]:
+        """Probability (R,) by the polynomial alone, and the variance of a row about it that is to be expected."""
         return self._expected(self._fit(quantity)[0], judge, self.points, self.demands(quantity, value), value)
 
     def missed(self, quantity: str, value: float, judge: Judge, rows: Rows) -> Array:
@@ -155,41 +158,45 @@ class CurveRows:
         points, sample = rows
         true = sample.values[:, :, self.work.quantities.index(quantity)]
         ours = fit.predict(value, fit.basis(points.normals))
-        return probabilities(judge(points, true, value)) - self._expected(fit, judge, points, ours, value)
+        return probabilities(judge(points, true, value)) - self._expected(fit, judge, points, ours, value)[0]
 
     def table(self, quantity: str, judge: Judge) -> Array:
         """Probabilities (J, R) at the values of the grid, every replicate by itself."""
-        return self._together(*self._parts(quantity, judge))
+        found, missed, _ = self._parts(quantity, judge)
+        return self._together(found, missed)
 
     def _parts(self, quantity: str, judge: Judge) -> tuple[Array, Array, Array]:
-        """By the polynomial, and what that is off by, (J, R) each; p (1 - p), (J, 1)."""
-        found = np.array([self.fitted(quantity, value, judge) for value in self.grid])
+        """By the polynomial, and what that is off by, (J, R) each; the variance of a row to be expected, (J,)."""
+        pairs = [self.fitted(quantity, value, judge) for value in self.grid]
         missed = np.array([self.missed(quantity, value, judge, self.at(value)) for value in self.grid])
-        p = found.mean(axis=1, keepdims=True)
-        return found, missed, np.maximum(p * (1.0 - p), 1e-12)
+        return np.array([found for found, _ in pairs]), missed, np.array([scatter for _, scatter in pairs])
 
-    def _together(self, found: Array, missed: Array, side: Array) -> Array:
+    def _together(self, found: Array, missed: Array) -> Array:
+        p = found.mean(axis=1, keepdims=True)
+        side = np.maximum(p * (1.0 - p), 1e-12)
         corrections = missed if self.still else side * shared(missed / side, tuple(self.counts.values()))
         return np.asarray(np.clip(found + corrections, 0.0, 1.0))
 
     def curve(self, limit: Limit) -> Array:
         """Probability of exceeding a limit (J, R) at the values of the grid."""
         if limit.name not in self._curves:
-            found, missed, side = self._parts(limit.quantity, judge_of(self.work, limit))
+            found, missed, scatter = self._parts(limit.quantity, judge_of(self.work, limit))
             counts = np.array([self.at(value)[1].status.shape[1] for value in self.grid])
-            self._scatter[limit.name] = (missed / side).var(axis=1, ddof=1) * counts
-            self._curves[limit.name] = self._together(found, missed, side)
+            seen = missed.var(axis=1, ddof=1) * counts
+            self._scatter[limit.name] = seen / np.where(scatter > 0.0, scatter, np.inf)
+            self._curves[limit.name] = self._together(found, missed)
         return self._curves[limit.name]
 
-    def usual_error(self, limit: Limit, value: float, count: int) -> float:
-        """Standard error over p (1 - p) of a correction by `count` points of each replicate, by the rows around a value.
+    def usual_error(self, limit: Limit, value: float, scatter: float, count: int) -> float:
+        """Standard error of a correction by `count` points of each replicate, by all rows near a value.
 
-        The few rows of one value may hold none of the rare ones that the polynomial misses by far.
+        The few rows of one value may hold none of the rare ones that the polynomial misses by far.  `scatter` is the
+        variance to be expected there; how much larger it is in truth, the rows around the value say.
         """
         table = self.curve(limit)
         at = int(np.clip(np.searchsorted(self.grid, value), 0, len(self.grid) - 1))
         near = self._scatter[limit.name][max(at - AROUND, 0) : at + AROUND]
-        return math.sqrt(float(near.mean()) / (count * table.shape[1]))
+        return math.sqrt(float(near.mean()) * scatter / (count * table.shape[1]))
 
     def states(self, limit: Limit, values: Sequence[float], count: int) -> list[LimitState]:
         """States of a limit at any values within the grid, on the first `count` of the many points."""
@@ -201,7 +208,7 @@ class CurveRows:
 
 
 def shared(raw: Array, counts: tuple[int, ...]) -> Array:
-    """Corrections (J, R) by `counts` points each, every one drawn on its neighbours: by lines through as many as allow it.
+    """Corrections (J, R) by `counts` points each, drawn on their neighbours: by lines through as many as allow it.
 
     They allow it where they leave the lines by no more than their noise.  What may be hidden under the noise all the
     same is added to the spread of the replicates.
@@ -215,7 +222,8 @@ def shared(raw: Array, counts: tuple[int, ...]) -> Array:
         keep = noise > 0.0
         if not keep.any():
             return raw
-        excess = float((left.mean(axis=1)[keep] ** 2 / noise[keep]).mean()) - 1.0
+        # the square of Student's t has the mean (R - 1)/(R - 3)
+        excess = float((left.mean(axis=1)[keep] ** 2 / noise[keep]).mean()) - (replicates - 1.0) / (replicates - 3.0)
         doubt = math.sqrt(2.0 / size)
         if excess <= 2.0 * doubt:
             hidden = noise * max(0.0, excess - doubt)

@@ -88,7 +88,7 @@ def _placed(
     quantity, work = limit.quantity, rows.work
     k = work.quantities.index(quantity)
     forward, backward = _scale(rows.grid)
-    fitted = rows.fitted(quantity, value, judge)
+    fitted, scatter = rows.fitted(quantity, value, judge)
     while True:
         if rows.still:
             own: Rows | None = rows.at(value)
@@ -108,7 +108,7 @@ def _placed(
             return None
         error = float(p.std(ddof=1)) / math.sqrt(p.size)
         if not rows.still:
-            error = max(error, centre * (1.0 - centre) * rows.usual_error(limit, value, sample.status.shape[1]))
+            error = max(error, rows.usual_error(limit, value, scatter, sample.status.shape[1]))
         if not isinstance(limit.strength, Law):
             # of a fixed strength a row tells only on which side it lies
             error = max(error, 1.0 / sample.status.size)
@@ -120,7 +120,7 @@ def _placed(
         taken[value] = more
     place, width = float(forward(value)), STEP * (1.0 if rows.grid[0] > 0.0 else rows.grid[-1] - rows.grid[0])
     ends = [min(max(backward(place + s * width), rows.grid[0]), rows.grid[-1]) for s in (-1.0, 1.0)]
-    scores = [float(ndtri(np.clip(rows.fitted(quantity, end, judge).mean(), 1e-300, 1.0 - 1e-16))) for end in ends]
+    scores = [float(ndtri(np.clip(rows.fitted(quantity, end, judge)[0].mean(), 1e-300, 1.0 - 1e-16))) for end in ends]
     slope = (scores[1] - scores[0]) / (float(forward(ends[1])) - float(forward(ends[0])))
     if not (math.isfinite(slope) and abs(slope) > 1e-6):
         return None

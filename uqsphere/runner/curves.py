@@ -109,6 +109,7 @@ def find_rows(
     assert work.study.margins is not None
     low, high = work.study.margins.between
     before = work.ledger.total
+    most = min(most, work.study.analysis.budget.evaluations - before)
     if strength_solved(work.study.margins.solve) is not None:
         return _still(work, limits, least, before + most, tag, accuracy)
     each = REPLICATES * CURVE_VALUES

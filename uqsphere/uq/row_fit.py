@@ -74,7 +74,7 @@ class RowFit:
         columns = basis.columns
         own = weights[np.arange(columns.shape[0]) % len(weights)]
         found = np.clip(np.einsum("rnt,rt->rn", columns, own), *self.bounds)
-        return np.exp(found) if self.logarithmic[1] else found
+        return np.asarray(np.exp(found) if self.logarithmic[1] else found)
 
 
 def fit_rows(values: Sequence[float], normals: Sequence[Array], answers: Sequence[Array]) -> RowFit:
