@@ -1,38 +1,51 @@
-"""What a fragility curve costs beside one of its points, and how far it is from points evaluated one by one."""
+"""What a fragility curve costs beside its points, how far it is from straight ones, and whether its values' intervals
+cover."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.runner import check_range
-from uqsphere.runner.curves import FIRST_POINTS, NodeSet, evaluate_at, find_nodes, half_width, probabilities
+from uqsphere.runner.curve_rows import CurveRows, half_width, joined
+from uqsphere.runner.curves import find_rows
 from uqsphere.runner.limits import state_of
+from uqsphere.runner.margins import limit_values
+from uqsphere.runner.moved import evaluate_at, probabilities
 from uqsphere.runner.work import REPLICATES, Ledger, Work
 from uqsphere.study import Limit, Study, load_study
+from uqsphere.uq.estimates import Estimate
 
-__all__ = ["CurveCost", "curve_cost"]
+__all__ = ["Coverage", "CurveCost", "curve_cost", "straight_value", "value_coverage"]
 
 #: what one point, and every point of the curve, is to be known to: half-width over the smaller side
 ASKED: Final = 0.02
-#: the smallest probability of the curve that is to be known so
+#: the smallest probability of the curve, on either side, that is to be known so
 LEAST: Final = 0.01
+#: points of each replicate by which a straight answer is made longer
+STEP: Final = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveCost:
     """Evaluations and seconds of one point and of a curve, each to the same half-width.
 
-    `error` is the largest difference of the curve from points evaluated one by one with `reference_rows` rows each,
-    over the smaller side of the probability; `reference_error` the largest half-width of those.
+    One point costs the straight rows (quasi-random, the strength integrated) after which its half-width is first as
+    asked: at the probability of 0.01 `low_evaluations`, at that of 0.99 `high_evaluations`, where it is the complement
+    that is to be known so.  `error` is the largest difference of the curve from points evaluated one by one with
+    `reference_rows` rows each, over the smaller side of the probability; `reference_error` the largest half-width of
+    those.
     """
 
     points: int
-    point_evaluations: int
+    low_evaluations: int
+    high_evaluations: int
     curve_evaluations: int
     point_seconds: float
     curve_seconds: float
@@ -43,38 +56,38 @@ class CurveCost:
 
     @property
     def ratio(self) -> float:
-        """Evaluations of the curve over those of one point."""
-        return self.curve_evaluations / self.point_evaluations
+        """Evaluations of the curve over those of the dearest of its points."""
+        return self.curve_evaluations / max(self.low_evaluations, self.high_evaluations)
 
 
 def _work(study: Study) -> Work:
     return Work(study=study, store=None, ledger=Ledger(), fidelity="full")
 
 
-def _one_point(study: Study, limit: Limit, value: float) -> tuple[int, float]:
-    """Evaluations and seconds after which the point is known, by doubling from the curve's own first number."""
+def _straight(work: Work, limit: Limit, value: float, rows: int) -> npt.NDArray[np.float64]:
+    """Probability (R,) by so many rows of each replicate at the value itself."""
+    return probabilities(state_of(work, limit, *evaluate_at(work, value, start=0, count=rows)))
+
+
+def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tuple[int, float]:
+    """Evaluations and seconds after which the point is known, by straight rows."""
     work = _work(study)
     begun = time.perf_counter()
-    points, sample = evaluate_at(work, value, start=0, count=FIRST_POINTS)
-    while half_width(probabilities(state_of(work, limit, points, sample))[None, :], 0.0) > ASKED:
-        count = points.normals.shape[1]
-        more, further = evaluate_at(work, value, start=count, count=count)
-        sample = sample.join(further)
-        points = replace(
-            points,
-            normals=np.concatenate([points.normals, more.normals], axis=1),
-            physical=np.concatenate([points.physical, more.physical], axis=1),
-        )
+    rows = evaluate_at(work, value, start=0, count=STEP)
+    while half_width(probabilities(state_of(work, limit, *rows))[None, :], 0.0) > accuracy:
+        rows = joined(rows, evaluate_at(work, value, start=rows[0].normals.shape[1], count=STEP))
     return work.ledger.total, time.perf_counter() - begun
 
 
-def _compare(study: Study, limit: Limit, nodes: NodeSet, rows: int) -> tuple[float, float]:
-    """Largest relative difference of the curve from points with `rows` rows of each replicate; their half-width."""
-    work = _work(study)
-    curve = nodes.curve(limit).mean(axis=1)
+def _compare(study: Study, limit: Limit, rows: CurveRows, reference: int) -> tuple[float, float]:
+    """Largest relative difference of the curve from points with `reference` rows of each replicate; their half-width.
+
+    The points are of another seed: nothing is shared.
+    """
+    work = _work(replace(study, seed=study.seed + 1))
     worst = widest = 0.0
-    for value, ours in zip(nodes.grid.tolist(), curve, strict=True):
-        own = probabilities(state_of(work, limit, *evaluate_at(work, value, start=0, count=rows)))
+    for value, ours in zip(rows.grid, rows.curve(limit).mean(axis=1), strict=True):
+        own = _straight(work, limit, value, reference)
         true = float(own.mean())
         side = min(true, 1.0 - true)
         if side >= LEAST:
@@ -84,31 +97,93 @@ def _compare(study: Study, limit: Limit, nodes: NodeSet, rows: int) -> tuple[flo
 
 
 def curve_cost(
-    path: Path, *, reference_rows: int = 512, limit: str | None = None, accuracy: float = ASKED
+    path: Path, *, reference_rows: int = 512, limit: str | None = None, accuracy: float = ASKED, seed: int | None = None
 ) -> CurveCost:
     """Cost of the fragility curve of a study's limit (the first, if none is named), beside that of one point.
 
-    The point is that of probability 0.01, the hardest of those that the curve is to know to 2 %.  The study's own
-    [margins] say over which scalar.  The band of the curve is brought to `accuracy`, a loose one being the cheapest.
+    The study's own [margins] say over which scalar.  Curve and points are brought to `accuracy`.
     """
     study = load_study(path)
     check_range(study)
+    study = study if seed is None else replace(study, seed=seed)
     chosen = next(one for one in study.limits if limit in (None, one.name))
     work = _work(study)
     # what is compiled on the first call is no part of the cost
     evaluate_at(_work(study), study.margins.between[0] if study.margins else 1.0, start=0, count=1)
     begun = time.perf_counter()
-    _, nodes, _ = find_nodes(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=accuracy)
+    rows = find_rows(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=accuracy).rows
     seconds = time.perf_counter() - begun
-    if nodes is None:
+    if rows is None:
         raise ValueError(f"the demands of {chosen.name} are not known in full")
-    table = nodes.curve(chosen)
+    table = rows.curve(chosen)
     p = table.mean(axis=1)
-    hardest = float(nodes.grid[int(np.argmin(np.abs(np.log(np.maximum(p, 1e-300) / LEAST))))])
-    evaluations, alone = _one_point(study, chosen, hardest)
-    worst, widest = _compare(study, chosen, nodes, reference_rows)
+    low, high = (rows.grid[int(np.argmin(np.abs(p - at)))] for at in (LEAST, 1.0 - LEAST))
+    (first, alone), (last, _) = (_one_point(study, chosen, value, accuracy) for value in (low, high))
+    worst, widest = _compare(study, chosen, rows, reference_rows)
     return CurveCost(
-        points=len(nodes.grid), point_evaluations=evaluations, curve_evaluations=work.ledger.total,
+        points=len(rows.grid), low_evaluations=first, high_evaluations=last, curve_evaluations=work.ledger.total,
         point_seconds=alone, curve_seconds=seconds, half_width=half_width(table, LEAST), error=worst,
         reference_error=widest, reference_rows=REPLICATES * reference_rows,
+    )  # fmt: skip
+
+
+# --- whether the intervals of the values cover --------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """How often the interval of a value held the truth, its median half-width, and the values' rms error, relative."""
+
+    probability: float
+    runs: int
+    covered: int
+    half_width: float
+    error: float
+    evaluations: float
+
+
+def straight_value(study: Study, limit: Limit, probability: float, near: float, rows: int) -> tuple[float, float]:
+    """The value at a probability and its standard error, by straight rows at two values that enclose it closely.
+
+    Between them, 0.8 % apart, normal scores are taken as a straight line in the logarithm.
+    """
+    from scipy.special import ndtri
+
+    work, half = _work(study), 0.004
+    wanted, place = float(ndtri(probability)), float(np.log(near))
+    for count in (64, 256, rows):
+        scores = [ndtri(_straight(work, limit, float(np.exp(place + s * half)), count)) for s in (-1.0, 1.0)]
+        slope = float(scores[1].mean() - scores[0].mean()) / (2.0 * half)
+        own = place + (wanted - 0.5 * (scores[0] + scores[1])) / slope
+        place = float(own.mean())
+    value = float(np.exp(place))
+    return value, value * float(own.std(ddof=1)) / float(np.sqrt(own.size))
+
+
+def value_coverage(
+    study: Study, limit: Limit, truth: Mapping[float, float], *, evaluations: int, seeds: Sequence[int]
+) -> list[Coverage]:
+    """Coverage of the values at given probabilities over seeds, each with a share of so many evaluations."""
+    assert study.margins is not None
+    asked = replace(study.margins, for_probability=tuple(truth), family=None)
+    limit = replace(limit, target=None)
+    answers: dict[float, list[Estimate]] = {p: [] for p in truth}
+    spent = []
+    for seed in seeds:
+        work = _work(replace(study, seed=seed, margins=asked, limits=(limit,)))
+        for p, estimate in limit_values(work, limit, most=evaluations).items():
+            answers[p].append(estimate)
+        spent.append(work.ledger.total)
+    return [_coverage(p, truth[p], found, float(np.mean(spent))) for p, found in answers.items()]
+
+
+def _coverage(probability: float, truth: float, found: Sequence[Estimate], spent: float) -> Coverage:
+    known = [e for e in found if e.value is not None and e.low is not None and e.high is not None]
+    values = np.array([(e.value, e.low, e.high) for e in known], dtype=float).reshape(-1, 3)
+    inside = (values[:, 1] <= truth) & (truth <= values[:, 2])
+    return Coverage(
+        probability=probability, runs=len(found), covered=int(inside.sum()),
+        half_width=float(np.median(0.5 * (values[:, 2] - values[:, 1]))) / truth if len(known) else float("inf"),
+        error=float(np.sqrt(np.mean((values[:, 0] / truth - 1.0) ** 2))) if len(known) else float("inf"),
+        evaluations=spent,
     )  # fmt: skip

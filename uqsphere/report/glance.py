@@ -73,6 +73,7 @@ def allowed_value(contents: Contents, name: str) -> str:
     known = {float(p): e for p, e in entry["values"].items() if e["value"] is not None}
     if not known:
         return ""
+    absent = [float(p) for p, e in entry["values"].items() if e["value"] is None]
     survive = limit["aim"] == "survive"
     target = limit["target"]
     accepted = None if target is None else (target if survive else 1.0 - target)
@@ -81,7 +82,10 @@ def allowed_value(contents: Contents, name: str) -> str:
     p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
     text = f"{estimate_text(known[p], entry['solve'])}: there the probability of exceeding {limit_name(name)} is "
     text += plain_percent(p)
-    if accepted is not None and not safe:
+    if accepted is not None and not safe and any((q <= accepted) if survive else (q >= accepted) for q in absent):
+        text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
+        text += f"({plain_percent(accepted)}); where that is reached is not known"
+    elif accepted is not None and not safe:
         text += f", more than the target allows ({plain_percent(accepted)}); no smaller probability was asked for"
         if not survive:
             text = (

@@ -39,7 +39,10 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
     chance = plain_percent(limit["target"] if safe else 1.0 - limit["target"])
     aim = f"a probability of fracture of at most {chance}" if safe else f"a probability of fracture of {chance} or more"
     if value["value"] is None:
-        return f"No {input_name(solve)} between the bounds of the study gives {aim}: {value['reason']}."
+        # that there is none may be said only where the whole range was looked at
+        if str(value["reason"]).startswith("no value between"):
+            return f"No {input_name(solve)} between the bounds of the study gives {aim}: {value['reason']}."
+        return f"Which {input_name(solve)} gives {aim} is not known: {value['reason']}."
     word = "at most" if at_most(entry, limit["aim"]) else "at least"
     text = f"{capital(input_name(solve))}: {word} {rounded(value, subject)} for {aim} (limit {limit_name(name)})"
     opened = entry.get("ignorance") or {}

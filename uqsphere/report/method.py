@@ -212,6 +212,7 @@ _MEANING = (
     ("pick and freeze", "pairs of runs that share one input or all but one"),
     ("pairs of runs", "pairs of runs that share some inputs, the others drawn anew given those"),
     ("common random numbers", "the same random inputs at every value of the free scalar, read off between the values"),
+    ("rows at the value", "what a polynomial of all rows is off by at the value is read off rows evaluated there"),
     ("importance sampling", "samples drawn where failures are, and weighted back"),
     ("subset simulation", "rare events reached in steps of conditional probability"),
     ("directional", "probabilities added up over directions in standard normal space"),

@@ -15,11 +15,13 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.bars import pulse_stress, section
 from uqsphere.mechanics.contact import sphere_mass
-from uqsphere.runner.curves import NodeSet, law_curves, moved_study, strength_solved
+from uqsphere.runner.curve_rows import CurveRows
+from uqsphere.runner.curves import law_curves
 from uqsphere.runner.limits import state_of
+from uqsphere.runner.moved import moved_study, strength_solved
 from uqsphere.runner.rare import find_design
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import OutOfBudget, Work
+from uqsphere.runner.work import Draw, OutOfBudget, Work
 from uqsphere.study import ENERGY, Limit
 from uqsphere.uq.distribution import Law, median, nominal_mean, ppf
 from uqsphere.uq.estimates import Estimate
@@ -27,6 +29,7 @@ from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.ignorance import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.margins import fragility
+from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["YIELD_FACTOR", "Where", "describe_margin"]
@@ -56,7 +59,7 @@ class Where:
     values: dict[float, Estimate]
     grid: Array
     table: Array
-    nodes: NodeSet | None
+    rows: CurveRows | None
 
     @property
     def value(self) -> Estimate:
@@ -207,20 +210,20 @@ def _ignorance(work: Work, where: Where, strength: Law) -> dict[str, Any]:
     LawError
         Where it is not known which laws the tests allow.
     """
-    nodes = where.nodes
-    if nodes is None:
+    rows = where.rows
+    if rows is None:
         return {
             "tests": count_tests(strength),
-            "reason": "the demands are not known in full, so that no curve was interpolated",
+            "reason": "the demands are not known in full, so that no rows serve all values",
         }
     generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{where.limit.name}.strength")
     laws = possible_laws(strength, LAWS, generator)
-    places = nodes.nodes
+    places = rows.grid
     logarithmic = places[0] > 0.0
     space = np.geomspace if logarithmic else np.linspace
     values = space(places[0], places[-1], VALUES)
     values[0], values[-1] = places[0], places[-1]
-    states = nodes.states(where.limit, values, FEW)
+    states = rows.states(where.limit, values.tolist(), FEW)
     curves = law_curves(states, laws)
     u = np.log(values) if logarithmic else values
     back: Callable[[float], float] = math.exp if logarithmic else float
@@ -319,17 +322,18 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
         "pulse_elastic": stress < strength,
         "pulse_value": means["striker.speed"] * strength / stress if study.margins.solve == "striker.speed" else None,
     }
-    nodes, accepted = where.nodes, min(where.probability, 1.0 - where.probability)
-    if nodes is None or strength_solved(study.margins.solve) is not None:
-        return {**found, "contact": None, "reason": "no curve of the contact pressure was interpolated"}
-    places = nodes.nodes
-    space = np.geomspace if places[0] > 0.0 else np.linspace
-    values = space(places[0], places[-1], VALUES)
-    values[0], values[-1] = places[0], places[-1]
-    pressures = nodes.columns("p_max", values)
-    limit = YIELD_FACTOR * _yield_of(work, nodes, strength)
-    share = (pressures > limit).mean(axis=2)
-    answered = fragility(values, share, (accepted,), samples=nodes.count, evaluations=0).values[accepted]
+    rows, accepted = where.rows, min(where.probability, 1.0 - where.probability)
+    if rows is None or strength_solved(study.margins.solve) is not None or not rows.knows("p_max"):
+        return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
+    names = work.drawn.names
+    random = "bars.yield_strength" in names
+
+    def yields(points: Draw, pressures: Array, value: float) -> LimitState:
+        own = points.physical[:, :, names.index("bars.yield_strength")] if random else strength
+        return LimitState(demands=pressures / own, strength=YIELD_FACTOR)
+
+    values, share = np.array(rows.grid), rows.table("p_max", yields)
+    answered = fragility(values, share, (accepted,), samples=rows.samples, evaluations=0).values[accepted]
     found["contact_probability"] = accepted
     found["contact"] = answered.as_dict()
     if answered.value is None:
@@ -337,11 +341,3 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
         always, never = bool((p > accepted).all()), bool((p < accepted).all())
         found["contact_everywhere"] = "yields" if always else "elastic" if never else None
     return found
-
-
-def _yield_of(work: Work, nodes: NodeSet, fixed: float) -> Array:
-    """Yield strength of every row (1, R, n), or the number for all of them."""
-    names = work.drawn.names
-    if "bars.yield_strength" not in names:
-        return np.full((1, 1, 1), fixed)
-    return np.asarray(nodes.points.physical[None, :, :, names.index("bars.yield_strength")])

@@ -4,37 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.curves import NodeSet, evaluate_at, find_nodes, moved_study, probabilities
+from uqsphere.runner.curve_rows import CurveRows, Rows
+from uqsphere.runner.curve_values import POINTS, refined_values
+from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
-from uqsphere.runner.limits import state_of
+from uqsphere.runner.moved import moved_study
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import OutOfBudget, Work
+from uqsphere.runner.stepwise import stepwise_curves
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "find_margins"]
+__all__ = ["MarginAnswer", "find_margins", "limit_values"]
 
 Array = npt.NDArray[np.float64]
 
-#: points of each replicate at one value of the scalar, where curves are not interpolated
-POINTS = 64
-#: values looked at first, and rounds in which steep stretches are halved
-FIRST_GRID = 9
-ROUNDS = 4
-#: a stretch between two values is halved while it spans more than this in normal scores
-GAP = 0.6
 #: share of the budget of evaluations that all curves together may take
 SHARE = 0.1
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
 BELOW = 0.5
+_LATE = "the time was over before the curve was known"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,13 +71,14 @@ def _least(work: Work, limits: Sequence[Limit]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """A curve of one limit: the values, every replicate's probabilities (K, R), and the rows if interpolated."""
+    """A curve of one limit: the values, every replicate's probabilities (K, R), and the rows if they are few."""
 
     grid: Array
     table: Array
     samples: int
     evaluations: int
-    nodes: NodeSet | None
+    rows: CurveRows | None
+    values: dict[float, Estimate]
     note: str = ""
 
     def answer(self, targets: Sequence[float]) -> Fragility:
@@ -89,93 +86,62 @@ class _Found:
 
 
 def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict[str, _Found | str]:
-    """The curve of every limit, interpolated where its demands can be, or why there is none."""
-    before = work.ledger.total
-    scan, nodes, note = find_nodes(work, limits, least=_least(work, limits), most=most, tag=tag)
+    """The curve of every limit, by few rows at each value where its demands are known in full, or why there is none."""
+    before, budget = work.ledger.total, work.study.analysis.budget.evaluations
+    seen = find_rows(work, limits, least=_least(work, limits), most=most // 2, tag=tag)
+    if seen.reason:
+        return dict.fromkeys((limit.name for limit in limits), seen.reason)
     found: dict[str, _Found | str] = {}
-    for limit in limits:
-        if nodes is None or not nodes.fits(limit):
-            continue
-        inner = nodes.grid
-        outer = [value for value in scan.nodes if not inner[0] <= value <= inner[-1]]
-        grid, table = inner, nodes.curve(limit)
-        if outer and nodes is not scan:
-            look = dict(zip(scan.nodes, scan.curve(limit), strict=True))
-            grid = np.concatenate([outer, inner])
-            table = np.concatenate([np.array([look[value] for value in outer]), table])
+    taken: dict[float, Rows] = {}
+    rows = seen.rows
+    known = [limit for limit in limits if rows is not None and rows.knows(limit.quantity)]
+    for limit in known:
+        assert rows is not None
+        grid, table = np.array(rows.grid), rows.curve(limit)
+        if seen.look is not None and not rows.still:
+            outer = np.array([value for value in seen.look.grid if not grid[0] <= value <= grid[-1]])
+            if outer.size:
+                grid, table = np.concatenate([outer, grid]), np.concatenate([seen.look.curve(limit, outer), table])
         order = np.argsort(grid)
-        found[limit.name] = _Found(
-            grid=grid[order], table=table[order], samples=nodes.count, evaluations=work.ledger.total - before,
-            nodes=nodes, note=note,
+        one = _Found(
+            grid=grid[order], table=table[order], samples=rows.samples, evaluations=work.ledger.total - before,
+            rows=rows, values={}, note=seen.note,
         )  # fmt: skip
+        asked = _asked(work, limit)
+        # at each value some rows of its own, as long as there are evaluations at all, more within the share
+        up_to = max(before + most, work.ledger.total + REPLICATES * POINTS * len(asked))
+        values = refined_values(rows, limit, one.answer(asked).values, most=min(up_to, budget), taken=taken)
+        found[limit.name] = replace(one, values=values)
     rest = [limit for limit in limits if limit.name not in found]
-    if rest:
-        found |= _stepwise(work, rest, tag)
+    for name, steps in stepwise_curves(work, rest, tag).items() if rest else ():
+        if isinstance(steps, str):
+            found[name] = steps
+            continue
+        one = _Found(
+            grid=steps.grid, table=steps.table, samples=steps.samples, evaluations=steps.evaluations, rows=None,
+            values={}, note=steps.note,
+        )  # fmt: skip
+        limit = next(limit for limit in rest if limit.name == name)
+        found[name] = replace(one, values=dict(one.answer(_asked(work, limit)).values))
     return found
 
 
-def _steep(grid: list[float], found: dict[float, dict[str, Array]], names: list[str]) -> list[float]:
-    """Middles of the stretches over which a curve of interest moves too far for interpolation."""
-    from scipy.special import ndtri
-
-    middles = set()
-    for left, right in pairwise(grid):
-        for name in names:
-            a, b = (np.clip(float(found[value][name].mean()), 1e-5, 1.0 - 1e-5) for value in (left, right))
-            if abs(ndtri(a) - ndtri(b)) > GAP:
-                middles.add(float(np.sqrt(left * right)) if left > 0.0 else 0.5 * (left + right))
-    return sorted(middles)
-
-
-def _stepwise(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, _Found | str]:
-    """Curves value by value, halved where they are steep: for demands that jump or are censored."""
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
-    space = np.geomspace if low > 0.0 else np.linspace
-    todo = [float(value) for value in space(low, high, FIRST_GRID)]
-    names = [limit.name for limit in limits]
-    found: dict[float, dict[str, Array]] = {}
-    note = ""
-    for _ in range(ROUNDS + 1):
-        for value in todo:
-            if work.ledger.total + POINTS * 16 > work.study.analysis.budget.evaluations:
-                note = "the curve is coarser than wanted: the budget of evaluations was used up"
-                break
-            try:
-                points, sample = evaluate_at(work, value, start=0, count=POINTS, tag=tag)
-            except OutOfBudget:
-                note = "the curve is coarser than wanted: the time was over"
-                break
-            states = {limit.name: state_of(work, limit, points, sample) for limit in limits}
-            found[value] = {name: probabilities(state) for name, state in states.items()}
-        grid = sorted(found)
-        todo = _steep(grid, found, names) if not note else []
-        if not todo:
-            break
-    answers: dict[str, _Found | str] = {}
-    for name in names:
-        usable = [value for value in sorted(found) if np.isfinite(found[value][name]).all()]
-        if len(usable) < 2:
-            answers[name] = "no curve could be computed"
-            continue
-        table = np.array([found[value][name] for value in usable])
-        spent = len(found) * POINTS * table.shape[1]
-        answers[name] = _Found(
-            grid=np.array(usable), table=table, samples=POINTS, evaluations=spent, nodes=None, note=note
-        )
-    return answers
+def limit_values(work: Work, limit: Limit, *, most: int) -> dict[float, Estimate]:
+    """The values asked for of one limit, by about `most` evaluations; none where there is no curve."""
+    found = _curves(work, [limit], most=most, tag="")[limit.name]
+    return {} if isinstance(found, str) else found.values
 
 
 def _member(work: Work, found: _Found | str, limit: Limit, value: float) -> dict[str, Any]:
     """One curve of a family as a table."""
     if isinstance(found, str):
         return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
-    answered = found.answer(_asked(work, limit))
+    curve = found.answer(()).curve
     fitted = fit_lognormal_curve(found.grid, found.table, evaluations=found.evaluations)
     return {
         "value": value,
-        "values": {f"{p:.15g}": e.as_dict() for p, e in answered.values.items()},
-        "curve": [list(row) for row in answered.curve],
+        "values": {f"{p:.15g}": e.as_dict() for p, e in found.values.items()},
+        "curve": [list(row) for row in curve],
         "lognormal": lognormal_table(fitted),
     }
 
@@ -201,27 +167,25 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     most = int(SHARE * work.study.analysis.budget.evaluations / curves)
     try:
         found = _curves(work, limits, most=most, tag="")
-        members = _members(work, limits, most)
     except OutOfBudget:
-        reason = "no curve could be computed: the time was over"
-        return {limit.name: MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[reason]) for limit in limits}
+        found = dict.fromkeys((limit.name for limit in limits), _LATE)
+    members = _members(work, limits, most)
     answers = {}
     for limit in limits:
         one = found[limit.name]
         if isinstance(one, str):
-            answers[limit.name] = MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[one])
+            answers[limit.name] = _unknown(work, limit, one)
             continue
-        answered = one.answer(_asked(work, limit))
         missed = [one.note] if one.note else []
-        missed += [f"{p:g}: {e.reason}" for p, e in answered.values.items() if e.value is None and e.reason]
+        missed += [f"{p:g}: {e.reason}" for p, e in one.values.items() if e.value is None and e.reason]
         where = Where(
-            limit=limit, probability=accepted(limit) or min(margins.for_probability), values=dict(answered.values),
-            grid=one.grid, table=one.table, nodes=one.nodes,
+            limit=limit, probability=_decisive(work, limit), values=one.values, grid=one.grid, table=one.table,
+            rows=one.rows,
         )  # fmt: skip
         answers[limit.name] = MarginAnswer(
             solve=margins.solve,
-            values=dict(answered.values),
-            curve=answered.curve,
+            values=one.values,
+            curve=one.answer(()).curve,
             missed=missed,
             lognormal=fit_lognormal_curve(one.grid, one.table, evaluations=one.evaluations),
             family=[_member(work, member[limit.name], limit, value) for value, member in members.items()],
@@ -230,14 +194,36 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     return answers
 
 
+def _decisive(work: Work, limit: Limit) -> float:
+    """The probability that a margin is told for: that of the limit's target, or the smallest that is asked for."""
+    assert work.study.margins is not None
+    return accepted(limit) or min(work.study.margins.for_probability)
+
+
+def _unknown(work: Work, limit: Limit, reason: str) -> MarginAnswer:
+    """What is said of a limit without a curve: why every value is absent."""
+    assert work.study.margins is not None
+    values = {p: absent(reason, "none", 0) for p in _asked(work, limit)}
+    decisive = _decisive(work, limit)
+    about = {"probability": decisive, "value": absent(reason, "none", 0).as_dict()}
+    return MarginAnswer(
+        solve=work.study.margins.solve, values=values, curve=[], missed=[reason], lognormal=reason, about=about
+    )
+
+
 def _members(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict[str, _Found | str]]:
     """The curves of a family, by the value of its number."""
     assert work.study.margins is not None
     family = work.study.margins.family
     if family is None:
         return {}
-    found = {}
+    found: dict[float, dict[str, _Found | str]] = {}
     for k, value in enumerate(family.values):
         moved = replace(work, study=moved_study(work.study, family.path, value))
-        found[value] = _curves(moved, limits, most=most, tag=f"-family{k}")
+        try:
+            found[value] = _curves(moved, limits, most=most, tag=f"-family{k}")
+        except OutOfBudget:
+            found[value] = dict.fromkeys(
+                (limit.name for limit in limits), "the time was over before the curve was known"
+            )
     return found

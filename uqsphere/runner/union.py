@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.curves import evaluate_at, moved_study, strength_solved
 from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.moved import evaluate_at, moved_study, strength_solved
 from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_points

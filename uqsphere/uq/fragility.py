@@ -1,9 +1,8 @@
 """Fragility: demands interpolated row by row along a free scalar, and the lognormal curve beside the computed one.
 
-Along the scalar every row of a sample has a demand that changes smoothly, near to a power of it.  A few values of the
-scalar are therefore enough: the logarithm of each row's own demand is interpolated over the logarithm of the scalar,
-and the probability at any value between is the mean over the interpolated rows.  A curve costs as many points as it
-has nodes, however finely it is drawn.
+Along the scalar every row of a sample has a demand that changes smoothly, near to a power of it.  The logarithm of each
+row's own demand is therefore interpolated over the logarithm of the scalar: a look at few rows at few values says where
+the curve rises.
 """
 
 from __future__ import annotations
@@ -17,22 +16,9 @@ import numpy as np
 from uqsphere.uq.estimates import Estimate, absent, student
 from uqsphere.uq.families import Array
 
-__all__ = ["LognormalCurve", "chebyshev_nodes", "fit_lognormal_curve", "interpolate_rows"]
+__all__ = ["LognormalCurve", "fit_lognormal_curve", "interpolate_rows"]
 
 _METHOD = "probit regression of the computed curve"
-
-
-def chebyshev_nodes(low: float, high: float, count: int, *, logarithmic: bool) -> list[float]:
-    """`count` values from low to high, both included, crowded to the ends as interpolation wants them.
-
-    >>> [round(x, 3) for x in chebyshev_nodes(1.0, 3.0, 3, logarithmic=False)]
-    [1.0, 2.0, 3.0]
-    """
-    a, b = (math.log(low), math.log(high)) if logarithmic else (low, high)
-    places = 0.5 * (a + b) - 0.5 * (b - a) * np.cos(np.pi * np.arange(count) / (count - 1))
-    values = np.exp(places) if logarithmic else places
-    values[0], values[-1] = low, high
-    return [float(value) for value in values]
 
 
 def interpolate_rows(nodes: Sequence[float], demands: Array, at: Array) -> Array:

@@ -1,0 +1,124 @@
+"""Curves by few rows at every value: unbiased whatever the polynomial, covering, true where the budget ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.bench.fragility import straight_value, value_coverage
+from uqsphere.report.margin_verdict import margin_answer
+from uqsphere.runner.curve_rows import shared
+from uqsphere.runner.margins import find_margins
+from uqsphere.runner.work import Ledger, Work
+from uqsphere.study import Study
+from uqsphere.uq.row_fit import fit_rows
+
+STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
+#: speeds at which the crusher's limestone breaks with these probabilities, by 131,072 straight rows of another seed on
+#: either side of each (bench/fragility.py: straight_value), good to 1e-5 and better
+TRUTH = {0.01: 0.771664, 0.5: 1.4185936, 0.99: 1.933693}
+
+
+@pytest.fixture(scope="module")
+def crusher() -> Study:
+    return uqsphere.load_study(STUDIES / "crusher_margin.toml")
+
+
+def kinked(value: float, z: np.ndarray) -> np.ndarray:
+    return np.asarray(np.exp(0.5 * np.log(value) + 0.1 * z[:, :, 0]) + np.maximum(0.0, 0.2 * z[:, :, 1] + 0.05))
+
+
+def test_corrections_are_unbiased_however_badly_the_polynomial_fits() -> None:
+    values = list(np.geomspace(0.5, 4.0, 12))
+    off = []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        normals = [generator.standard_normal((16, 2, 2)) for _ in values]
+        fit = fit_rows(values, normals, [kinked(v, z) for v, z in zip(values, normals, strict=True)])
+        many = generator.standard_normal((16, 64, 2))
+        z = normals[5]
+        own = (kinked(values[5], z) - fit.predict(values[5], fit.basis(z))) ** 3
+        exact = (kinked(values[5], many) - fit.predict(values[5], fit.basis(many))) ** 3
+        off.append(own.mean() - exact.mean())
+    assert abs(np.mean(off)) < 4.0 * np.std(off, ddof=1) / np.sqrt(len(off))
+
+
+def test_predictions_of_powers_are_exact_and_bounded() -> None:
+    generator = np.random.default_rng(3)
+    values = [0.5, 0.8, 1.3, 2.0]
+    normals = [generator.standard_normal((16, 4, 1)) for _ in values]
+    fit = fit_rows(values, normals, [v**0.4 * np.exp(0.2 * z[:, :, 0]) for v, z in zip(values, normals, strict=True)])
+    assert fit.predict(1.1, fit.basis(normals[0])) == pytest.approx(1.1**0.4 * np.exp(0.2 * normals[0][:, :, 0]))
+    assert fit.predict(2.0, fit.basis(np.full((16, 1, 1), 60.0))).max() < 100.0
+    # nothing random in the scene: a polynomial of the scalar alone
+    none = [np.zeros((16, 4, 0)) for _ in values]
+    still = fit_rows(values, none, [np.full((16, 4), v**2) for v in values])
+    assert still.predict(1.0, still.basis(np.zeros((16, 3, 0)))) == pytest.approx(np.ones((16, 3)), rel=1e-6)
+
+
+def test_neighbours_share_what_they_tell_and_keep_what_differs() -> None:
+    generator = np.random.default_rng(5)
+    line = np.linspace(-1.0, 2.0, 40)[:, None]
+    noise = 0.3 * generator.standard_normal((40, 16))
+    smooth = shared(line + noise, (4,) * 40)
+    assert np.abs(smooth.mean(axis=1) - line[:, 0]).mean() < 0.6 * np.abs(noise.mean(axis=1)).mean()
+    assert shared(np.repeat(line, 16, axis=1), (4,) * 40) == pytest.approx(np.repeat(line, 16, axis=1))
+    wild = np.where(np.arange(40) % 2 == 0, 1.0, -1.0)[:, None] + 0.01 * noise
+    assert shared(wild, (4,) * 40) == pytest.approx(wild)
+
+
+def test_values_of_a_study_cover(crusher: Study) -> None:
+    found = value_coverage(crusher, crusher.limits[0], TRUTH, evaluations=3000, seeds=range(6))
+    assert sum(one.covered for one in found) >= 15
+    for one in found:
+        assert one.runs == 6
+        assert one.evaluations < 4000
+        assert one.half_width < 0.005
+        assert one.error < 0.002
+
+
+def test_a_straight_value_agrees(crusher: Study) -> None:
+    value, error = straight_value(crusher, crusher.limits[0], 0.5, near=1.4, rows=256)
+    assert error < 1e-3
+    assert abs(value - TRUTH[0.5]) < 4.0 * error
+
+
+def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
+    budget = crusher.analysis.budget.evaluations
+    work = Work(study=crusher, store=None, ledger=Ledger(evaluations={"full": budget - 100}), fidelity="full")
+    found = find_margins(work, cast("Any", None))
+    assert work.ledger.total == budget - 100
+    for limit in crusher.limits:
+        answer = found[limit.name]
+        assert answer.curve == []
+        assert "evaluations ran out" in answer.missed[0]
+        assert "1,468 more" in answer.missed[0]
+        assert all(e.value is None and "evaluations ran out" in str(e.reason) for e in answer.values.values())
+        results = {
+            "margins": {limit.name: {"solve": answer.solve, "curve": [], **answer.about}},
+            "limits": {limit.name: {"aim": limit.aim, "target": limit.target, "quantity": limit.quantity}},
+        }
+        text = margin_answer(results, limit.name)
+        assert "not known" in text
+        assert "ran out" in text
+        assert not text.startswith("No ")
+
+
+def test_a_family_says_which_curves_the_budget_did_not_reach(crusher: Study) -> None:
+    assert crusher.margins is not None
+    study = replace(crusher, margins=replace(crusher.margins, bars_elastic=False), limits=crusher.limits[:1])
+    budget = study.analysis.budget.evaluations
+    work = Work(study=study, store=None, ledger=Ledger(evaluations={"full": budget - 1700}), fidelity="full")
+    from uqsphere.runner.margins import _curves, _members
+
+    found = _curves(work, study.limits, most=10**5, tag="")["chute"]
+    assert not isinstance(found, str)
+    assert found.values[0.5].value == pytest.approx(TRUTH[0.5], rel=0.01)
+    members = _members(work, study.limits, 10**5)
+    assert all("evaluations ran out" in str(member["chute"]) for member in members.values())
+    assert work.ledger.total <= budget
