@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, in_range
 from uqsphere.mechanics.dynamics import Answers
+from uqsphere.mechanics.product import DIAMETERS, ENERGIES
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.validity import Check
 
@@ -47,11 +48,42 @@ def check_ranges(
     }
     known: dict[str, tuple[str, Mapping[str, float]]] = {**plain, **dict(demands)}
     good = answered(answers.status)
-    return [
+    found = [
         _check(name, CRITERIA[known[name][0]], known[name][1], scene, answers, good)
         for name in dict.fromkeys(quantities)
         if name in known and CRITERIA[known[name][0]].ranges
     ]
+    return [*found, *([_product(scene, answers, good)] if "t10" in quantities else [])]
+
+
+def _product(scene: Scene, answers: Answers, good: npt.NDArray[np.bool_]) -> Check:
+    """The fineness against the energies and sizes that its A and b are fitted to."""
+    energy, size = answers.values["specific_energy"], 2.0 * scene.columns["sphere.radius"]
+    allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
+    if not good.any():
+        return _none("range_of_t10")
+    outside = [(energy < ENERGIES[0]) | (energy > ENERGIES[1]), (size < DIAMETERS[0]) | (size > DIAMETERS[1])]
+    share = float(((outside[0] | outside[1]) & good).sum() / good.sum())
+    lowest, highest = float(energy[good].min()), float(energy[good].max())
+    worst = lowest if ENERGIES[0] / lowest > highest / ENERGIES[1] else highest
+    if share == 0.0:
+        text = f"t10 is used where A and b are measured ({allowed})"
+    else:
+        spans = (f"{lowest / 3600.0:.3g} to {highest / 3600.0:.3g} kWh/t",
+                 f"{1e3 * size[good].min():.3g} to {1e3 * size[good].max():.3g} mm")  # fmt: skip
+        left = " and ".join(span for span, which in zip(spans, outside, strict=True) if which[good].any())
+        text = f"in {_which(share)} scenes t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
+    return Check(check="range_of_t10", share_information=0.0, share_warning=share, share_failure=0.0, worst=worst,
+                 text=text)  # fmt: skip
+
+
+def _which(share: float) -> str:
+    return "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
+
+
+def _none(name: str) -> Check:
+    return Check(check=name, share_information=0.0, share_warning=0.0, share_failure=0.0, worst=None,
+                 text="not checked: no scene was computed")  # fmt: skip
 
 
 def _check(
@@ -65,8 +97,7 @@ def _check(
     name = f"range_of_{quantity}"
     columns = {**scene.columns, **answers.values}
     if not good.any():
-        return Check(check=name, share_information=0.0, share_warning=0.0, share_failure=0.0, worst=None,
-                     text="not checked: no scene was computed")  # fmt: skip
+        return _none(name)
     outside = ~in_range(criterion, columns, parameters) & good
     share = float(outside.sum() / good.sum())
     parts = [_part(key, bounds, columns, parameters, good) for key, bounds in criterion.ranges.items()]
@@ -75,9 +106,8 @@ def _check(
         text = f"{criterion.name} is used inside its range ({criterion.range_text})"
     else:
         left = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
-        which = "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
         text = (
-            f"in {which} scenes {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
+            f"in {_which(share)} scenes {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
             f"value there is {_meaning(criterion)}"
         )
     return Check(check=name, share_information=0.0, share_warning=share, share_failure=0.0, worst=excess[1], text=text)
