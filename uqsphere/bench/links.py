@@ -103,7 +103,9 @@ def force_at(pressure: float, radius: float, reduced: float) -> float:
 
 
 def even_odds(case: Case, ratios: Array, principal: Array, hoop: float) -> float:
-    """p_0 [Pa] at which the principal tension is as dangerous as the hoop tension at the case's own p_0.
+    """p_0 [Pa] at which the principal tension is as dangerous as the hoop tension at the case's own p_0, at most.
+
+    Below the smallest of the contact ratios it is not followed: there the pressure of that ratio is returned.
 
     `principal` (k,) over p_0 at contact ratios (k,), interpolated in logarithms; `hoop` over p_0 at the case's.
     """
@@ -126,7 +128,9 @@ def main() -> None:
         print(f"  effective volume: principal over hoop {(at.principal / at.hoop) ** case.modulus:.2g}, "
               f"in the zone {at.in_zone:.8f}")  # fmt: skip
         print(f"  surface: hoop {at.surface_hoop:.5f}, principal {at.surface_principal:.5f} p_0")
-        print(f"  force of even odds: hoop {forces[0]:.4g} N, principal {forces[1]:.4g} N; ring crack {ring:.4g} N")
+        print(
+            f"  force of even odds: hoop {forces[0]:.4g} N, principal at most {forces[1]:.4g} N; ring crack {ring:.4g} N"
+        )
 
 
 def _refined(points: Array, parts: int = 4) -> Array:
@@ -163,12 +167,13 @@ def compare_links(field: Sections, contact_ratio: float, modulus: float) -> Comp
 
 def _weights(points: Array) -> Array:
     step = np.diff(points)
-    return 0.5 * (np.append(step, 0.0) + np.append(0.0, step))
+    return np.asarray(0.5 * (np.append(step, 0.0) + np.append(0.0, step)), dtype=float)
 
 
 def _equivalent(stress: Array, weight: Array, modulus: float) -> float:
     largest = float(stress.max())
-    return largest * float(np.sum(weight * np.maximum(stress / largest, 0.0) ** modulus)) ** (1.0 / modulus)
+    total = float(np.sum(weight * np.maximum(stress / largest, 0.0) ** modulus))
+    return float(largest * total ** (1.0 / modulus))
 
 
 if __name__ == "__main__":

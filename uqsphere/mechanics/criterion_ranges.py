@@ -40,7 +40,7 @@ def check_ranges(
     Each row is judged at its largest force; one that breaks earlier never comes so far.
     """
     demands = scene.demands if demands is None else demands
-    plain = {
+    plain: dict[str, tuple[str, Mapping[str, float]]] = {
         entry.quantity: (name, {})
         for name, entry in CRITERIA.items()
         # the range of the contact pressure is that of Hertz, which has a check of its own
