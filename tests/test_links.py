@@ -13,8 +13,8 @@ from uqsphere.mechanics.stress import tables
 def test_the_rim_is_nearly_all_that_the_principal_tension_sees() -> None:
     found = compare_links(principal_field(0.14, 0.22, 30), 0.14, 9.0)
     # the hoop tension is that of the tables, to the error of the trapezoidal rule
-    assert found.hoop == pytest.approx(float(tables.ratio("volume", 0.14, 0.22, 9.0)), rel=0.02)
-    assert found.surface_hoop == pytest.approx(float(tables.ratio("surface", 0.14, 0.22, 9.0)), rel=0.02)
+    assert found.hoop == pytest.approx(float(tables.ratio("volume", 0.14, 0.22, 9.0)), rel=0.04)
+    assert found.surface_hoop == pytest.approx(float(tables.ratio("surface", 0.14, 0.22, 9.0)), rel=0.04)
     assert found.principal > 3.0 * found.hoop
     assert found.in_zone > 0.999
     # where the rim is left out, the two say nearly the same

@@ -128,9 +128,7 @@ def main() -> None:
         print(f"  effective volume: principal over hoop {(at.principal / at.hoop) ** case.modulus:.2g}, "
               f"in the zone {at.in_zone:.8f}")  # fmt: skip
         print(f"  surface: hoop {at.surface_hoop:.5f}, principal {at.surface_principal:.5f} p_0")
-        print(
-            f"  force of even odds: hoop {forces[0]:.4g} N, principal at most {forces[1]:.4g} N; ring crack {ring:.4g} N"
-        )
+        print(f"  force: hoop {forces[0]:.4g} N, principal at most {forces[1]:.4g} N; ring crack {ring:.4g} N")
 
 
 def _refined(points: Array, parts: int = 4) -> Array:
