@@ -125,6 +125,7 @@ TABLES: dict[str, Any] = {
     "## [sphere]": schema.SphereTable,
     "## [bars]": schema.BarsTable,
     "## [striker]": schema.StrikerTable,
+    "## [product]": schema.ProductTable,
     "## [[gauges]]": schema.GaugeTable,
     "## [model]": schema.ModelTable,
     "## [limits.NAME]": schema.LimitTable,

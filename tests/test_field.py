@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from test_gauges import BASE, C0, Z, history_with
 
+from uqsphere import history, load_study
 from uqsphere.mechanics.contact import hertz_force
-from uqsphere.mechanics.field import field_at, field_grid, first_tension
+from uqsphere.mechanics.field import field_at, field_grid, first_tension, tension_level
 from uqsphere.mechanics.history import states_at
+from uqsphere.study import shipped_studies
 
 SCENES = {
     "free ends": {},
@@ -119,6 +121,22 @@ def test_no_tension_where_nothing_pulls():
     assert first_tension(history, "incident") is None
     assert first_tension(history, "receiving") is None
     assert first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4), "receiving") is None
+
+
+def test_tension_of_a_record_is_no_tension_of_the_bar():
+    """Noise and baseline leave tension at the foot of a measured pulse; the reflected wave brings the first of its own.
+
+    With the level of an ideal pulse it is found in the first nanosecond.
+    """
+    found = history(load_study(shipped_studies()["gauge_records"]))
+    level = tension_level(found)
+    assert 1e-4 < level < 0.05
+    first, near = first_tension(found, "incident"), first_tension(found, "incident", share=2.0 * level)
+    assert first_tension(found, "incident", share=1e-6).time < 1e-9
+    assert first.time == pytest.approx(near.time, rel=0.02)
+    assert first.time > 50e-6
+    assert first_tension(found, "receiving") is None
+    assert tension_level(history_with()) == 1e-6
 
 
 def test_endless_bars_have_a_field_at_any_distance():

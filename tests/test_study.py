@@ -21,7 +21,7 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.measured import noise_names
 from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
-from uqsphere.study.schema import BarsTable, PulseTable, SphereTable, StrikerTable
+from uqsphere.study.schema import BarsTable, ProductTable, PulseTable, SphereTable, StrikerTable
 from uqsphere.uq.laws import Law, cdf, mean, nominal_mean, sd
 
 STUDIES = Path(__file__).parent.parent / "studies"
@@ -358,6 +358,7 @@ def test_schema_knows_the_keys_that_the_parser_knows() -> None:
         "bars": BarsTable,
         "striker": StrikerTable,
         "pulse": PulseTable,
+        "product": ProductTable,
     }.items():
         assert set(properties[name]["properties"]) == set(table.model_fields)
         # the noise of a record is made an input by a flag

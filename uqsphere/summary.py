@@ -74,9 +74,10 @@ def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
         ("time", "median time", "contact_time"),
         ("energy", "median energy in the contacts", "energy"),
         ("imbalance", "median difference of the forces", "force_imbalance"),
+        ("t10", "median product fineness t10", "t10"),
     ):
         if key in found:
-            rows.append((f"{words} at fracture", _estimate(found[key]["median"], like)))
+            rows.append((words if key == "t10" else f"{words} at fracture", _estimate(found[key]["median"], like)))
     if found.get("reason"):
         rows.append(("not known further", plain(found["reason"])))
     return rows

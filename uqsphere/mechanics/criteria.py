@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.product import fineness_of
 from uqsphere.mechanics.stress import tables
 
 Array = npt.NDArray[np.float64]
@@ -147,9 +148,11 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
 
 
 def field_quantities(columns: Columns, names: Collection[str] | None, demands: Demands) -> dict[str, Array]:
-    """Those of the `QUANTITIES` and of further demands that are named, or all; (n,) each."""
+    """Those of the `QUANTITIES`, of further demands and t10 that are named, or all that there are; (n,) each."""
     every: dict[str, tuple[str, Parameters]] = {name: (key, {}) for name, key in QUANTITIES.items()}
-    return {
+    fineness = "product.A" in columns if names is None else "t10" in names
+    product = {"t10": fineness_of(columns)} if fineness else {}
+    return product | {
         name: demand(CRITERIA[key], columns, parameters)
         for name, (key, parameters) in (every | dict(demands)).items()
         if names is None or name in names
@@ -158,7 +161,7 @@ def field_quantities(columns: Columns, names: Collection[str] | None, demands: D
 
 def columns_behind(demands: Demands, names: Collection[str]) -> set[str]:
     """Columns that the named ones of further demands are made from."""
-    found: set[str] = set()
+    found: set[str] = {"specific_energy"} if "t10" in names else set()
     for name, (key, parameters) in demands.items():
         if name in names:
             found |= {*CRITERIA[key].needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ())}

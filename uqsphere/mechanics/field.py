@@ -15,12 +15,24 @@ import numpy.typing as npt
 from uqsphere.mechanics.history import History
 from uqsphere.mechanics.waves import BARS, Solution, arriving, leaving
 
-__all__ = ["Field", "Tension", "check_position", "field_at", "field_grid", "first_tension", "last_time"]
+__all__ = [
+    "Field",
+    "Tension",
+    "check_position",
+    "field_at",
+    "field_grid",
+    "first_tension",
+    "last_time",
+    "tension_level",
+]
 
 Array = npt.NDArray[np.float64]
 
 #: instants and places may exceed what is known by this share of it: that is rounding
 _ROUNDING: Final = 1e-9
+#: share of the pulse's stress that counts as tension, and its most where the record has tension of its own
+_LEVEL: Final = 1e-6
+_MOST_LEVEL: Final = 0.05
 #: instants at each face from which the first tension is sought, and how often the search zooms in
 _COARSE: Final = 1500
 _ZOOMS: Final = 12
@@ -153,8 +165,27 @@ def field_grid(history: History, places: Any, times: Any) -> Field:
     return Field(stress=stress, velocity=velocity)
 
 
-def first_tension(history: History, bar: str, *, share: float = 1e-6) -> Tension | None:
+def tension_level(history: History) -> float:
+    """Stress over the pulse's nominal stress rho c0 v0/2 from which on `first_tension` calls it tension.
+
+    A measured pulse has tension of its own, before its foot and after its end, where noise and baseline leave the
+    strain of a pressing wave on the other side of zero.  One and a half times the largest of it is the level then,
+    and 5 % at the most: what is more than that is no noise.
+    """
+    record = history.solution.scene.record
+    if record is None:
+        return _LEVEL
+    joints = np.asarray(record.breaks)
+    step = np.linspace(0.0, 1.0, 65) * np.diff(joints)[:, None]
+    coefficients = np.asarray(record.coefficients)
+    strain = sum(coefficients[:, k, None] * step**k for k in range(coefficients.shape[1]))
+    return float(np.clip(-1.5 * np.min(strain), _LEVEL, _MOST_LEVEL))
+
+
+def first_tension(history: History, bar: str, *, share: float | None = None) -> Tension | None:
     """Where and when the stress of a bar first rises above `share` of the pulse's nominal stress rho c0 v0/2.
+
+    `share` is `tension_level` if it is not given.
 
     Tension is where more leaves than arrives, g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), with u = t - d/c0 and
     w = t + d/c0: the least u + w among those with 0 <= w - u <= 2 l/c0 is sought, on a grid and by zooming in.
@@ -176,6 +207,7 @@ def first_tension(history: History, bar: str, *, share: float = 1e-6) -> Tension
     """
     solution = history.solution
     number = check_position(solution, bar, 0.0)
+    share = tension_level(history) if share is None else share
     level = share * 0.5 * float(solution.scene.columns["striker.speed"][solution.row])
     trip, horizon = solution.round_trip(number), solution.horizon
     nodes = _nodes(history, number, horizon)

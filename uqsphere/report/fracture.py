@@ -35,6 +35,7 @@ _STATE: Final = {
     "force": ("force at fracture", "P_max"),
     "energy": ("energy in both contacts at fracture", "energy"),
     "specific_energy": ("the same per mass of the sphere", "specific_energy"),
+    "t10": ("product finer than a tenth of the sphere, t10 from the record's energy", "t10"),
     "imbalance": ("difference of the two forces at fracture, over the larger so far", "force_imbalance"),
 }
 _SHARES: Final = {"0.05": "5 %", "0.5": "median", "0.95": "95 %"}
@@ -84,7 +85,13 @@ def fracture_finding(contents: Contents) -> str:
             f"In the median they break at {time}, at {force} and {energy} in the contacts; the two forces then differ "
             f"by {imbalance}."
         )
-    elif found.get("reason"):
+    if "t10" in found:
+        ends = [rounded(found["t10"]["quantiles"][p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
+        parts.append(
+            f"Of their mass {ends[1]} is then finer than a tenth of the sphere in the median, {ends[0]} to "
+            f"{ends[2]} in nine of ten (t10)."
+        )
+    if "time" not in found and found.get("reason"):
         parts.append(f"When it breaks is not known: {found['reason']}.")
     if found.get("left_out"):
         parts.append(f"Not counted as fracture: {listed([limit_name(n) for n in found['left_out']])}.")

@@ -105,7 +105,7 @@ def history_summary(found: History) -> dict[str, Any]:
 
 def _bars(found: History) -> dict[str, Any]:
     """What the bars see: equilibrium of the forces, first tension, and waves that overlap at a gauge."""
-    from uqsphere.mechanics.field import first_tension
+    from uqsphere.mechanics.field import first_tension, tension_level
     from uqsphere.mechanics.gauges import equilibrium
     from uqsphere.mechanics.waves import BARS
 
@@ -121,6 +121,9 @@ def _bars(found: History) -> dict[str, Any]:
         tensions[bar] = None if tension is None else {"time": tension.time, "position": tension.position}
         text = "none" if tension is None else f"{tension.time * 1e6:.4g} us, {tension.position:.4g} m from the sphere"
         lines.append((f"first tension in the {bar} bar", text))
+    if found.solution.scene.record is not None:
+        share = f"above {tension_level(found):.1%} of the pulse: less is the noise of its record"
+        lines.append(("  counted as tension", share))
     gauges = []
     for record in found.gauges:
         overlaps = [

@@ -51,7 +51,7 @@ ORDERS: Final = 8
 #: share of specimens whose loading could not be followed, above which nothing is said
 MOST_LOST: Final = 0.05
 _QUANTILES: Final = (0.05, 0.5, 0.95)
-_UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": ""}
+_UNITS: Final = {"time": "s", "force": "N", "energy": "J", "specific_energy": "J/kg", "imbalance": "", "t10": "1"}
 _METHOD: Final = "specimens that break, on the loading path of the full model"
 
 
@@ -167,6 +167,10 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
         "imbalance": result.imbalance,
     }
     first = result.first.reshape(shape)
+    if "t10" in work.quantities:
+        # of the energy of the whole record: what a sphere takes that has broken is not followed
+        answers = pool.sample.values[:, :, work.quantities.index("t10")]
+        known["t10"] = np.take_along_axis(answers, drawn.rows, axis=1).ravel()
     state = {
         name: {"unit": _UNITS[name], **_quantiles(values.reshape(shape), weights, evaluations)}
         for name, values in known.items()

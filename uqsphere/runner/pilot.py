@@ -233,6 +233,7 @@ def first_look(work: Work) -> Pilot:
     study = work.study
     if study.black_box:
         return Pilot(chosen="black box", why="the model is the user's own")
+    from uqsphere.mechanics.criterion_ranges import check_ranges
     from uqsphere.mechanics.validity import check_validity
 
     inputs = sub_inputs(work.all_inputs, work.scene_names)
@@ -275,7 +276,7 @@ def first_look(work: Work) -> Pilot:
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, tuple(candidates), bound),
         measured_error=measured,
-        validity=[_check(row) for row in check_validity(scene, full)],
+        validity=[_check(row) for row in (*check_validity(scene, full), *check_ranges(scene, full, work.quantities))],
         numbers=_numbers(scene),
         evaluations=evaluations,
         candidates=tuple(candidates) if asked == "auto" else (),

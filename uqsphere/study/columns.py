@@ -196,6 +196,7 @@ def column_values(
             return ()
         values.append(value)
     if not 2 <= len(values) <= MOST_VALUES:
-        findings.add((*place, key), f"found {len(values)} values, from 2 to {MOST_VALUES} are due")
+        found = f"{len(values)} value{'' if len(values) == 1 else 's'}"
+        findings.add((*place, key), f"found {found}, from 2 to {MOST_VALUES} are due")
         return ()
     return tuple(values)

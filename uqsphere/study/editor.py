@@ -58,6 +58,7 @@ def build_schema() -> Node:
             preset=_words(PRESETS, "a pulse of the paper's Fig. 2, in place of shape"),
             **_record(),
         ),
+        "product": _section("product", required=("A", "b")),
         "model": _model(),
         "inputs": _named(_number_or_law("number"), "inputs of a black box") | {"minProperties": 1},
         "outputs": _table({"names": _list(_text("name of an output"))}, ("names",)),
@@ -70,7 +71,7 @@ def build_schema() -> Node:
     measured = {"pulse": {"properties": {"shape": {"const": "measured"}}, "required": ["shape"]}}
     driven = [{"required": ["striker"]}, {"properties": measured, "required": ["pulse"]}]
     scene = {"required": ["sphere", "bars"], "anyOf": driven, "not": {"anyOf": _present("inputs", "outputs")}}
-    parts = _present("sphere", "bars", "striker", "pulse", "model", "gauges")
+    parts = _present("sphere", "bars", "striker", "pulse", "product", "model", "gauges")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "uqsphere study",

@@ -20,6 +20,7 @@ from uqsphere.study.nouns import Dependence, EndImpedance, Gauge, ModelChoice, S
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.overrides import apply_overrides
 from uqsphere.study.positions import locate
+from uqsphere.study.product import with_product
 from uqsphere.study.reading import drop_unusable_numbers, parse_text, read_text
 from uqsphere.study.requests import LimitReading, read_analysis, read_limits, read_model, valid_name
 from uqsphere.study.scene import SECTIONS, Scene, read_scene
@@ -85,6 +86,8 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         findings.add(("seed",), f"found {document.seed}, a whole number from 0 upwards is due")
     limits = read_limits(document.limits, outputs, findings, folder, scene)
     analysis = read_analysis(document.analysis, outputs, limits, findings)
+    if black_box is False:
+        analysis = with_product(analysis, document, findings)
     random, given = _random(scene, limits)
     numbers = _places(document, scene, bool(black_box))
     dependence: tuple[Dependence, ...] = ()

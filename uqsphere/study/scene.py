@@ -20,7 +20,7 @@ from uqsphere.uq.laws import Law
 
 __all__ = ["PULSE_KEYS", "Scene", "read_scene"]
 
-SECTIONS: Final = ("sphere", "bars", "striker", "pulse")
+SECTIONS: Final = ("sphere", "bars", "striker", "pulse", "product")
 
 #: pulse shape -> (keys it needs, keys it can have beside)
 PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
@@ -78,6 +78,9 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
     _read_pulse(document.pulse or PulseTable(), scene, findings, folder)
     if document.sphere is not None:
         _require(scene, findings, "sphere.radius", '"10 mm"')
+    if document.product is not None:
+        _require(scene, findings, "product.A", '"55 %"')
+        _require(scene, findings, "product.b", '"0.8 t/kWh"')
     if scene.options.get("pulse.shape") == "measured":
         for name in ("striker.speed", "striker.length"):
             if scene.readings.pop(name, None) is not None:

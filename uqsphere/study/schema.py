@@ -28,6 +28,7 @@ __all__ = [
     "MarginsTable",
     "ModelTable",
     "OutputsTable",
+    "ProductTable",
     "PulseTable",
     "SphereTable",
     "StrikerTable",
@@ -110,6 +111,11 @@ class PulseTable(Table):
     gauge_distance: Any = None
     gain: Number = None
     noise: bool | None = None
+
+
+class ProductTable(Table):
+    A: Number = None
+    b: Number = None
 
 
 class ModelTable(Table):
@@ -208,6 +214,7 @@ class Document(Table):
     bars: BarsTable | None = None
     striker: StrikerTable | None = None
     pulse: PulseTable | None = None
+    product: ProductTable | None = None
     model: ModelTable | None = None
     inputs: dict[str, Number] | None = None
     outputs: OutputsTable | None = None
@@ -223,6 +230,7 @@ _TABLES: Final[dict[str, type[Table]]] = {
     "bars": BarsTable,
     "striker": StrikerTable,
     "pulse": PulseTable,
+    "product": ProductTable,
     "model": ModelTable,
     "outputs": OutputsTable,
     "limits": LimitTable,
