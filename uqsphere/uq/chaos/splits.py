@@ -7,7 +7,7 @@ are (Magnani and Boyd 2009).  Every proposal is made anew without each fold and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.chaos.borders import Border, Side, score_features
 from uqsphere.uq.chaos.choice import Basis, Contest, deal
+from uqsphere.uq.chaos.honesty import left_one_out
 from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
 from uqsphere.uq.chaos.truncation import Indices
 from uqsphere.uq.families import Array
@@ -32,11 +33,15 @@ _MOST_CANDIDATES: Final = 600
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Two expansions (multi-indices, coefficients) with their border and their K-fold error."""
+    """Two expansions (multi-indices, coefficients) with their border and their K-fold error.
+
+    `left_out` is the error of samples left out of the coefficients alone, of the piece that holds them.
+    """
 
     pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
     border: Border
     error: float
+    left_out: float
     proposal: str
 
 
@@ -217,13 +222,17 @@ def _piece(data: _Data, samples: Samples) -> tuple[Indices, Array]:
 
 
 def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
-    """Values (n,) of a piece at all samples, looked up in the rows of the bases."""
-    indices, coefficients = piece
+    """Values (n,) of a piece at all samples."""
+    return np.asarray(piece[1] @ _rows(data, piece[0]))
+
+
+def _rows(data: _Data, indices: Indices) -> Array:
+    """Rows (k, n) of some terms, looked up in the bases."""
     for known, rows, _ in data.bases:
         places = {tuple(row): k for k, row in enumerate(known.tolist())}
         wanted = [places.get(tuple(row), -1) for row in indices.tolist()]
         if min(wanted) >= 0:
-            return np.asarray(coefficients @ rows[wanted])
+            return rows[wanted]
     raise ValueError("the terms belong to no basis")
 
 
@@ -284,6 +293,18 @@ def _left_out(data: _Data, unseen: Side, propose: Proposal, side: Side, border: 
     return float(np.sum((np.where(there, values[1], values[0]) - data.outputs[unseen]) ** 2))
 
 
+def _one_left_out(data: _Data, pieces: Sequence[tuple[Indices, Array]], side: Side) -> float:
+    """Sum of squares of what each sample differs from its piece, fitted without it in the same terms."""
+    total = 0.0
+    for (indices, coefficients), part in zip(pieces, (~side, side), strict=True):
+        rows = _rows(data, indices)[:, part]
+        if rows.shape[0] >= rows.shape[1]:
+            total += float(np.sum((data.outputs[part] - coefficients @ rows) ** 2))
+            continue
+        total += float(np.sum((left_one_out(rows, data.outputs[part]) - data.outputs[part]) ** 2))
+    return total
+
+
 def find_split(contest: Contest, points: Array, outputs: Array, *, below: float) -> Split | None:
     """The proposal with the least K-fold error, over the variance of outputs (n,), if it is less than `below`.
 
@@ -312,5 +333,9 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
             if left >= limit:
                 break
         if left < limit:
-            best = Split(pieces=whole[0], border=whole[1], error=left / (variance * outputs.size), proposal=name)
+            total = variance * outputs.size
+            one_by_one = _one_left_out(data, whole[0], side) + doubt
+            best = Split(
+                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name
+            )
     return best
