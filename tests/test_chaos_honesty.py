@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from uqsphere.bench.chaos_models import MODELS
 from uqsphere.uq.chaos import fit_chaos, predict
 from uqsphere.uq.chaos.honesty import blended, left_one_out, refits
 from uqsphere.uq.sampling import sobol_points
@@ -59,20 +60,16 @@ def test_the_reported_error_lies_between_what_it_is_made_of() -> None:
 
 
 def test_what_is_loose_in_the_tails_is_counted() -> None:
-    """A reciprocal of a lognormal: its polynomial is good where samples lie and poor in the tails."""
-    germs = ("normal",) * 3
-
-    def model(z: np.ndarray) -> np.ndarray:
-        strength, moment, force = np.exp(0.1 * z[:, 0]), 1.0 + 0.2 * z[:, 1], 1.0 + 0.2 * z[:, 2]
-        return 1.0 - moment / strength - 0.5 * (force / strength) ** 2
-
+    """The short column divides by a lognormal: its polynomial is good where samples lie and poor in the tails."""
+    model = MODELS["short column"]
     held_out = np.random.default_rng(0).standard_normal((50_000, 3))
     truth = model(held_out)
     ratios = []
     for replicate in range(6):
         z = ndtri(sobol_points(dimension=3, count=64, seed=2, task="honesty", replicate=replicate))
-        chaos = fit_chaos(z, model(z), germs)
+        chaos = fit_chaos(z, model(z), model.germs)
         true = float(np.mean((predict(chaos, held_out) - truth) ** 2) / np.var(truth))
         ratios.append(chaos.cross_validation_error / true)
-    # K-fold alone: a twentieth in the middle
-    assert 0.2 < float(np.median(ratios)) < 5.0
+    # folds alone see nothing of it in one of the six, and report a hundredth
+    assert min(ratios) > 0.1
+    assert float(np.median(ratios)) < 5.0
