@@ -3,8 +3,8 @@
 An output is expanded in products of orthonormal polynomials of independent germs (`bases`).  Sets of products
 (`truncation`), solvers (`solvers`) and output transforms (`outputs`) compete by K-fold error in the units of the
 output (`choice`); what stays rough is tried in two pieces (`splits`, `borders`).  `fit` puts it together and judges
-it, `surrogate` evaluates and differentiates it, `indices` reads moments and Sobol' indices off it, `enrichment` says
-whether more points would help.
+it, `honesty` says what error it reports, `surrogate` evaluates and differentiates it, `indices` reads moments and
+Sobol' indices off it, `enrichment` says whether more points would help.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from uqsphere.uq.chaos.bases import GermLike, orthonormal_values
 from uqsphere.uq.chaos.choice import Contest, Found, compete, prepare
+from uqsphere.uq.chaos.honesty import blended, refits
 from uqsphere.uq.chaos.sampled import law_points
 from uqsphere.uq.chaos.solvers import solve_rows
 from uqsphere.uq.chaos.splits import Split, find_split
@@ -28,6 +29,8 @@ _SPLIT_HELPS: Final = 0.6
 #: contenders that are looked at beyond the samples, and at how many points
 _TRIED: Final = 5
 _LOOKED_AT: Final = 4096
+#: times what the folds move an expansion by under the law: more variance than that is not put down to it
+_WILD: Final = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +88,24 @@ def fit_outputs(points: Array, outputs: Array, germs: Sequence[GermLike], *, pla
     if not (np.isfinite(outputs).all() and np.isfinite(points).all()):
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
     contest = prepare(points, germs) if germs else None
-    return [_fitted(contest, points, column, tuple(germs), plain) for column in outputs.T]
+    law = law_points(germs, 0)[0][:_LOOKED_AT] if germs else points
+    return [_fitted(contest, points, column, tuple(germs), plain, law) for column in outputs.T]
 
 
-def _fitted(contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool) -> Chaos:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Candidate:
+    """An expansion with its K-fold error, `values` under the law of the inputs, and the error that it reports."""
+
+    chaos: Chaos
+    folded: float
+    loose: float
+    values: Array
+    reported: float
+
+
+def _fitted(
+    contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array
+) -> Chaos:
     # A power of two loses no figures, and squares of what is divided by it stay finite.
     largest = float(np.abs(outputs).max())
     unit = 2.0 ** math.frexp(largest)[1] if 0.0 < largest < 2.0**1000 else max(largest, 1e-300)
@@ -99,36 +116,44 @@ def _fitted(contest: Contest | None, points: Array, outputs: Array, germs: tuple
         return _constant(centre * unit, germs, error, outputs.size)
     leaders = compete(contest, scaled, plain=plain)
     error = leaders[0].error if leaders else 1.0
-    contenders = []
+    split = None
     if not plain and error > _ROUGH and outputs.size >= max(48, 6 * (len(germs) + 1)):
         split = find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
-        contenders = [] if split is None else [_in_two(split, unit, germs, outputs.size)]
-    for found in leaders:
-        if not found.error < _NOTHING or len(contenders) == _TRIED:
-            break
-        contenders.append(_whole(found, scaled, unit, germs))
-    best = _constant(centre * unit, germs, 1.0, outputs.size)
-    for chaos in contenders:
-        tame = _believed(chaos, scaled, unit)
-        best = tame if tame.cross_validation_error < min(best.cross_validation_error, _NOTHING) else best
-        if tame is chaos and best is chaos:
-            break
+    best, least = _constant(centre * unit, germs, 1.0, outputs.size), _NOTHING
+    for one in _candidates(contest, leaders, split, points, scaled, unit, germs, law):
+        believed = max(one.folded, _excess(one, scaled))
+        if believed < least:
+            best, least = replace(one.chaos, cross_validation_error=min(one.reported, 1.0)), believed
+            if believed == one.folded:
+                break
     return best
 
 
-def _believed(chaos: Chaos, scaled: Array, unit: float) -> Chaos:
-    """The expansion, its error raised where it varies more under the law of the inputs than the samples allow.
+def _candidates(
+    contest: Contest, leaders: Sequence[Found], split: Split | None, points: Array, scaled: Array, unit: float,
+    germs: tuple[GermLike, ...], law: Array,
+) -> Iterator[_Candidate]:  # fmt: skip
+    """The split, if there is one, then the leaders in their order."""
+    if split is not None:
+        yield _in_two(split, points, scaled, unit, germs, law)
+    for found in leaders[: _TRIED - (split is not None)]:
+        if not found.error < _NOTHING:
+            break
+        yield _whole(found, contest, scaled, unit, germs, law)
+
+
+def _excess(one: _Candidate, scaled: Array) -> float:
+    """How much more the expansion varies under the law of the inputs than the samples allow, over their variance.
 
     What is wild in the tails, or at the edges, no sample left out will tell: folds do not lie beyond the samples.
-    The variance of the samples is uncertain by their fourth moment; two standard errors are let pass.
+    The variance of the samples is uncertain by their fourth moment; two standard errors are let pass.  Samples with
+    heavy tails vary less than their law more often than that: an expansion that is the same without any of the folds
+    is not wild.
     """
     z = (scaled - scaled.mean()) / scaled.std()
     allowed = 1.0 + 2.0 * math.sqrt(max(float(np.mean(z**4)) - 1.0, 0.0) / z.size)
-    values = predict(chaos, law_points(chaos, 0)[0][:_LOOKED_AT]) / unit
-    excess = float(np.mean((values - scaled.mean()) ** 2)) / float(np.var(scaled)) - allowed
-    if not excess > chaos.cross_validation_error:
-        return chaos
-    return replace(chaos, cross_validation_error=min(excess, 1.0))
+    excess = float(np.mean((one.values - scaled.mean()) ** 2)) / float(np.var(scaled)) - allowed
+    return min(excess, _WILD * one.loose)
 
 
 def _constant(value: float, germs: tuple[GermLike, ...], error: float, samples: int) -> Chaos:
@@ -138,28 +163,47 @@ def _constant(value: float, germs: tuple[GermLike, ...], error: float, samples: 
                  solver="constant")  # fmt: skip
 
 
-def _whole(found: Found, scaled: Array, unit: float, germs: tuple[GermLike, ...]) -> Chaos:
+def _whole(
+    found: Found, contest: Contest, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
+) -> _Candidate:
     """One expansion, of all samples in the terms that were found."""
     transform = found.transform
     order = np.argsort(found.indices.sum(axis=1) > 0, kind="stable")  # the constant first
-    coefficients = solve_rows(found.rows[order], transform.forward(scaled))
-    kept = replace(transform, unit=unit)
+    indices, rows = found.indices[order], found.rows[order]
+    fits = refits(rows, transform.forward(scaled), contest.folds)
+    highest = indices.max(axis=0)
+    there = products([orthonormal_values(germ, law[:, j], int(highest[j])) for j, germ in enumerate(germs)], indices)
+    values = transform.back(fits.coefficients @ there)
+    variance = float(np.var(scaled))
+    moved = transform.back(fits.without @ there) - values
+    loose = (len(moved) - 1) * float(np.mean(moved**2)) / variance
+    left_out = float(np.mean((transform.back(fits.left_out) - scaled) ** 2)) / variance
+    coefficients = fits.coefficients.copy()
     if transform.kind == "identity":
         coefficients *= transform.scale * unit
         coefficients[0] += transform.centre * unit
-    piece = Piece(coefficients=coefficients, multi_indices=found.indices[order],
-                  transform=None if transform.kind == "identity" else kept)  # fmt: skip
-    return Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=min(found.reported, 1.0),
-                 samples=scaled.size, solver=found.solver)  # fmt: skip
+    piece = Piece(coefficients=coefficients, multi_indices=indices,
+                  transform=None if transform.kind == "identity" else replace(transform, unit=unit))  # fmt: skip
+    chaos = Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=min(found.reported, 1.0),
+                  samples=scaled.size, solver=found.solver)  # fmt: skip
+    one = _Candidate(chaos=chaos, folded=found.reported, loose=loose, values=values,
+                     reported=blended(found.reported, left_out, loose))  # fmt: skip
+    return replace(one, reported=max(one.reported, _excess(one, scaled)))
 
 
-def _in_two(split: Split, unit: float, germs: tuple[GermLike, ...], samples: int) -> Chaos:
+def _in_two(
+    split: Split, points: Array, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
+) -> _Candidate:
+    """Two expansions and their border; what is loose in them is in the K-fold error, which finds the border anew."""
     pieces = tuple(
         Piece(coefficients=coefficients * unit, multi_indices=indices, transform=None)
         for indices, coefficients in split.pieces
     )
-    return Chaos(pieces=pieces, border=split.border, germs=germs, cross_validation_error=split.error,
-                 samples=samples, solver=f"two pieces: {split.proposal}")  # fmt: skip
+    chaos = Chaos(pieces=pieces, border=split.border, germs=germs, cross_validation_error=split.error,
+                  samples=scaled.size, solver=f"two pieces: {split.proposal}")  # fmt: skip
+    one = _Candidate(chaos=chaos, folded=split.error, loose=1.0, values=predict(chaos, law) / unit,
+                     reported=blended(split.error, split.left_out))  # fmt: skip
+    return replace(one, reported=max(one.reported, _excess(one, scaled)))
 
 
 def validation_error(chaos: Chaos, points: Array, outputs: Array) -> float:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.chaos.bases import germ_points, orthonormal_values
+from uqsphere.uq.chaos.bases import GermLike, germ_points, orthonormal_values
 from uqsphere.uq.chaos.surrogate import Chaos, predict
 from uqsphere.uq.chaos.truncation import Indices, nested, products
 from uqsphere.uq.families import Array
@@ -32,16 +32,16 @@ def active_inputs(chaos: Chaos) -> tuple[int, ...]:
     return tuple(int(j) for j in np.flatnonzero(active))
 
 
-def law_points(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
+def law_points(germs: Sequence[GermLike], replicate: int) -> tuple[Array, Array]:
     """Two independent designs of germ points (n, d), the same every time for a replicate."""
     from scipy.special import ndtri
 
-    d = len(chaos.germs)
+    d = len(germs)
     uniforms = sobol_points(
         dimension=2 * d, count=_POINTS, seed=0, task="polynomial chaos: moments", replicate=replicate
     )
     normals = ndtri(uniforms)
-    return germ_points(normals[:, :d], chaos.germs), germ_points(normals[:, d:], chaos.germs)
+    return germ_points(normals[:, :d], germs), germ_points(normals[:, d:], germs)
 
 
 class _Companion:
@@ -77,7 +77,7 @@ class _Companion:
 
 def sampled_moments(chaos: Chaos) -> tuple[float, float]:
     """Mean and standard deviation of the expansion, from its values on a Sobol' design."""
-    values = predict(chaos, np.concatenate(law_points(chaos, 0)))
+    values = predict(chaos, np.concatenate(law_points(chaos.germs, 0)))
     largest = float(np.abs(values).max()) or 1.0
     return float((values / largest).mean()) * largest, float((values / largest).std()) * largest
 
@@ -88,7 +88,7 @@ def sampled_shares(chaos: Chaos, groups: Sequence[Sequence[int]], replicate: int
     Closed ones by products of small differences, so that the noise of a small index is small (Owen 2013); total ones
     by squares of differences (Jansen 1999).
     """
-    one, other = law_points(chaos, replicate)
+    one, other = law_points(chaos.germs, replicate)
     f, g = predict(chaos, one), predict(chaos, other)
     unit, centre = float(np.std(f)), float(np.mean(f))
     if unit == 0.0:

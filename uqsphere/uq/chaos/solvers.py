@@ -73,7 +73,7 @@ Solver: TypeAlias = Callable[[Task], Path]
 
 def _dots(one: Array, other: Array) -> Array:
     """Inner products (lanes,) of the lines of two (lanes, n)."""
-    return np.asarray(np.einsum("ij,ij->i", one, other))
+    return np.asarray(np.vecdot(one, other))
 
 
 class _Lanes:
@@ -89,6 +89,7 @@ class _Lanes:
         self.directions = np.empty((lanes, most, n))
         # products of every direction with every row of the basis: what a new row has in common with those before
         self.along = np.empty((most, lanes, task.basis.shape[0]))
+        self.norms = self.masks @ (task.basis**2).T  # square norms of all rows over what each lane sees
         self.every = np.arange(lanes)
         self.fits = np.zeros((lanes, n))
         self.residuals = self.masks * task.values
@@ -105,7 +106,7 @@ class _Lanes:
         """One more row for every lane: the length of what is new in it (lanes,), and its overlaps (lanes, k)."""
         k = self.count
         fresh = self.task.basis[rows]
-        before = _dots(self.masks, fresh**2)
+        before = self.norms[self.every, rows]
         overlaps = part = np.ascontiguousarray(self.along[:k, self.every, rows].T)
         for turn in range(2):
             fresh -= np.matmul(part[:, None, :], self.directions[:, :k])[:, 0]
@@ -153,7 +154,7 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     basis = task.basis
     most = max(min(task.most, basis.shape[0]), 1)
     lanes = _Lanes(task, most)
-    norms = lanes.masks @ (basis**2).T
+    norms = lanes.norms
     left = norms.copy()  # square norms of the rows beyond the span of those taken
     correlations = lanes.residuals @ basis.T
     every = np.arange(lanes.masks.shape[0])
@@ -201,7 +202,7 @@ def least_angles(task: Task) -> Path:
     lanes.add(np.zeros(every.size, dtype=np.intp), np.ones(every.size, dtype=bool))
     lanes.finished()
     seen = lanes.masks.sum(axis=1)[:, None]
-    squares, means = lanes.masks @ (basis**2).T, lanes.masks @ basis.T / seen
+    squares, means = lanes.norms, lanes.masks @ basis.T / seen
     centred = squares - seen * means**2
     usable = centred > _DEPENDENT * squares
     norms = np.sqrt(np.where(usable, centred, 1.0))

@@ -7,7 +7,7 @@ are (Magnani and Boyd 2009).  Every proposal is made anew without each fold and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.chaos.borders import Border, Side, score_features
 from uqsphere.uq.chaos.choice import Basis, Contest, deal
+from uqsphere.uq.chaos.honesty import left_one_out
 from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
 from uqsphere.uq.chaos.truncation import Indices
 from uqsphere.uq.families import Array
@@ -32,11 +33,15 @@ _MOST_CANDIDATES: Final = 600
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Two expansions (multi-indices, coefficients) with their border and their K-fold error."""
+    """Two expansions (multi-indices, coefficients) with their border and their K-fold error.
+
+    `left_out` is the error of samples left out of the coefficients alone, of the piece that holds them.
+    """
 
     pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
     border: Border
     error: float
+    left_out: float
     proposal: str
 
 
@@ -49,6 +54,9 @@ class _Data:
     bases: tuple[Basis, ...]
 
 
+#: a basis and how many of its terms, among which the terms of a piece are chosen
+Trial: TypeAlias = tuple[int, int]
+Trials: TypeAlias = tuple[Trial | None, Trial | None]
 #: two expansions, each with its multi-indices and coefficients, and their border
 Halves: TypeAlias = tuple[tuple[tuple[Indices, Array], tuple[Indices, Array]], Border]
 #: samples and, if there is one, the side that each was on when all were seen -> where the second piece holds, and the
@@ -192,58 +200,74 @@ PROPOSALS: Final[dict[str, Proposal]] = {
 }
 
 
-def _piece(data: _Data, samples: Samples) -> tuple[Indices, Array]:
-    """Sparse expansion of some of the samples: the best of a few bases by their own K-fold error."""
+def _piece(data: _Data, samples: Samples, trial: Trial | None = None) -> tuple[tuple[Indices, Array], Trial | None]:
+    """Sparse expansion of some of the samples, and on what: a trial given, or the best by their own K-fold error."""
     outputs = data.outputs[samples]
     scale = float(outputs.std())
     zero = np.zeros((1, data.points.shape[1]), dtype=np.int64)
     if scale <= 1e-12 * float(np.abs(outputs).max(initial=0.0)) or samples.size < 8:
-        return zero, np.array([float(outputs.mean())])
+        return (zero, np.array([float(outputs.mean())])), trial
     centre = float(outputs.mean())
     values = (outputs - centre) / scale
     folds = deal(samples.size, 5)
-    best = (1.0, zero, np.zeros(1))
-    for indices, rows, sizes in data.bases[:2]:
-        for size in [s for s in sizes if s <= max(min(2 * samples.size, _MOST_CANDIDATES), sizes[0])][-2:]:
-            basis = np.ascontiguousarray(rows[:size][:, samples])
-            task = Task(basis=basis, values=values, folds=folds, most=max(min(samples.size // 3, _MOST_TERMS), 1),
-                        error=lambda predicted: float(np.mean((predicted - values) ** 2)))  # fmt: skip
-            active, error = forward_selection(task).best()
-            if error < best[0]:
-                best = (error, indices[active], solve_rows(basis[active], values))
+    best, chosen = (1.0, zero, np.zeros(1)), trial
+    for which, size in _trials(data, samples.size) if trial is None else [trial]:
+        indices, rows, _ = data.bases[which]
+        basis = np.ascontiguousarray(rows[:size][:, samples])
+        task = Task(basis=basis, values=values, folds=folds, most=max(min(samples.size // 3, _MOST_TERMS), 1),
+                    error=lambda predicted: float(np.vecdot(off := predicted - values, off)) / values.size)  # fmt: skip
+        active, error = forward_selection(task).best()
+        if error < best[0]:
+            best, chosen = (error, indices[active], solve_rows(basis[active], values)), (which, size)
     coefficients = best[2] * scale
     coefficients[0] += centre
-    return best[1], coefficients
+    return (best[1], coefficients), chosen
+
+
+def _trials(data: _Data, count: int) -> list[Trial]:
+    """The two largest sets of each of two bases that are not too large for the samples."""
+    answer = []
+    for which, (_, _, sizes) in enumerate(data.bases[:2]):
+        answer += [(which, s) for s in sizes if s <= max(min(2 * count, _MOST_CANDIDATES), sizes[0])][-2:]
+    return answer
 
 
 def _values(data: _Data, piece: tuple[Indices, Array]) -> Array:
-    """Values (n,) of a piece at all samples, looked up in the rows of the bases."""
-    indices, coefficients = piece
+    """Values (n,) of a piece at all samples."""
+    return np.asarray(piece[1] @ _rows(data, piece[0]))
+
+
+def _rows(data: _Data, indices: Indices) -> Array:
+    """Rows (k, n) of some terms, looked up in the bases."""
     for known, rows, _ in data.bases:
         places = {tuple(row): k for k, row in enumerate(known.tolist())}
         wanted = [places.get(tuple(row), -1) for row in indices.tolist()]
         if min(wanted) >= 0:
-            return np.asarray(coefficients @ rows[wanted])
+            return rows[wanted]
     raise ValueError("the terms belong to no basis")
 
 
-def _build(data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None) -> Halves | None:
-    """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns."""
+def _build(
+    data: _Data, seen: Samples, propose: Proposal, hint: Side | None = None, trials: Trials = (None, None)
+) -> tuple[Halves, Trials] | None:
+    """A proposal from the samples seen, with its two pieces; those that cross are refined by two more turns.
+
+    `trials` are the sets that the pieces are chosen from, found here where they are not given.
+    """
     inner = _Data(points=data.points[seen], outputs=data.outputs[seen], bases=())
     found = propose(inner, None if hint is None else hint[seen])
     if found is None or not _balanced(found[0]):
         return None
     side, border = found
-    turns = 3 if border.kind in ("upper", "lower") else 1
-    pieces = (_piece(data, seen[~side]), _piece(data, seen[side]))
-    for _ in range(turns - 1):
-        low, high = (_values(data, piece)[seen] for piece in pieces)
+    one, other = _piece(data, seen[~side], trials[0]), _piece(data, seen[side], trials[1])
+    for _ in range(2 if border.kind in ("upper", "lower") else 0):
+        low, high = (_values(data, piece)[seen] for piece in (one[0], other[0]))
         new = border.side(inner.points, [low, high])
         if not _balanced(new) or bool(np.all(new == side)):
             break
         side = new
-        pieces = (_piece(data, seen[~side]), _piece(data, seen[side]))
-    return pieces, border
+        one, other = _piece(data, seen[~side], trials[0]), _piece(data, seen[side], trials[1])
+    return ((one[0], other[0]), border), (one[1], other[1])
 
 
 def _doubt(data: _Data, whole: Halves) -> float:
@@ -273,15 +297,28 @@ def _moved(data: _Data, seen: Samples, border: Border, whole: Border) -> Border:
     return whole if int(np.sum((column > low) & (column <= high))) <= 1 else border
 
 
-def _left_out(data: _Data, unseen: Side, propose: Proposal, side: Side, border: Border) -> float:
+def _left_out(data: _Data, unseen: Side, propose: Proposal, side: Side, border: Border, trials: Trials) -> float:
     """Sum of squares left on the samples unseen by a proposal made anew without them; inf where there is none."""
     seen = np.flatnonzero(~unseen)
-    part = _build(data, seen, propose, side)
-    if part is None:
+    made = _build(data, seen, propose, side, trials)
+    if made is None:
         return float(np.inf)
+    part, _ = made
     values = [_values(data, piece)[unseen] for piece in part[0]]
     there = _moved(data, seen, part[1], border).side(data.points[unseen], values)
     return float(np.sum((np.where(there, values[1], values[0]) - data.outputs[unseen]) ** 2))
+
+
+def _one_left_out(data: _Data, pieces: Sequence[tuple[Indices, Array]], side: Side) -> float:
+    """Sum of squares of what each sample differs from its piece, fitted without it in the same terms."""
+    total = 0.0
+    for (indices, coefficients), part in zip(pieces, (~side, side), strict=True):
+        rows = _rows(data, indices)[:, part]
+        if rows.shape[0] >= rows.shape[1]:
+            total += float(np.sum((data.outputs[part] - coefficients @ rows) ** 2))
+            continue
+        total += float(np.sum((left_one_out(rows, data.outputs[part]) - data.outputs[part]) ** 2))
+    return total
 
 
 def find_split(contest: Contest, points: Array, outputs: Array, *, below: float) -> Split | None:
@@ -295,9 +332,10 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
     folds = contest.folds if count == 5 else deal(outputs.size, 5)
     best: Split | None = None
     for name, propose in PROPOSALS.items():
-        whole = _build(data, np.arange(outputs.size), propose)
-        if whole is None:
+        made = _build(data, np.arange(outputs.size), propose)
+        if made is None:
             continue
+        whole, trials = made
         limit = (below if best is None else best.error) * variance * outputs.size
         values = [_values(data, piece) for piece in whole[0]]
         side = whole[1].side(points, values)
@@ -308,9 +346,13 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
             continue
         left = doubt
         for fold in range(5):
-            left += _left_out(data, folds == fold, propose, side, whole[1])
+            left += _left_out(data, folds == fold, propose, side, whole[1], trials)
             if left >= limit:
                 break
         if left < limit:
-            best = Split(pieces=whole[0], border=whole[1], error=left / (variance * outputs.size), proposal=name)
+            total = variance * outputs.size
+            one_by_one = _one_left_out(data, whole[0], side) + doubt
+            best = Split(
+                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name
+            )
     return best

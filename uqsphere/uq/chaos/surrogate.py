@@ -38,8 +38,8 @@ class Piece:
 class Chaos:
     """A fitted expansion: one piece, or two on either side of a border.
 
-    `cross_validation_error` is the mean square error of samples left out of the whole choice of terms (K-fold), over
-    the variance of the outputs, in the units of the output; at most 1, and 1 for a constant.
+    `cross_validation_error` is the mean square error to expect under the law of the inputs, from samples left out
+    (`honesty`), over the variance of the outputs, in the units of the output; at most 1, and 1 for a constant.
     """
 
     pieces: tuple[Piece, ...]
