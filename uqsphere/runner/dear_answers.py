@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
 from uqsphere.runner.price import Design
 from uqsphere.runner.sampling import excess_of
@@ -20,7 +21,7 @@ from uqsphere.uq.estimates import Description, Estimate, absent, describe
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["Answers", "answers_of", "germs_of", "widest"]
+__all__ = ["Answers", "answers_of", "demands_of", "germs_of", "widest"]
 
 #: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
@@ -45,6 +46,22 @@ def germs_of(work: Work) -> tuple[str, ...]:
     )
 
 
+def demands_of(work: Work, trusted: Mapping[int, Trusted]) -> dict[str, tuple[Demand, float, float]]:
+    """For every quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
+    from uqsphere.uq.chaos import germ_points, predict
+
+    germs = germs_of(work)
+
+    def demand(one: Trusted) -> Demand:
+        return lambda normals: np.asarray(predict(one.chaos, germ_points(normals, germs)))
+
+    return {
+        work.quantities[k]: (demand(one), one.scatter, float(np.std(one.levels + one.residuals)))
+        for k, one in trusted.items()
+        if one.usable
+    }
+
+
 def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> Answers:
     """Answers of the surrogates, with intervals that hold their errors.
 
@@ -57,9 +74,10 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     if alone:
         descriptions, limits, _ = _described(work, design, trusted, LARGER)
     excess = excess_of(work, descriptions, limits)
-    for name, answer in limits.items():
-        if answer.miss.value is None:
-            excess[f"limits.{name}.miss"] = math.inf
+    for limit in work.study.limits:
+        # what active learning goes on with is not waited for
+        if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
+            excess[f"limits.{limit.name}.miss"] = math.inf
     asked = work.study.analysis.accuracy.sobol
     for quantity, found in indices.items():
         width = widest(found)
