@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, answers_of, demands_of, germs_of, widest
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, widest
+from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.learning import Learned, learn_limits, reserve, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.margins import MarginAnswer
@@ -263,6 +264,7 @@ def _conclude(
     if stopped != "time":
         limits = with_surrogate_design(work, limits, demands_of(work, trusted), priced.way.affordable)
     found = replace(found, limits=limits)
+    margins = dear_margins(work, trusted, priced.way.affordable)
     costs = {name: _needed(way, 1.0) for name, way in course.items()}
     missed = missed_texts(work, found.descriptions, {})
     missed = _with_costs([*missed, *limits_missed(work, found.limits)], costs, priced, learned.calls)
@@ -288,7 +290,7 @@ def _conclude(
         surrogate=not rough,
         sampled=sampled,
         sensitivity=sensitivity,
-        margins=_margins(work),
+        margins=margins,
         history=history,
         seconds=seconds,
         stopped=stopped,
@@ -370,13 +372,7 @@ def _sensitivity(
         else "no surrogate may be used, and sampled indices are beyond the budget"
     )
     nothing = absent(reason, augmented.METHOD, work.ledger.total)
-    beyond = absent("indices of pairs and groups are sampled, which is beyond the budget", METHOD, 0)
-    pairs = [f"{a}|{b}" for i, a in enumerate(names) for b in names[i + 1 :]] if analysis.second_order else []
-    sets: dict[str, Any] = {
-        "second": dict.fromkeys(pairs, beyond),
-        "group_first": dict.fromkeys(analysis.groups, beyond),
-        "group_total": dict.fromkeys(analysis.groups, beyond),
-    }
+    sets = dear_sets(work, None if found is None else one, reason)
     if found is None:
         rows = dict.fromkeys(names, nothing)
         missed = [f"indices: {reason} ({priced.way.sampling:,} evaluations)"]
@@ -407,17 +403,6 @@ def _believable(estimate: Estimate) -> Estimate:
     if estimate.value is None or estimate.half_width <= WORTHLESS:
         return estimate
     return absent("the interval spans the whole range", estimate.method, estimate.evaluations)
-
-
-def _margins(work: Work) -> dict[str, MarginAnswer]:
-    """Margins move the law of an input, beyond the runs that were made: they are left open."""
-    margins = work.study.margins
-    if margins is None:
-        return {}
-    text = "not searched for: every value of the free scalar takes 1,024 evaluations of the model, some 20,000 in all"
-    return {
-        limit.name: MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[text]) for limit in work.study.limits
-    }
 
 
 if TYPE_CHECKING:

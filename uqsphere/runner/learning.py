@@ -25,7 +25,7 @@ from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator
 from uqsphere.uq.reliability import reliability_index, target_met
 
-__all__ = ["MOST_CALLS", "Demand", "Learned", "learnable", "learn_limits", "reserve", "with_surrogate_design"]
+__all__ = ["MOST_CALLS", "Demand", "Learned", "learn_limits", "learnable", "reserve", "with_surrogate_design"]
 
 Array = npt.NDArray[np.float64]
 #: the quantity of a limit at normal scores (n, d) of the model's inputs, by its surrogate

@@ -20,7 +20,7 @@ from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "find_margins"]
+__all__ = ["MarginAnswer", "asked_probabilities", "find_margins"]
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def accepted(limit: Limit) -> float | None:
     return limit.target if limit.aim == "survive" else float(f"{1.0 - limit.target:.12g}")
 
 
-def _asked(work: Work, limit: Limit) -> tuple[float, ...]:
+def asked_probabilities(work: Work, limit: Limit) -> tuple[float, ...]:
     """The probabilities of the study and that of the limit's own target."""
     assert work.study.margins is not None
     own = accepted(limit)
@@ -70,7 +70,7 @@ def _asked(work: Work, limit: Limit) -> tuple[float, ...]:
 
 def _least(work: Work, limits: Sequence[Limit]) -> float:
     """The smallest probability, on either side, that the curves are to answer for."""
-    return BELOW * min(min(p, 1.0 - p) for limit in limits for p in _asked(work, limit))
+    return BELOW * min(min(p, 1.0 - p) for limit in limits for p in asked_probabilities(work, limit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +170,7 @@ def _member(work: Work, found: _Found | str, limit: Limit, value: float) -> dict
     """One curve of a family as a table."""
     if isinstance(found, str):
         return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
-    answered = found.answer(_asked(work, limit))
+    answered = found.answer(asked_probabilities(work, limit))
     fitted = fit_lognormal_curve(found.grid, found.table, evaluations=found.evaluations)
     return {
         "value": value,
@@ -211,7 +211,7 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
         if isinstance(one, str):
             answers[limit.name] = MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[one])
             continue
-        answered = one.answer(_asked(work, limit))
+        answered = one.answer(asked_probabilities(work, limit))
         missed = [one.note] if one.note else []
         missed += [f"{p:g}: {e.reason}" for p, e in answered.values.items() if e.value is None and e.reason]
         where = Where(
