@@ -28,7 +28,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.laws import LawError
-from uqsphere.uq.margins import fragility
+from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["dear_margins"]
@@ -194,15 +194,27 @@ def _row(work: Work, normals: Array, value: float) -> Array:
 def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int) -> MarginAnswer:
     """The curve of a limit and its values, from the law of the demands and from both its bounds."""
     assert work.study.margins is not None
-    grid = _grid(work)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    tables = np.array([_exceeding(work, limit, large, *demands(float(value))) for value in grid])
     targets = asked_probabilities(work, limit)
-    told = [fragility(grid, tables[:, side], targets, samples=POINTS, evaluations=runs) for side in range(3)]
+    known: dict[float, Array] = {}
+
+    def along(grid: Array) -> list[Fragility]:
+        for value in grid:
+            if float(value) not in known:
+                known[float(value)] = _exceeding(work, limit, large, *demands(float(value)))
+        tables = np.array([known[float(value)] for value in grid])
+        return [fragility(grid, tables[:, side], targets, samples=POINTS, evaluations=runs) for side in range(3)]
+
+    grid = _grid(work)
+    drawn = along(grid)
+    # interpolation between the values of the curve costs more than noise does: answers get values close by
+    close = [x for e in drawn for f in e.values.values() if f.value is not None for x in _about(grid, f.value)]
+    told = along(np.unique([*grid, *close]))
+    tables = np.array([known[float(value)] for value in grid])
     values = {p: _value(p, told[0].values[p], told[1].values[p], told[2].values[p], runs) for p in targets}
     curve = [
         [row[0], row[1], min(r[2] for r in rows), max(r[3] for r in rows)]
-        for row, *rest in zip(*(one.curve for one in told), strict=True)
+        for row, *rest in zip(*(one.curve for one in drawn), strict=True)
         for rows in [[row, *rest]]
     ]
     missed = [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
@@ -213,6 +225,13 @@ def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int
         missed=missed,
         lognormal=fit_lognormal_curve(grid, tables[:, 0], evaluations=runs),
     )
+
+
+def _about(grid: Array, value: float) -> list[float]:
+    """Values on either side of an answer, a tenth of a step away, within the grid."""
+    at = int(np.clip(np.searchsorted(grid, value), 1, grid.size - 1))
+    step = 0.1 * float(grid[at] - grid[at - 1])
+    return [float(np.clip(x, grid[0], grid[-1])) for x in (value - step, value + step)]
 
 
 def _value(p: float, middle: Estimate, down: Estimate, up: Estimate, runs: int) -> Estimate:
