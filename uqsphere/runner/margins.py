@@ -10,11 +10,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.curves import NodeSet, evaluate_at, find_nodes, moved_study, probabilities
+from uqsphere.runner.curves import (
+    SCAN_POINTS,
+    SCAN_VALUES,
+    NodeSet,
+    evaluate_at,
+    find_nodes,
+    moved_study,
+    probabilities,
+    strength_solved,
+)
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import OutOfBudget, Work
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
@@ -199,6 +208,11 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     family = margins.family
     curves = 1 + (len(family.values) if family else 0)
     most = int(SHARE * work.study.analysis.budget.evaluations / curves)
+    look = SCAN_POINTS * REPLICATES * (1 if strength_solved(margins.solve) is not None else SCAN_VALUES)
+    left = work.study.analysis.budget.evaluations - work.ledger.total
+    if left < curves * look:
+        reason = f"no curve could be computed: the budget leaves {max(left, 0):,} evaluations, and it takes {look:,}"
+        return {limit.name: MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[reason]) for limit in limits}
     try:
         found = _curves(work, limits, most=most, tag="")
         members = _members(work, limits, most)
