@@ -337,7 +337,7 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
     flat = re.sub(r"\s+", " ", THEORY)
     for text in (
         f"pilot sample of {pilot.POINTS} rows",
-        f"first {pilot.COMPARED} with the cheaper ones",
+        f"first {pilot.POINTS // 2} with the cheaper ones",
         f"`R = {work.REPLICATES}` independent",
         f"at most {sampling.SHARE:.0%} of".replace("%", " %"),
         f"more than {stopping.CAUTION:g} times what",

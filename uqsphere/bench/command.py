@@ -65,14 +65,18 @@ def _reliability(chosen: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from uqsphere.bench.rare import rare_table, rare_text
+    from uqsphere.bench.rare_few import few_call_rows, few_call_text
 
     if not 1 <= chosen.reliability <= 1000:
         raise UsageError(f"--reliability takes 1 to 1,000 runs of each problem, found {chosen.reliability}")
     rows = rare_table(repetitions=chosen.reliability, notice=_notice)
+    few = few_call_rows(repetitions=chosen.reliability, notice=_notice)
     if chosen.json:
-        document({"reliability": [asdict(row) for row in rows]})
+        document({"reliability": [asdict(row) for row in rows], "few_calls": [asdict(row) for row in few]})
     else:
         print(rare_text(rows))
+        print()
+        print(few_call_text(few))
     return 0
 
 

@@ -9,16 +9,16 @@ import numpy as np
 
 from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
-from uqsphere.uq.augmented import Trusted, indices_of, trust, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, indices_of, joined, trust, widened, with_residuals
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
-from uqsphere.uq.estimates import Description, Estimate, describe
+from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["MODELS", "SIZES", "dear_rows"]
 
-#: models with a known truth: smooth, sharp, kinked, and of eight inputs
-MODELS = ("ishigami", "g-function", "kinked", "lognormal", "borehole")
+#: models with a known truth: smooth, sharp, kinked, of eight inputs, with true zeros, and two that a fit has exactly
+MODELS = ("ishigami", "g-function", "kinked", "lognormal", "borehole", "linear", "product")
 SIZES = (64, 128, 256)
 WAY, REFUSED = "surrogate", "refused: its runs sampled"
 #: the design that the surrogate is evaluated on: replicates and points of each
@@ -36,11 +36,14 @@ def _large(model: CoverageModel, seed: int) -> Array:
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
 
 
-def _described(trusted: Trusted, large: Array, seed: int) -> Description:
+def _described(trusted: Trusted, large: Array, seed: int, above: float) -> tuple[Description, Estimate]:
+    """The description, and the probability of lying above a threshold."""
     values = predict(trusted.chaos, large).reshape(REPLICATES, POINTS)
     moved, reach = with_residuals(trusted, values, random_generator(seed=seed, task="dear: residuals"))
     told = [describe(moved + side * reach, quantiles=QUANTILES) for side in (0.0, -1.0, 1.0)]
-    return widened(trusted, *told)
+    shares = [(moved + side * reach > above).mean(axis=1) for side in (0.0, -1.0, 1.0)]
+    middle, down, up = (from_replicates(share, WAY, POINTS * REPLICATES) for share in shares)
+    return widened(trusted, *told), joined(middle, down, up, len(trusted.residuals))
 
 
 def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:
@@ -68,7 +71,9 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
             answers = [a for a in _answers(model, found) if a[1].value is not None]
             hits += [coverage_hit(kind, REFUSED, model.name, "y", n, e, truth) for kind, e, truth in answers]
             continue
-        for kind, estimate, truth in _answers(model, _described(trusted, large, seed)):
+        description, probability = _described(trusted, large, seed, model.quantiles[max(QUANTILES)])
+        exceeded = ("probability", probability, 1.0 - max(QUANTILES))
+        for kind, estimate, truth in [*_answers(model, description), exceeded]:
             hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
         indices = indices_of(trusted)
         for order, truths in (("first", model.first), ("total", model.total)):
@@ -84,7 +89,7 @@ def dear_rows(
     sizes: Sequence[int] = SIZES,
     notice: Callable[[str], None] = lambda text: None,
 ) -> list[CoverageRow]:
-    """Cells of the surrogate way: mean, standard deviation, quantiles and indices, at sizes that double.
+    """Cells of the surrogate way: mean, sd, quantiles, a probability of 5 % and indices, at sizes that double.
 
     Repetitions in which the surrogate is refused are cells of their own: their runs are sampled as they are.
     """

@@ -349,6 +349,7 @@ def computed_chapter(contents: Contents) -> Chapter:
             table=method.model_table(contents),
             appendix=True,
         ),
+        Block(heading="Plan and account", table=method.plan_table(contents), kind="notes"),
         Block(heading="Methods", table=method.methods_table(contents), kind="notes"),
         Block(
             heading="What was asked, what was reached",

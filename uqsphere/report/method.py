@@ -29,6 +29,7 @@ __all__ = [
     "methods_table",
     "model_table",
     "paper_table",
+    "plan_table",
     "repeat_rows",
 ]
 
@@ -244,6 +245,28 @@ def _named(contents: Contents) -> Iterator[tuple[str, str]]:
             for estimate in (entry.get(order) or {}).values():
                 if estimate["value"] is not None:
                     yield estimate["method"], f"indices of {symbol(name)}"
+
+
+def plan_table(contents: Contents) -> Table | None:
+    """What was planned and what it took; None for runs without a plan.  What was missed stands with the accuracies."""
+    plan = contents.results.get("plan")
+    if not plan:
+        return None
+    costs = contents.manifest.get("plan") or {}
+    spent = sum(contents.results["model"]["evaluations"].values())
+    budget = contents.resolved["analysis"]["budget"]["evaluations"]
+    rows = [
+        ("way", f"{plan['way']}: {plan['why']}"),
+        ("forecast", f"{plan['sampling_evaluations']:,} evaluations by sampling, some "
+                     f"{plan['surrogate_evaluations']:,} by a surrogate"),
+        ("taken", f"{spent:,} evaluations of at most {int(budget):,}"),
+    ]  # fmt: skip
+    cost = costs.get("cost_seconds_per_evaluation")
+    if cost:
+        crossover = costs["crossover_seconds_per_evaluation"]
+        text = f"{number_text(f'{cost:.2g}')} s; a surrogate takes less time above {number_text(f'{crossover:.2g}')} s"
+        rows.append(("cost of an evaluation", text))
+    return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
 
 
 def methods_table(contents: Contents) -> Table:

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, answers_of, germs_of, widest
-from uqsphere.runner.limits import judge_limits
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, widest
+from uqsphere.runner.dear_margins import dear_margins
+from uqsphere.runner.learning import Learned, learn_limits, reserve, with_surrogate_design
+from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
+from uqsphere.runner.rare import limits_missed
 from uqsphere.runner.sampling import METHOD, Sampled, missed_texts, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
@@ -76,6 +79,10 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
     found: Answers | None = None
     stopped = "evaluations"
     for count in _sizes(most, 0 if design is None else design.count):
+        kept = 0 if found is None else reserve(work, found.limits, priced.way.affordable)
+        if kept and count > priced.way.affordable - kept:
+            stopped = "evaluations"
+            break
         design = enlarge(work, design, count)
         trusted, fits = _fit(work, design, fits)
         for k, one in trusted.items():
@@ -238,6 +245,12 @@ def _conclude(
 ) -> Dear:
     """Everything the run answers: by the surrogate, and what is too rough by the runs themselves."""
     history, seconds, course, stopped = past
+    if stopped == "time":
+        learned = Learned(limits={} if found is None else found.limits)
+    else:
+        first = _from_runs(work, *_blocks(design)).limits if found is None else found.limits
+        learned = learn_limits(work, first, priced.way.affordable)
+        history, seconds = history + learned.history, seconds + learned.seconds
     if found is None and stopped != "time":
         # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
         most = design.count + priced.way.affordable - work.ledger.total
@@ -246,8 +259,15 @@ def _conclude(
     points, sample = _blocks(design)
     if found is None:
         found = _from_runs(work, points, sample)
+    limits = found.limits | {name: learned.limits[name] for name in learned.calls}
+    limits = limits | {name: _with_checks(limits[name], answer) for name, answer in learned.limits.items()}
+    if stopped != "time":
+        limits = with_surrogate_design(work, limits, demands_of(work, trusted), priced.way.affordable)
+    found = replace(found, limits=limits)
+    margins = dear_margins(work, trusted, priced.way.affordable)
     costs = {name: _needed(way, 1.0) for name, way in course.items()}
-    missed = _with_costs(missed_texts(work, found.descriptions, found.limits), costs, priced)
+    missed = missed_texts(work, found.descriptions, {})
+    missed = _with_costs([*missed, *limits_missed(work, found.limits)], costs, priced, learned.calls)
     if rough:
         missed = [f"{work.quantities[k]}: {_refused_text(trusted.get(k))}" for k in rough] + missed
     sensitivity = {
@@ -270,11 +290,16 @@ def _conclude(
         surrogate=not rough,
         sampled=sampled,
         sensitivity=sensitivity,
-        margins=_margins(work),
+        margins=margins,
         history=history,
         seconds=seconds,
         stopped=stopped,
     )
+
+
+def _with_checks(answer: LimitAnswer, told: LimitAnswer) -> LimitAnswer:
+    """An answer with what was said of an earlier one."""
+    return replace(answer, checks=(*answer.checks, *(text for text in told.checks if text not in answer.checks)))
 
 
 def _from_runs(work: Work, points: Draw, sample: Sample) -> Answers:
@@ -298,11 +323,16 @@ def _refused_text(one: Trusted | None) -> str:
     return f"{reason}; the answers are those of the runs alone, and there are no indices"
 
 
-def _with_costs(texts: Sequence[str], costs: Mapping[str, int | None], priced: Priced) -> list[str]:
+def _with_costs(
+    texts: Sequence[str], costs: Mapping[str, int | None], priced: Priced, learned: Mapping[str, int]
+) -> list[str]:
     """The texts with what each accuracy is forecast to take."""
     answer = []
     for text in texts:
         head = text.split(":")[0]
+        if head.removeprefix("limit ") in learned:
+            answer.append(f"{text} (after {learned[head.removeprefix('limit ')]} calls of active learning)")
+            continue
         names = [name for name in costs if name == head or name.startswith(head.replace("limit ", "limits.") + ".")]
         answer.append(text + _price_text([costs[name] for name in names], priced))
     return answer
@@ -342,13 +372,7 @@ def _sensitivity(
         else "no surrogate may be used, and sampled indices are beyond the budget"
     )
     nothing = absent(reason, augmented.METHOD, work.ledger.total)
-    beyond = absent("indices of pairs and groups are sampled, which is beyond the budget", METHOD, 0)
-    pairs = [f"{a}|{b}" for i, a in enumerate(names) for b in names[i + 1 :]] if analysis.second_order else []
-    sets: dict[str, Any] = {
-        "second": dict.fromkeys(pairs, beyond),
-        "group_first": dict.fromkeys(analysis.groups, beyond),
-        "group_total": dict.fromkeys(analysis.groups, beyond),
-    }
+    sets = dear_sets(work, None if found is None else one, reason)
     if found is None:
         rows = dict.fromkeys(names, nothing)
         missed = [f"indices: {reason} ({priced.way.sampling:,} evaluations)"]
@@ -379,17 +403,6 @@ def _believable(estimate: Estimate) -> Estimate:
     if estimate.value is None or estimate.half_width <= WORTHLESS:
         return estimate
     return absent("the interval spans the whole range", estimate.method, estimate.evaluations)
-
-
-def _margins(work: Work) -> dict[str, MarginAnswer]:
-    """Margins move the law of an input, beyond the runs that were made: they are left open."""
-    margins = work.study.margins
-    if margins is None:
-        return {}
-    text = "not searched for: every value of the free scalar takes 1,024 evaluations of the model, some 20,000 in all"
-    return {
-        limit.name: MarginAnswer(solve=margins.solve, values={}, curve=[], missed=[text]) for limit in work.study.limits
-    }
 
 
 if TYPE_CHECKING:

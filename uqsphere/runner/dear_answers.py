@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
 from uqsphere.runner.price import Design
 from uqsphere.runner.sampling import excess_of
@@ -16,11 +17,12 @@ from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Draw, Sample, Work, draw
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, indices_of, joined, widened, with_residuals
+from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import Description, Estimate, absent, describe
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["Answers", "answers_of", "germs_of", "widest"]
+__all__ = ["SEEN", "Answers", "answers_of", "dear_sets", "demands_of", "germs_of", "widest"]
 
 #: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
@@ -45,6 +47,40 @@ def germs_of(work: Work) -> tuple[str, ...]:
     )
 
 
+def demands_of(work: Work, trusted: Mapping[int, Trusted]) -> dict[str, tuple[Demand, float, float]]:
+    """For every quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
+    from uqsphere.uq.chaos import germ_points, predict
+
+    germs = germs_of(work)
+
+    def demand(one: Trusted) -> Demand:
+        return lambda normals: np.asarray(predict(one.chaos, germ_points(normals, germs)))
+
+    return {
+        work.quantities[k]: (demand(one), one.scatter, float(np.std(one.levels + one.residuals)))
+        for k, one in trusted.items()
+        if one.usable
+    }
+
+
+def dear_sets(work: Work, one: Trusted | None, reason: str) -> dict[str, Any]:
+    """Indices of pairs and groups where the study asks for them, off the surrogate; absent where there is none."""
+    names, analysis = work.scene_names, work.study.analysis
+    pairs = [(i, j) for i in range(len(names)) for j in range(i + 1, len(names))] if analysis.second_order else []
+    labels = [f"{names[i]}|{names[j]}" for i, j in pairs]
+    groups = [[names.index(name) for name in members] for members in analysis.groups.values()]
+    if one is None:
+        nothing = absent(reason, augmented.METHOD, 0)
+        return {"second": dict.fromkeys(labels, nothing), "group_first": dict.fromkeys(analysis.groups, nothing),
+                "group_total": dict.fromkeys(analysis.groups, nothing)}  # fmt: skip
+    first, total = group_indices(one, groups) if groups else ([], [])
+    return {
+        "second": dict(zip(labels, pair_indices(one, pairs) if pairs else [], strict=True)),
+        "group_first": dict(zip(analysis.groups, first, strict=True)),
+        "group_total": dict(zip(analysis.groups, total, strict=True)),
+    }
+
+
 def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> Answers:
     """Answers of the surrogates, with intervals that hold their errors.
 
@@ -57,9 +93,10 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     if alone:
         descriptions, limits, _ = _described(work, design, trusted, LARGER)
     excess = excess_of(work, descriptions, limits)
-    for name, answer in limits.items():
-        if answer.miss.value is None:
-            excess[f"limits.{name}.miss"] = math.inf
+    for limit in work.study.limits:
+        # what active learning goes on with is not waited for
+        if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
+            excess[f"limits.{limit.name}.miss"] = math.inf
     asked = work.study.analysis.accuracy.sobol
     for quantity, found in indices.items():
         width = widest(found)

@@ -22,7 +22,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "find_margins", "limit_values"]
+__all__ = ["MarginAnswer", "asked_probabilities", "find_margins", "limit_values"]
 
 Array = npt.NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def accepted(limit: Limit) -> float | None:
     return limit.target if limit.aim == "survive" else float(f"{1.0 - limit.target:.12g}")
 
 
-def _asked(work: Work, limit: Limit) -> tuple[float, ...]:
+def asked_probabilities(work: Work, limit: Limit) -> tuple[float, ...]:
     """The probabilities of the study and that of the limit's own target."""
     assert work.study.margins is not None
     own = accepted(limit)
@@ -66,7 +66,7 @@ def _asked(work: Work, limit: Limit) -> tuple[float, ...]:
 
 def _least(work: Work, limits: Sequence[Limit]) -> float:
     """The smallest probability, on either side, that the curves are to answer for."""
-    return BELOW * min(min(p, 1.0 - p) for limit in limits for p in _asked(work, limit))
+    return BELOW * min(min(p, 1.0 - p) for limit in limits for p in asked_probabilities(work, limit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
             grid=grid[order], table=table[order], samples=rows.samples, evaluations=work.ledger.total - before,
             rows=rows, values={}, note=seen.note,
         )  # fmt: skip
-        asked = _asked(work, limit)
+        asked = asked_probabilities(work, limit)
         # at each value some rows of its own, as long as there are evaluations at all, more within the share
         up_to = max(before + most, work.ledger.total + REPLICATES * POINTS * len(asked))
         values = refined_values(rows, limit, one.answer(asked).values, most=min(up_to, budget), taken=taken)
@@ -122,7 +122,7 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
             values={}, note=steps.note,
         )  # fmt: skip
         limit = next(limit for limit in rest if limit.name == name)
-        found[name] = replace(one, values=dict(one.answer(_asked(work, limit)).values))
+        found[name] = replace(one, values=dict(one.answer(asked_probabilities(work, limit)).values))
     return found
 
 
@@ -203,7 +203,7 @@ def _decisive(work: Work, limit: Limit) -> float:
 def _unknown(work: Work, limit: Limit, reason: str) -> MarginAnswer:
     """What is said of a limit without a curve: why every value is absent."""
     assert work.study.margins is not None
-    values = {p: absent(reason, "none", 0) for p in _asked(work, limit)}
+    values = {p: absent(reason, "none", 0) for p in asked_probabilities(work, limit)}
     decisive = _decisive(work, limit)
     about = {"probability": decisive, "value": absent(reason, "none", 0).as_dict()}
     return MarginAnswer(

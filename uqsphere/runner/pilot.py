@@ -19,14 +19,15 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.dynamics import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Candidate", "Pilot", "differences", "first_look"]
+__all__ = ["Candidate", "Pilot", "differences", "first_look", "pilot_points"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-#: points of the pilot; the comparison with other fidelities and tolerances uses the first of them
+#: points of the pilot; the comparison with other fidelities and tolerances uses the first half of them
 POINTS = 512
-COMPARED = 256
+#: of so many evaluations of the budget one may be a point of the pilot; points from which on fidelities are compared
+PART, WORTH_COMPARING = 8, 64
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
 SHARE = 0.2
 #: cost of a row in steps of the integrator: what a row takes before its first step, and what one in closed form takes
@@ -223,6 +224,15 @@ def _choose(candidates: tuple[Candidate, ...], bound: float) -> Candidate | None
     return min(served, key=lambda c: c.mixed_cost) if served else None
 
 
+def pilot_points(budget: int) -> int:
+    """Points of the pilot: fewer where the budget is small, so that the pilot takes no more than a third of it.
+
+    >>> [pilot_points(budget) for budget in (100, 1000, 4096, 2_000_000)]
+    [8, 64, 512, 512]
+    """
+    return int(min(POINTS, 1 << max(3, (budget // PART).bit_length() - 1)))
+
+
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
@@ -237,11 +247,12 @@ def first_look(work: Work) -> Pilot:
     from uqsphere.mechanics.validity import check_validity
 
     inputs = sub_inputs(work.all_inputs, work.scene_names)
-    count = POINTS if work.scene_names else 1
+    count = pilot_points(study.analysis.budget.evaluations) if work.scene_names else 1
+    compared = max(count // 2, 1)
     points = draw(inputs, seed=study.seed, task="pilot", start=0, count=count, replicates=1)
     values = {name: points.physical[0, :, k] for k, name in enumerate(work.scene_names)}
     scene = scene_of(study, values, count)
-    few = scene_of(study, {name: column[:COMPARED] for name, column in values.items()}, min(COMPARED, count))
+    few = scene_of(study, {name: column[:compared] for name, column in values.items()}, min(compared, count))
 
     def solve(scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
         evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
@@ -259,7 +270,7 @@ def first_look(work: Work) -> Pilot:
     asked, bound = study.model.fidelity, allowed_error(study)
     candidates = []
     for fidelity in FIDELITIES[:-1]:
-        if asked in ("auto", fidelity) and count > 1:
+        if (asked == fidelity and count > 1) or (asked == "auto" and count >= WORTH_COMPARING):
             cheap = solve(few, fidelity, tolerance, work.quantities)
             cost = row_cost(cheap) / row_cost(full)
             candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, cost))

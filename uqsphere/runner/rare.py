@@ -7,6 +7,7 @@ run's own chunks.  Rows far out of the ordinary may have no answer: they widen t
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -26,7 +27,20 @@ from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 from uqsphere.uq.reliability import reliability_index, strength_tails, target_met
 
-__all__ = ["METHOD", "DesignFound", "find_design", "narrower", "refine_limits"]
+__all__ = [
+    "METHOD",
+    "DesignFound",
+    "LimitSpace",
+    "complement",
+    "find_design",
+    "limit_space",
+    "limits_missed",
+    "narrower",
+    "physical_values",
+    "refine_limits",
+    "tied_strength",
+    "with_design",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +58,7 @@ _FAR: Final = 37.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Space:
+class LimitSpace:
     """A limit in standard normal space: its function, and what it takes to come back."""
 
     limit: Limit
@@ -64,11 +78,11 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     stopped = sampled.stopped
     for at, limit in enumerate(limits):
         answer = found[limit.name]
-        if _tied(work, limit):
+        if tied_strength(work, limit):
             reason = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
             found[limit.name] = replace(answer, design_reason=reason)
             continue
-        space = _space(replace(work, spare=True), limit, at)
+        space = limit_space(replace(work, spare=True), limit, at)
         left = work.study.analysis.budget.evaluations - work.ledger.total
         budget = int(min(MOST, SHARE * left / (len(limits) - at)))
         try:
@@ -83,15 +97,15 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
                 design = find_design_points(
                     Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=FOR_DESIGN
                 )
-                found[limit.name] = _with_design(work, answer, design, space)
+                found[limit.name] = with_design(work, answer, design, space)
         except OutOfBudget:
             stopped = "time"
             break
-    missed = [text for text in sampled.missed if not text.startswith("limit ")] + _missed(work, found)
+    missed = [text for text in sampled.missed if not text.startswith("limit ")] + limits_missed(work, found)
     return replace(sampled, limits=found, missed=missed, history=history, seconds=seconds, stopped=stopped)
 
 
-def _tied(work: Work, limit: Limit) -> bool:
+def tied_strength(work: Work, limit: Limit) -> bool:
     """Whether a strength depends on drawn inputs otherwise than by the Gaussian copula."""
     names = work.drawn.names
     nowhere = np.zeros((1, len(names)))
@@ -119,7 +133,8 @@ def _goes_on(work: Work, answer: LimitAnswer, budget: int) -> bool:
     return bool(missed) or doubtful
 
 
-def _missed(work: Work, limits: dict[str, LimitAnswer]) -> list[str]:
+def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[str]:
+    """What is not yet as accurate as asked of the limits, small probabilities included, in words."""
     asked = work.study.analysis.accuracy.probability
     texts = []
     for name, limit in limits.items():
@@ -133,8 +148,11 @@ def _missed(work: Work, limits: dict[str, LimitAnswer]) -> list[str]:
 # --- the limit as a function of normal scores -----------------------------------------------------
 
 
-def _space(work: Work, limit: Limit, at: int) -> _Space:
-    """The limit function of missing the aim: negative, or with a probability Phi(-g)."""
+def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Array] | None = None) -> LimitSpace:
+    """The limit function of missing the aim: negative, or with a probability Phi(-g).
+
+    `demand` gives the quantity at normal scores (n, d) of the model's inputs in place of the model.
+    """
     names = work.drawn.names
     k, d = work.quantities.index(limit.quantity), len(work.scene_names)
     weights, remaining = np.zeros(len(names)), 1.0
@@ -149,9 +167,14 @@ def _space(work: Work, limit: Limit, at: int) -> _Space:
         if work.out_of_time:
             raise OutOfBudget
         physical = physical_from_normal(work.drawn, normals)
-        answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, physical[:, :d])
-        demands = answered.values[:, k] * (fixed if factor is None else physical[:, factor])
-        demands = np.where(is_answered(answered.status), demands, np.nan)
+        scale = fixed if factor is None else physical[:, factor]
+        censored = np.zeros(len(normals), dtype=bool)
+        if demand is not None:
+            demands = demand(normals[:, :d]) * scale
+        else:
+            answered = evaluate(work, f"rare-events.{at}.{next(calls)}", work.scene_names, physical[:, :d])
+            demands = np.where(is_answered(answered.status), answered.values[:, k] * scale, np.nan)
+            censored = answered.censored[:, k]
         if isinstance(limit.strength, Law):
             shift = normal_scores(work.drawn, normals) @ weights if np.any(weights) else None
             below, above = strength_tails(limit.strength, np.nan_to_num(demands), shift, remaining)
@@ -159,14 +182,16 @@ def _space(work: Work, limit: Limit, at: int) -> _Space:
         else:
             value = limit.strength - demands
         # a demand that outlasts the record is only known to be larger: it is not known whether it fails
-        open_ended = answered.censored[:, k] & (value > (-_FAR if isinstance(limit.strength, Law) else 0.0))
+        open_ended = censored & (value > (-_FAR if isinstance(limit.strength, Law) else 0.0))
         value = np.where(np.isnan(demands) | open_ended, np.nan, value)
         return np.asarray(-value if limit.aim == "break" else value)
 
     function = LimitFunction(
         function=g, dimension=len(names), integrated=isinstance(limit.strength, Law), on_failure="bound"
     )
-    return _Space(limit=limit, function=function, flipped=limit.aim == "break", weights=weights, remaining=remaining)
+    return LimitSpace(
+        limit=limit, function=function, flipped=limit.aim == "break", weights=weights, remaining=remaining
+    )
 
 
 def _evaluate_without_scatter(work: Work, key: str, names: tuple[str, ...], rows: Array) -> Any:
@@ -193,7 +218,7 @@ def _score(below: Array, above: Array) -> Array:
 # --- answers --------------------------------------------------------------------------------------
 
 
-def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, space: _Space) -> LimitAnswer:
+def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, space: LimitSpace) -> LimitAnswer:
     """The limit's answer with the rare-event probability, unless sampling's own interval is the narrower."""
     checks = list(rare.checks)
     own, old = rare.estimate, answer.miss
@@ -202,7 +227,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
         checks.append(text)
     exceeded = answer.exceedance
     if kept is own:
-        exceeded = own if limit.aim == "survive" else _complement(own)
+        exceeded = own if limit.aim == "survive" else complement(own)
     updated = replace(
         answer,
         miss=kept,
@@ -213,7 +238,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
         modes=rare.modes or None,
         checks=tuple(checks),
     )
-    return _with_design(work, updated, rare.design, space)
+    return with_design(work, updated, rare.design, space)
 
 
 def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
@@ -232,13 +257,13 @@ def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
     return own, "plain sampling agrees"
 
 
-def _complement(e: Estimate) -> Estimate:
+def complement(e: Estimate) -> Estimate:
     if e.value is None or e.low is None or e.high is None:
         return e
     return replace(e, value=1.0 - e.value, low=1.0 - e.high, high=1.0 - e.low)
 
 
-def _with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: _Space) -> LimitAnswer:
+def with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: LimitSpace) -> LimitAnswer:
     """Physical design point and importance factors of the nearest design point."""
     known = [point for point in design.points if point.converged]
     if not known:
@@ -250,14 +275,14 @@ def _with_design(work: Work, answer: LimitAnswer, design: FormAnswer, space: _Sp
     shares = {name: float(share) for name, share in zip(names, point.importance, strict=True)}
     return replace(
         answer,
-        design=_physical(work, point, space),
+        design=physical_values(work, point, space),
         design_points=len(known),
         governing=shares,
         governing_method="squared direction cosines of the design point (importance factors)",
     )
 
 
-def _physical(work: Work, point: DesignPoint, space: _Space) -> dict[str, float]:
+def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[str, float]:
     """Values of the inputs, and of a random strength, at a design point; SI."""
     d = len(work.drawn.names)
     normals = point.point[None, :d]
@@ -301,9 +326,9 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
     """
     if not work.drawn.names:
         return "nothing but the strength is random"
-    if _tied(work, limit):
+    if tied_strength(work, limit):
         return "the strength depends on an input by a copula that is not Gaussian"
-    space = _space(replace(work, spare=True, store=None), limit, 0)
+    space = limit_space(replace(work, spare=True, store=None), limit, 0)
     found = find_design_points(
         Evaluator(limit=space.function, budget=FOR_DESIGN), seed=work.study.seed, most=FOR_DESIGN
     )
@@ -314,4 +339,4 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
     if space.function.integrated:
         names.append(f"limits.{limit.name}.strength")
     shares = {name: float(share) for name, share in zip(names, known[0].importance, strict=True)}
-    return DesignFound(values=_physical(work, known[0], space), shares=shares, beta=known[0].beta)
+    return DesignFound(values=physical_values(work, known[0], space), shares=shares, beta=known[0].beta)

@@ -20,6 +20,8 @@ __all__ = ["METHOD", "Sampled", "excess_of", "missed_texts", "sample_distributio
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
 FIRST = 128
+#: the fewest
+LEAST = 2
 #: points of each replicate from which on an accuracy may be given up
 JUDGED = 512
 #: share of the budget that sampling may take where sensitivities and margins are still to come
@@ -193,6 +195,22 @@ def _hopeless(
     return bool(finite) and all(out_of_reach(_late(course[name]), 1.0, affordable) for name in finite)
 
 
+def _first_stage(work: Work) -> int:
+    """Points of the first stage in each replicate: fewer where the budget has no room for all of them.
+
+    Raises UsageError where it has room for no replicates at all.
+    """
+    room = work.study.analysis.budget.evaluations - work.ledger.total
+    if not work.scene_names or room >= REPLICATES * FIRST:
+        return FIRST
+    if room < REPLICATES * LEAST:
+        raise UsageError(
+            f"the budget has room for {max(room, 0)} evaluations after the pilot, and the smallest sample takes "
+            f"{REPLICATES * LEAST}: raise analysis.budget.evaluations"
+        )
+    return int(2 ** ((room // REPLICATES).bit_length() - 1))
+
+
 def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
     """Sample until the accuracy is reached; a study without scatter is evaluated once.
 
@@ -213,7 +231,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
     course: dict[str, list[tuple[int, float]]] = {}
     control = control or Control(plan=None, text="", used=False)
     while True:
-        count = FIRST if start == 0 else start
+        count = _first_stage(work) if start == 0 else start
         if start and work.ledger.total + affordable_rows(control, count) > budget:
             stopped = "evaluations"
             break

@@ -26,7 +26,18 @@ from uqsphere.uq.chaos.truncation import products
 from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.families import Array
 
-__all__ = ["METHOD", "MOST", "Trusted", "indices_of", "joined", "left_out", "trust", "widened", "with_residuals"]
+__all__ = [
+    "METHOD",
+    "MOST",
+    "Trusted",
+    "index_estimate",
+    "indices_of",
+    "joined",
+    "left_out",
+    "trust",
+    "widened",
+    "with_residuals",
+]
 
 METHOD: Final = "surrogate, corrected by its residuals"
 #: largest share of the variance that a surrogate may leave and still be used
@@ -37,6 +48,8 @@ _FEW: Final = 2.3
 #: where a surrogate is rough: `uqsphere.bench.dear` measures what they cover
 _LEVEL: Final = 3.2
 _SPREAD: Final = 3.7
+#: the same for an index: what residuals leave of it is mostly far less than their share of the variance, not always
+_INDEX: Final = 1.5
 #: runs whose residuals a level of the surrogate shares, at least and as a part of all
 _LEAST: Final = 12
 _PART: Final = 8
@@ -228,7 +241,7 @@ def indices_of(trusted: Trusted) -> dict[str, list[Estimate]]:
     """First and total indices {"first": [...], "total": [...]} of the model, one for each input.
 
     With Y = S + r, an index is off by what S shares with r, of which N runs leave 2 sqrt(I (1 - I) e/N), and by the
-    share of r itself, which is between 0 and e (`chaos_indices`).  e is uncertain and counts twice, on both sides.
+    share of r itself, which is between 0 and e (`chaos_indices`) and counts on both sides.
     """
     chaos, n = trusted.chaos, len(trusted.residuals)
     if chaos.constant:
@@ -236,13 +249,14 @@ def indices_of(trusted: Trusted) -> dict[str, list[Estimate]]:
         return {order: [nothing] * len(chaos.germs) for order in ("first", "total")}
     # of one fit that was transformed or split the indices are sampled, and their error is known from those of no error
     found = chaos_indices([chaos], error=0.0, evaluations=n)
-    return {order: [_index(e, trusted.error, n) for e in row] for order, row in found.items()}
+    return {order: [index_estimate(e, trusted.error, n) for e in row] for order, row in found.items()}
 
 
-def _index(estimate: Estimate, error: float, n: int) -> Estimate:
+def index_estimate(estimate: Estimate, error: float, n: int, sampled: float = 0.0) -> Estimate:
+    """An index of the surrogate with an interval that holds the model's; `sampled`: how far its value may be off."""
     if estimate.value is None:
         return replace(estimate, method=METHOD)
     value = estimate.value
-    noise = _FEW * 2.0 * math.sqrt(max(value * (1.0 - value), error) * error / n)
-    half = 1.3 * estimate.half_width + noise + 2.0 * error + 1e-15
+    noise = _INDEX * 2.0 * math.sqrt(max(value * (1.0 - value), error) * error / n)
+    half = 1.3 * max(estimate.half_width, sampled) + noise + error + 1e-15
     return _span(estimate, max(0.0, value - half), min(1.0, value + half), n)

@@ -17,30 +17,56 @@ import numpy as np
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
+from uqsphere.uq.rare.form import FormAnswer
 from uqsphere.uq.rare.importance import wide_mixture
 from uqsphere.uq.rare.kriging import Kriging, fit_kriging, predict, through
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
 from uqsphere.uq.sampling import sobol_points
 
-__all__ = ["ActiveAnswer", "learn_probability"]
+__all__ = ["METHOD", "ActiveAnswer", "learn_probability"]
 
 #: calls between two looks at the lengths of the process, and candidates of every look
 EVERY, CANDIDATES = 5, 6000
 #: looks at untouched space for every variable, before the process is believed
 LOOKS = 6
+#: doubt that is said to be more than the answer can bear
+DOUBT = 0.2
 METHOD = "active learning, Gaussian process"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActiveAnswer:
-    """The estimate after `calls` of the model; `doubt`: share of the probability that the process could still
-    have wrong, anywhere within the reach of the candidates; `modes` as `find_probability` counts them."""
+    """The estimate after `calls` of the model, and what speaks for and against it.
+
+    `doubt`: share of the probability that the process could still have wrong, anywhere within the reach of the
+    candidates; `modes` and `design` as `find_probability` has them, of the process.  `looked` of `looks` points were
+    spent in untouched space after the process had settled; `failed` points have no answer.
+    """
 
     estimate: Estimate
     calls: int
     doubt: float
     modes: int
+    looked: int = 0
+    looks: int = 0
+    failed: int = 0
+    design: FormAnswer | None = None
+
+    @property
+    def warning(self) -> str:
+        """Why the answer may be wrong beyond its interval, or an empty text."""
+        texts = []
+        if self.looked < self.looks:
+            texts.append(
+                f"a mode may have been missed: {self.looked} of the {self.looks} looks at untouched space were made "
+                f"before the calls ran out"
+            )
+        if self.doubt > DOUBT:
+            texts.append(f"the process could have {min(self.doubt, 1.0):.0%} of the probability wrong")
+        if self.failed:
+            texts.append(f"{self.failed} of its points have no answer, and what lies there is guessed")
+        return "; ".join(texts)
 
 
 def learn_probability(
@@ -60,7 +86,7 @@ def learn_probability(
         known = np.isfinite(values)
         if known.sum() < 3:
             nothing = absent("fewer than three of the first points have an answer", METHOD, evaluator.count)
-            return ActiveAnswer(estimate=nothing, calls=evaluator.count, doubt=1.0, modes=0)
+            return _nothing(nothing, evaluator, size)
         model = fit_kriging(points[known], _squeezed(values[known]))
         while evaluator.left >= 1 and (calm < 3 or looked < LOOKS * size):
             candidates, weights = _candidates(model, seed, task, evaluator.count)
@@ -88,9 +114,16 @@ def learn_probability(
             else:
                 model = through(points[known], _squeezed(values[known]), model.lengths)
     except Spent:
-        return ActiveAnswer(estimate=absent("the budget does not suffice for a first design", METHOD, evaluator.count),
-                            calls=evaluator.count, doubt=1.0, modes=0)  # fmt: skip
-    return _answer(model, size, seed, evaluator.count, doubt)
+        return _nothing(
+            absent("the budget does not suffice for a first design", METHOD, evaluator.count), evaluator, size
+        )
+    found = _answer(model, size, seed, evaluator.count, doubt)
+    return replace(found, looked=looked, looks=LOOKS * size, failed=evaluator.failed)
+
+
+def _nothing(estimate: Estimate, evaluator: Evaluator, size: int) -> ActiveAnswer:
+    return ActiveAnswer(estimate=estimate, calls=evaluator.count, doubt=1.0, modes=0, looks=LOOKS * size,
+                        failed=evaluator.failed)  # fmt: skip
 
 
 def _first_points(size: int, seed: int, task: str, count: int) -> Array:
@@ -173,4 +206,4 @@ def _answer(model: Kriging, size: int, seed: int, calls: int, doubt: float) -> A
     high = max(middle.high, most.high if most.high is not None else middle.high)
     estimate = Estimate(value=middle.value, low=low, high=high, std_error=(high - low) / 3.92, method=METHOD,
                         evaluations=calls)  # fmt: skip
-    return ActiveAnswer(estimate=estimate, calls=calls, doubt=doubt, modes=found[0].modes)
+    return ActiveAnswer(estimate=estimate, calls=calls, doubt=doubt, modes=found[0].modes, design=found[0].design)

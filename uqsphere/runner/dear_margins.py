@@ -1,0 +1,256 @@
+"""Margins of a dear model, off a surrogate, with the surrogate's error in every interval.
+
+Where the free scalar is a strength, the surrogate of the study is enough: the demands stay what they are.  Where it is
+an input, the laws of the study do not reach as far as the range that is asked for, and a design of its own is run: the
+inputs and the free scalar together, evenly spread over its range, and a surrogate of both is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.runner.dear_answers import SEEN, germs_of
+from uqsphere.runner.limits import state_of
+from uqsphere.runner.margins import MarginAnswer, asked_probabilities
+from uqsphere.runner.moved import moved_study, probabilities, strength_solved
+from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_points
+from uqsphere.study import Limit
+from uqsphere.uq import augmented
+from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
+from uqsphere.uq.distribution import Law, nominal_mean
+from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.fragility import fit_lognormal_curve
+from uqsphere.uq.inputs import physical_from_normal
+from uqsphere.uq.laws import LawError
+from uqsphere.uq.margins import Fragility, fragility
+from uqsphere.uq.sampling import random_generator, sobol_points
+
+__all__ = ["dear_margins"]
+
+Array = npt.NDArray[np.float64]
+
+#: values of a curve, and points of each replicate at every one of them
+VALUES: Final = 25
+POINTS: Final = 1024
+#: runs of the design over the free scalar: the most, and the fewest that a curve is drawn from
+MOST_RUNS: Final = 256
+LEAST_RUNS: Final = 32
+
+#: demands (R, n) at a value of the scalar with a residual each, and how far the law may be off there
+_Demands = Callable[[float], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wide:
+    """Surrogates over inputs and the free scalar, by quantity, or why there are none."""
+
+    trusted: Mapping[str, Trusted]
+    runs: int
+    reason: str = ""
+
+
+def dear_margins(work: Work, trusted: Mapping[int, Trusted], affordable: int) -> dict[str, MarginAnswer]:
+    """Curves and values of the free scalar for every limit; those that cannot be given say why.
+
+    Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.
+    """
+    margins = work.study.margins
+    if margins is None:
+        return {}
+    solved = strength_solved(margins.solve)
+    wide: _Wide | None = None
+    found = {}
+    for limit in work.study.limits:
+        if solved is not None and solved != limit.name:
+            found[limit.name] = _nothing(work, f"the free strength is that of limit {solved}, which does not move this")
+            continue
+        if solved is not None:
+            one = trusted.get(work.quantities.index(limit.quantity))
+            if one is None or not one.usable:
+                found[limit.name] = _nothing(work, "no surrogate may be used, and sampling is beyond the budget")
+                continue
+            found[limit.name] = _answer(work, limit, one, _of_strength(work, limit, one), len(one.residuals))
+            continue
+        wide = _over_scalar(work, affordable) if wide is None else wide
+        if limit.quantity not in wide.trusted:
+            found[limit.name] = _nothing(work, wide.reason)
+            continue
+        one = wide.trusted[limit.quantity]
+        if not one.usable:
+            found[limit.name] = _nothing(work, f"the surrogate over {margins.solve} and the inputs is {one.reason}")
+            continue
+        found[limit.name] = _answer(work, limit, one, _of_scalar(work, limit, one), wide.runs)
+    return found
+
+
+def _nothing(work: Work, reason: str) -> MarginAnswer:
+    assert work.study.margins is not None
+    return MarginAnswer(solve=work.study.margins.solve, values={}, curve=[], missed=[reason])
+
+
+def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
+    """Demands in proportion, as if the strength were what the study says."""
+    from uqsphere.uq.chaos import germ_points, predict
+
+    d = len(work.scene_names)
+    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
+    values = predict(one.chaos, germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work)))
+    rng = random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}")
+    centre, reach = with_residuals(one, values.reshape(large.normals.shape[:2]), rng)
+    nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
+    return lambda value: (centre * (nominal / value), reach * (nominal / value))
+
+
+def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
+    """Demands of the surrogate over the free scalar: the same normal scores and residuals' numbers at every value."""
+    from uqsphere.uq.chaos import germ_points, predict
+
+    d = len(work.scene_names)
+    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
+    points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work))
+
+    def demands(value: float) -> tuple[Array, Array]:
+        rows = np.column_stack([points, np.full(len(points), _germ(work, value))])
+        values = predict(one.chaos, rows).reshape(large.normals.shape[:2])
+        return with_residuals(one, values, random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}"))
+
+    return demands
+
+
+def _germ(work: Work, value: float) -> float:
+    """The free scalar between its bounds as a uniform germ in [-1, 1], by its logarithm where it is positive."""
+    assert work.study.margins is not None
+    low, high = work.study.margins.between
+    if low > 0.0:
+        low, high, value = math.log(low), math.log(high), math.log(value)
+    return 2.0 * (value - low) / (high - low) - 1.0
+
+
+def _grid(work: Work) -> Array:
+    assert work.study.margins is not None
+    low, high = work.study.margins.between
+    return np.geomspace(low, high, VALUES) if low > 0.0 else np.linspace(low, high, VALUES)
+
+
+def _over_scalar(work: Work, affordable: int) -> _Wide:
+    """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them."""
+    from scipy.special import ndtri
+
+    from uqsphere.uq.chaos import fit_outputs, germ_points
+
+    study = work.study
+    assert study.margins is not None
+    d, name = len(work.scene_names), study.margins.solve
+    count = min(MOST_RUNS, affordable - work.ledger.total)
+    count = 2 ** int(math.log2(count)) if count >= LEAST_RUNS else 0
+    if not count:
+        reason = f"not searched for: a design over {name} takes {LEAST_RUNS} to {MOST_RUNS} more evaluations"
+        return _Wide(trusted={}, runs=0, reason=reason)
+    uniforms = sobol_points(dimension=d + 1, count=count, seed=study.seed, task="dear.margins.runs", replicate=0)
+    normals = np.asarray(ndtri(uniforms[:, :d]))
+    low, high = study.margins.between
+    share = uniforms[:, d]
+    values = low * (high / low) ** share if low > 0.0 else low + (high - low) * share
+    random = name in study.random
+    try:
+        rows = np.array([_row(work, row, float(value)) for row, value in zip(normals, values, strict=True)])
+    except LawError as error:
+        return _Wide(trusted={}, runs=0, reason=f"{name} cannot be moved over the whole range: {error}")
+    names = work.scene_names if random else (*work.scene_names, name)
+    rows = rows if random else np.column_stack([rows, values])
+    try:
+        run = evaluate_points(replace(work, spare=True), "margins-surrogate", names, rows)
+    except OutOfBudget:
+        return _Wide(trusted={}, runs=0, reason="no curve could be computed: the time was over")
+    if run.status.any():
+        lost = int(np.count_nonzero(run.status))
+        return _Wide(trusted={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")
+    germs = (*germs_of(work), "uniform")
+    points = np.column_stack([germ_points(normals, germs[:d]), [_germ(work, float(value)) for value in values]])
+    half = count // 2
+    before = fit_outputs(points[:half], run.values[:half], germs)
+    fits = fit_outputs(points, run.values, germs)
+    found = {
+        quantity: trust(fits[k], points, run.values[:, k], before[k]) for k, quantity in enumerate(work.quantities)
+    }
+    return _Wide(trusted=found, runs=count)
+
+
+def _row(work: Work, normals: Array, value: float) -> Array:
+    """Physical inputs (d,) at normal scores where the free scalar has a value."""
+    moved = replace(work, study=moved_study(work.study, work.study.margins.solve, value))  # type: ignore[union-attr]
+    d = len(work.scene_names)
+    scores = np.zeros((1, len(moved.drawn.names)))
+    scores[0, :d] = normals
+    return np.asarray(physical_from_normal(moved.drawn, scores)[0, :d])
+
+
+def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int) -> MarginAnswer:
+    """The curve of a limit and its values, from the law of the demands and from both its bounds."""
+    assert work.study.margins is not None
+    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
+    targets = asked_probabilities(work, limit)
+    known: dict[float, Array] = {}
+
+    def along(grid: Array) -> list[Fragility]:
+        for value in grid:
+            if float(value) not in known:
+                known[float(value)] = _exceeding(work, limit, large, *demands(float(value)))
+        tables = np.array([known[float(value)] for value in grid])
+        return [fragility(grid, tables[:, side], targets, samples=POINTS, evaluations=runs) for side in range(3)]
+
+    grid = _grid(work)
+    drawn = along(grid)
+    # interpolation between the values of the curve costs more than noise does: answers get values close by
+    close = [x for e in drawn for f in e.values.values() if f.value is not None for x in _about(grid, f.value)]
+    told = along(np.unique([*grid, *close]))
+    tables = np.array([known[float(value)] for value in grid])
+    values = {p: _value(p, told[0].values[p], told[1].values[p], told[2].values[p], runs) for p in targets}
+    curve = [
+        [row[0], row[1], min(r[2] for r in rows), max(r[3] for r in rows)]
+        for row, *rest in zip(*(one.curve for one in drawn), strict=True)
+        for rows in [[row, *rest]]
+    ]
+    missed = [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
+    return MarginAnswer(
+        solve=work.study.margins.solve,
+        values=values,
+        curve=curve,
+        missed=missed,
+        lognormal=fit_lognormal_curve(grid, tables[:, 0], evaluations=runs),
+    )
+
+
+def _about(grid: Array, value: float) -> list[float]:
+    """Values on either side of an answer, a tenth of a step away, within the grid."""
+    at = int(np.clip(np.searchsorted(grid, value), 1, grid.size - 1))
+    step = 0.1 * float(grid[at] - grid[at - 1])
+    return [float(np.clip(x, grid[0], grid[-1])) for x in (value - step, value + step)]
+
+
+def _value(p: float, middle: Estimate, down: Estimate, up: Estimate, runs: int) -> Estimate:
+    if middle.value is None:
+        return replace(middle, method=augmented.METHOD, evaluations=runs)
+    if min(p, 1.0 - p) * runs < SEEN:
+        reason = f"too far out for a surrogate of {runs} runs: none of them would be expected to show it"
+        return absent(reason, augmented.METHOD, runs)
+    return joined(middle, down, up, runs)
+
+
+def _exceeding(work: Work, limit: Limit, large: Draw, centre: Array, reach: Array) -> Array:
+    """Probabilities of exceeding (3, R): by the demands, and with the law shifted down and up."""
+    k = work.quantities.index(limit.quantity)
+    values = np.zeros((*centre.shape, len(work.quantities)))
+    found = []
+    for side in (0.0, -1.0, 1.0):
+        values[:, :, k] = centre + side * reach
+        shape = values.shape
+        sample = Sample(values=values, censored=np.zeros(shape, dtype=bool), status=np.zeros(shape[:2], dtype=np.int64))
+        found.append(probabilities(state_of(work, limit, large, sample)))
+    return np.array(found)
