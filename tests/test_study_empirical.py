@@ -55,7 +55,7 @@ def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
         (("", ""), "E\n1\nx\n", "line 3 .*: found \"x\""),
         (("", ""), "E\n1\ninf\n", "finite number is due"),
         (("", ""), "E,F\n1,2\n,3\n", "finite number is due"),
-        (("", ""), "E\n1\n", "found 1 values"),
+        (("", ""), "E\n1\n", "found 1 value"),
         (("", ""), "E\n1\n1\n", "no scatter|scatter"),
         (("", ""), "", "is empty"),
         (("", ""), "E\n" + "1\n2\n" * 300_000, "larger than 1 MiB"),

@@ -85,7 +85,7 @@ def make_mesh(contact_ratio: float, count: int = 40, finest: float = 2e-3) -> Me
     """`count` rings and as many sectors outside the contact, as many inside, from steps of `finest` a on.
 
     >>> make_mesh(0.2, 8, 0.05).quads.shape
-    (84, 9)
+    (112, 9)
     """
     rim, first = math.asin(contact_ratio), finest * contact_ratio
     inner = _edges(count, first, rim)
