@@ -14,7 +14,7 @@ from uqsphere.report import canvas
 from uqsphere.report.blocks import Block
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import read_contents
-from uqsphere.report.html import new_environment, page_style
+from uqsphere.report.html import new_environment
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
     ABSENT,
@@ -168,7 +168,7 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
     )  # fmt: skip
     return (
         template.render(
-            style=Markup(page_style()),
+            version="",
             title=f"{found['before']['title']} / {found['after']['title']}"
             if found["before"]["title"] != found["after"]["title"]
             else found["before"]["title"],
