@@ -308,7 +308,12 @@ def test_override_that_is_none(load: Load, override: str) -> None:
 
 def test_null_takes_out_what_stands_there(load: Load) -> None:
     assert load(BASE).dependence
-    sets = ("dependence=null", "limits.crushing.target=null", "analysis.quantiles=[0.5, 0.9]", "analysis.quantiles[0]=null")
+    sets = (
+        "dependence=null",
+        "limits.crushing.target=null",
+        "analysis.quantiles=[0.5, 0.9]",
+        "analysis.quantiles[0]=null",
+    )
     study = load(BASE, overrides=sets)
     assert study.dependence == ()
     assert study.limits[0].target is None

@@ -286,7 +286,8 @@ def _own(key: str, value: str, prefix: str) -> str:
     if key == "id":
         return prefix + value
     if key == "href":
-        return "#" + prefix + value.removeprefix("#")
+        # pictures inside a drawing carry their data here
+        return "#" + prefix + value[1:] if value.startswith("#") else value
     if key == "aria-labelledby":
         return " ".join(prefix + word for word in value.split())
     value = re.sub(r"url\(#", f"url(#{prefix}", value)

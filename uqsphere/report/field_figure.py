@@ -105,8 +105,8 @@ def _tensions(axes: Axes, view: FieldView) -> None:
 
 
 def _field_finding(view: FieldView) -> str:
-    text = "V: at rest behind the pulse; VI: pulse and reflected wave; VII: reflected wave alone; VIII: transmitted "
-    text += "wave; X, XI: the same after the pulse has passed (numbers of the paper)."
+    low, high = float(view.stress.min()) * 1e-6, float(view.stress.max()) * 1e-6
+    text = f"The bars carry between {low:.3g} and {high:.3g} MPa (tension positive).".replace("-", "−")
     tensions = {one.bar: one for one in view.tensions}
     for bar in BARS:
         found = tensions.get(bar)
@@ -114,8 +114,11 @@ def _field_finding(view: FieldView) -> str:
             text += f" The {bar} bar sees no tension."
         else:
             text += f" The {bar} bar is first under tension {found.position:.4g} m from the sphere after "
-            text += f"{found.time * 1e6:.4g} us (circle)."
-    return text
+            text += f"{found.time * 1e6:.4g} µs (circle)."
+    return (
+        f"{text} Regions, by the numbers of the paper – V: at rest behind the pulse; VI: pulse and reflected wave; "
+        "VII: reflected wave alone; VIII: transmitted wave; X, XI: the same after the pulse has passed."
+    )
 
 
 def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
