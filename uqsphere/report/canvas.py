@@ -28,7 +28,9 @@ __all__ = [
     "GREEN",
     "GREY",
     "INK",
+    "LIGHT",
     "MARKS",
+    "ON_LIGHT",
     "ORANGE",
     "PAPER",
     "PURPLE",
@@ -46,6 +48,9 @@ __all__ = [
 ]
 
 INK: Final = "#1b1f24"
+#: ink and paper that no theme turns round: for what lies on colours that stay light on a dark page
+ON_LIGHT: Final = "#1a1e23"
+LIGHT: Final = "#fefefe"
 GREY: Final = "#6b7280"
 FAINT: Final = "#d6d9de"
 PAPER: Final = "#ffffff"

@@ -139,7 +139,8 @@ def margins_chapter(contents: Contents) -> Chapter:
     shown = _decided(contents)
     blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
     for name in limits:
-        heading = f"The likeliest way to miss the aim of {limit_name(name)}"
+        way = "keep" if drivers.mostly_missed(limits[name]) else "miss"
+        heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
         blocks += [
             Block(
                 heading=f"Where the margin of {limit_name(name)} goes",

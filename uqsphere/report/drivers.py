@@ -28,6 +28,7 @@ __all__ = [
     "given_failure_table",
     "measure_finding",
     "measure_table",
+    "mostly_missed",
     "shapley_table",
 ]
 
@@ -187,10 +188,10 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
             "input",
             "change of the probability per standard deviation",
             "share in its uncertainty",
-            f"specimens until its error moves the probability by {wanted} of its value",
+            f"tests until its error moves the probability by {wanted} of its value",
         )
     else:
-        header = ("input", "share of the variance", f"specimens until {wanted} of today’s variance is left to it")
+        header = ("input", "share of the variance", f"tests until {wanted} of today’s variance is left to it")
     return Table(caption=caption, header=header, rows=tuple(rows))
 
 
@@ -200,7 +201,7 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     if not rows or entry is None:
         return ""
     first, wanted = rows[0], f"{100.0 * entry['wanted']:g} %"
-    tests = thousands(first["tests"]) + f" specimen{'s' if first['tests'] != 1 else ''}"
+    tests = thousands(first["tests"]) + f" test{'s' if first['tests'] != 1 else ''}"
     text = f"Measure {input_name(first['input'])} first: after {tests} "
     if entry["of"] == "probability":
         return text + f"the error left in its mean moves the probability by {wanted} of its value (one standard error)."
@@ -228,14 +229,21 @@ def design_table(contents: Contents, name: str) -> Table | None:
     )
 
 
+def mostly_missed(limit: Mapping[str, Any]) -> bool:
+    """Whether the aim of a limit is missed in more than half of the cases."""
+    return bool((limit["miss"]["value"] or 0.0) > 0.5)
+
+
 def design_finding(contents: Contents, name: str) -> str:
     """What the search for the design point found, in sentences."""
     limit = contents.results["limits"][name]
     reason = limit.get("design_point_reason")
     if not limit.get("design_point"):
         return f"No design point: {reason}." if reason else ""
-    text = "Of all combinations of inputs that miss the aim this is the likeliest; factors are its squared direction "
-    text += "cosines in standard normal space."
+    # where most samples miss the aim the point lies on the way to those that keep it
+    which = "keep" if mostly_missed(limit) else "miss"
+    text = f"Of all combinations of inputs that {which} the aim this is the likeliest; factors are its squared "
+    text += "direction cosines in standard normal space."
     if limit.get("design_points", 1) > 1:
         text += f" {limit['design_points']} such points were found, of which this is the nearest."
     return text

@@ -13,6 +13,7 @@ from uqsphere.quantities import OUTPUTS
 from uqsphere.report import canvas
 from uqsphere.report.bearing import bearing, breach, grave, warned
 from uqsphere.report.contents import Contents
+from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
     absent_reason,
@@ -25,6 +26,7 @@ from uqsphere.report.wording import (
     plain_percent,
     probability_range,
     probability_text,
+    rounded,
     symbol,
     value_text,
 )
@@ -115,7 +117,11 @@ def _headline(miss: Mapping[str, Any]) -> str:
     value, low, high = miss["value"], miss["low"], miss["high"]
     if value is None or low is None or high is None or not 0.0 < high - low < 0.02 * min(value, 1.0 - value):
         return probability_text(miss)
-    return plain_percent(value)
+    if value > 0.99:
+        return plain_percent(value)
+    if value < 1e-4:
+        return rounded(miss, digits=3)
+    return rounded({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}, digits=3) + " %"
 
 
 def _ends(miss: Mapping[str, Any]) -> str:
@@ -174,7 +180,7 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         order = sorted(governing, key=lambda n: -governing[n])
         kept = [n for n in order if governing[n] >= 0.05][:3] or order[:1]
         text += listed([f"{input_name(n)} ({100.0 * governing[n]:.0f} %)" for n in kept])
-        text += ", by their importance factors in the likeliest failure. "
+        text += f", by their importance factors in the likeliest {'success' if mostly_missed(limit) else 'failure'}. "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
     return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()

@@ -168,8 +168,15 @@ def probability_range(low: float, high: float) -> str:
 
     >>> probability_range(1.5331809e-06, 0.0123)
     '1.5 × 10⁻⁶ to 1.2 %'
+    >>> probability_range(0.99901, 0.9999997)
+    '99.901 % to 99.99997 %'
     """
-    return f"{_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))}"
+    return f"{_percent(_two_figures(low))} to {_percent(_two_figures(high))}"
+
+
+def _two_figures(p: float) -> float:
+    """A probability to two figures; close to one, of what is missing to it."""
+    return 1.0 - float(f"{1.0 - p:.2g}") if 0.99 < p < 1.0 else float(f"{p:.2g}")
 
 
 def _percent(value: float) -> str:
