@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
 import json
@@ -159,3 +160,16 @@ def test_wrong_gauges_of_a_study_are_refused(study_from, small_text, gauge, word
 def test_a_black_box_has_no_gauges(study_from, box_text):
     with pytest.raises(StudyError, match=r"\[gauges\] belongs to a scene"):
         study_from(text=box_text + GAUGES)
+
+
+def test_the_picture_of_the_bars_survives_the_way_into_a_page(written):
+    picture = draw_field(view_field(written[2]))
+    text = canvas.inline(canvas.render(picture), "field")
+    found = re.findall(r'<image[^>]* href="([^"]*)"', text)
+    assert found
+    for address in found:
+        kind, _, data = address.partition(",")
+        assert kind == "data:image/png;base64"
+        assert base64.b64decode(data.strip(), validate=True).startswith(b"\x89PNG")
+    # a finding first: the range of the stress
+    assert picture.finding.startswith("The bars carry between −")

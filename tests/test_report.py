@@ -105,11 +105,17 @@ def test_verdict_says_whether_the_target_is_met(
     found = first_verdict(write_folder(tmp_path, limits={"crushing": limit(0.0075, target, met)}))
     assert found.lines[0] == f"Probability of “crushing”: {words}"
     assert ("reaches across the target" in found.lines[1]) == (met is None and target is not None)
-    assert found.lines[1].startswith("Its uncertainty: the computation leaves 0.700 to 0.800 % (95 %)")
+    assert found.lines[1].startswith("Its uncertainty: the interval is that of the computation (95 %)")
     if met is True:
         assert "at least 1.2 times below the target" in found.lines[1]  # 1 / 0.8, rounded down
     if met is False:
         assert "at least 1.4 times the target" in found.lines[1]
+
+
+def test_a_probability_known_to_many_digits_has_three_in_its_headline(tmp_path: Path) -> None:
+    found = first_verdict(write_folder(tmp_path, limits={"x": limit(0.0020139, 0.01, True, half=0.0000018)}))
+    assert found.lines[0] == "Probability of “x”: 0.201 %, target at most 1 %: met."
+    assert "the computation leaves 0.20121 to 0.20157 % (95 %), at least 4.9 times below" in found.lines[1]
 
 
 def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
@@ -134,7 +140,10 @@ def test_five_questions_have_their_answers_at_the_top(standard: Path) -> None:
     assert list(found) == ["Largest mean speed of the striker", "Margin", "Main driver", "Model valid?"]
     assert found["Largest mean speed of the striker"].startswith("0.978 (0.968 to 0.988) m/s: there the probability")
     assert "The strength is 1.50 times the demand in the median case, and between 1.20" in found["Margin"]
-    assert found["Main driver"].startswith("Of “x”: strength of “x” (70 % of its scatter). Of p_max itself: Young's")
+    assert found["Main driver"].startswith(
+        "Of the probability of “x”, which decides: strength of “x” (importance factor 70 %)"
+    )
+    assert ". Of the load alone: Young's modulus of the sphere drives" in found["Main driver"]
     assert found["Model valid?"] == "Yes: all 1 checks are passed in every sample."
 
 
@@ -230,7 +239,7 @@ def test_everything_that_weakens_the_answer_is_said(tmp_path: Path) -> None:
     for words in (
         "3 evaluations failed",
         "3 because the pulse is longer than the round trip",
-        "force balance in 25 % of the samples",
+        "the two contact forces differ (25 % of the samples)",
         "of the samples of contact_time outlast their record",
         "The budget of evaluations stopped the run",
         "Accuracy asked for but not reached: contact_time: mean: half-width 0.1.",

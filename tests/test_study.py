@@ -298,12 +298,32 @@ def test_override_inside_tables(load: Load) -> None:
 @pytest.mark.parametrize(
     "override",
     ["", "x", "=1", "a..b=1", "a.=1", ".a=1", "striker.length.mean=1 m", "dependence[7].spearman=0",
-     "sphere[0]=1", "a.b.c.d.e.f.g.h.i=1"],
+     "sphere[0]=1", "a.b.c.d.e.f.g.h.i=1", "margins.sove=null", "limit=null", "dependence[7]=null", "seed.a=null"],
 )  # fmt: skip
 def test_override_that_is_none(load: Load, override: str) -> None:
     with pytest.raises(UsageError) as caught:
         load(BASE, overrides=(override,))
     assert caught.value.exit_code == 2
+
+
+def test_null_takes_out_what_stands_there(load: Load) -> None:
+    assert load(BASE).dependence
+    sets = (
+        "dependence=null",
+        "limits.crushing.target=null",
+        "analysis.quantiles=[0.5, 0.9]",
+        "analysis.quantiles[0]=null",
+    )
+    study = load(BASE, overrides=sets)
+    assert study.dependence == ()
+    assert study.limits[0].target is None
+    assert study.analysis.quantiles == (0.9,)
+    assert study.overrides == sets
+    assert load(BASE, overrides=('title="null"',)).title == "null"
+    with pytest.raises(UsageError, match=r"no limit to take out; did you mean 'limits'"):
+        load(BASE, overrides=("limit=null",))
+    with pytest.raises(StudyError, match=r"striker"):
+        load(BASE, overrides=("striker.speed=null",))
 
 
 def test_faulty_override_says_where_it_came_from(load: Load) -> None:

@@ -67,7 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
             action="append",
             default=[],
             metavar="PATH=VALUE",
-            help='replace a value of the study, such as striker.speed.mean="0.6 m/s"',
+            help='replace a value of the study, such as striker.speed.mean="0.6 m/s"; margins=null takes it out',
         )
         study.add_argument("--json", action="store_true", help="print one JSON document on stdout")
     run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: the study's name + -results)")

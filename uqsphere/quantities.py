@@ -349,5 +349,6 @@ def format_estimate(value: float, low: float, high: float, name: str = "") -> st
         texts = [f"{number:.{digits - 1}e}" for number in scaled]
     else:
         places = max(0, decimals)
-        texts = [f"{round(number, decimals):.{places}f}" for number in scaled]
+        # + 0.0: what rounds to zero has no sign
+        texts = [f"{round(number, decimals) + 0.0:.{places}f}" for number in scaled]
     return f"{texts[0]} ({texts[1]} to {texts[2]}) {unit}".rstrip()

@@ -14,7 +14,7 @@ from uqsphere.report import canvas
 from uqsphere.report.blocks import Block
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import read_contents
-from uqsphere.report.html import new_environment, page_style
+from uqsphere.report.html import new_environment
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
     ABSENT,
@@ -78,6 +78,15 @@ def write_page(before: Path, after: Path, found: Mapping[str, Any], out: Path) -
     return page
 
 
+#: what a table of a section is about
+_SUBJECTS: Final = {
+    "quantities": "{name}",
+    "sensitivity": "Indices of {name}",
+    "margins": "Margins, {name}",
+    "limits": "Limits",
+}
+
+
 def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
     """Before, after and difference of every answer of a section."""
     rows = [
@@ -86,7 +95,8 @@ def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
         if c["section"] == section and (not name or c["name"] == name)
     ]  # fmt: skip
     return Table(
-        caption="Before, after, and after minus before, with 95 % intervals",
+        # a caption of its own: it names the region for those who cannot see what stands above it
+        caption=f"{_SUBJECTS[section].format(name=name)}: before, after, and after minus before, with 95 % intervals",
         header=("answer", "before", "after", "difference", "in per cent", "change"),
         rows=tuple(rows[:MOST_ROWS]),
     )
@@ -139,11 +149,13 @@ def _limits(found: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
     from markupsafe import Markup
 
-    room = MOST_INLINED
+    room, taken = MOST_INLINED, list[str]()
 
     def placed(picture: Picture) -> Any:
         nonlocal room
-        element = canvas.inline(canvas.render(picture), picture.name)
+        # p_max and P_max are drawn under the same name
+        taken.append(picture.name)
+        element = canvas.inline(canvas.render(picture), f"{picture.name}-{len(taken)}")
         room -= len(element.encode())
         # the one text that is not escaped: made of escaped parts by the XML writer
         return Markup(element) if room >= 0 else "The figure is left out: the page would become too large with it."
@@ -168,7 +180,7 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
     )  # fmt: skip
     return (
         template.render(
-            style=Markup(page_style()),
+            version="",
             title=f"{found['before']['title']} / {found['after']['title']}"
             if found["before"]["title"] != found["after"]["title"]
             else found["before"]["title"],

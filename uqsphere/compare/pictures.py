@@ -13,6 +13,7 @@ from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, Picture
 from uqsphere.report.contents import Contents
+from uqsphere.report.decision import probability_axis, score
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.wording import call, capital, input_name, limit_name, number_text, rounded, short_input, symbol
 
@@ -26,8 +27,6 @@ Array = npt.NDArray[np.float64]
 #: rows of the figure of what moved, and of the figure of indices
 _MOST_ROWS: Final = 14
 _MOST_INPUTS: Final = 10
-_LEAST: Final = 1e-6
-_TICKS: Final = (1e-6, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.999999)
 
 
 def _legend(axes: Axes, handles: Sequence[Any]) -> None:
@@ -170,12 +169,6 @@ def density_finding(before: Contents, after: Contents, quantity: str) -> str:
             f"{said[0][1]} and {said[1][1]}.")  # fmt: skip
 
 
-def _score(p: Any) -> Array:
-    from scipy.special import ndtri
-
-    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), _LEAST, 1.0 - _LEAST)))
-
-
 def fragility_picture(before: Contents, after: Contents, name: str) -> Picture | None:
     """Both fragility curves of a limit with their bands."""
     from matplotlib.lines import Line2D
@@ -194,13 +187,10 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
             inside = np.flatnonzero((curve[:, 1] > 1e-5) & (curve[:, 1] < 1.0 - 1e-5))
             kept = np.arange(max(inside[0] - 1, 0), inside[-1] + 2) if len(inside) else np.arange(len(curve))
             part = curve[kept[kept < len(curve)]]
-            axes.fill_between(part[:, 0] * factor, _score(part[:, 2]), _score(part[:, 3]), color=colour, alpha=0.25,
+            axes.fill_between(part[:, 0] * factor, score(part[:, 2]), score(part[:, 3]), color=colour, alpha=0.25,
                               linewidth=0.0)  # fmt: skip
-            axes.plot(part[:, 0] * factor, _score(part[:, 1]), color=colour, linestyle=line)
-        low, high = axes.get_ylim()
-        ticks = [p for p in _TICKS if low <= float(_score(p)) <= high]
-        axes.set_yticks([float(_score(p)) for p in ticks], [f"{100.0 * p:.6g} %" for p in ticks])
-        axes.grid()
+            axes.plot(part[:, 0] * factor, score(part[:, 1]), color=colour, linestyle=line)
+        probability_axis(axes)
         axes.set_xlabel(axis_label(first["solve"], canvas.shorten(input_name(first["solve"]), 50)))
         axes.set_ylabel("probability of exceeding the strength")
         _legend(axes, [Line2D([], [], color=BLUE, label="before"),

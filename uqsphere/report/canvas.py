@@ -28,7 +28,9 @@ __all__ = [
     "GREEN",
     "GREY",
     "INK",
+    "LIGHT",
     "MARKS",
+    "ON_LIGHT",
     "ORANGE",
     "PAPER",
     "PURPLE",
@@ -46,6 +48,9 @@ __all__ = [
 ]
 
 INK: Final = "#1b1f24"
+#: ink and paper that no theme turns round: for what lies on colours that stay light on a dark page
+ON_LIGHT: Final = "#1a1e23"
+LIGHT: Final = "#fefefe"
 GREY: Final = "#6b7280"
 FAINT: Final = "#d6d9de"
 PAPER: Final = "#ffffff"
@@ -286,7 +291,8 @@ def _own(key: str, value: str, prefix: str) -> str:
     if key == "id":
         return prefix + value
     if key == "href":
-        return "#" + prefix + value.removeprefix("#")
+        # pictures inside a drawing carry their data here
+        return "#" + prefix + value[1:] if value.startswith("#") else value
     if key == "aria-labelledby":
         return " ".join(prefix + word for word in value.split())
     value = re.sub(r"url\(#", f"url(#{prefix}", value)

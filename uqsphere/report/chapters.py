@@ -27,7 +27,7 @@ from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
 from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
 from uqsphere.report.margin_parts import parts_finding, parts_table
-from uqsphere.report.strength_plot import probability_plot, tests_table
+from uqsphere.report.strength_plot import fitted_tests, probability_plot, tests_table
 from uqsphere.report.wording import begin, call, capital, limit_name, symbol
 
 __all__ = ["CHAPTERS", "build_chapters"]
@@ -139,7 +139,8 @@ def margins_chapter(contents: Contents) -> Chapter:
     shown = _decided(contents)
     blocks += [_distribution(contents, name) for name in _of_limits(contents) if name not in shown]
     for name in limits:
-        heading = f"The likeliest way to miss the aim of {limit_name(name)}"
+        way = "keep" if drivers.mostly_missed(limits[name]) else "miss"
+        heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
         blocks += [
             Block(
                 heading=f"Where the margin of {limit_name(name)} goes",
@@ -164,11 +165,10 @@ def margins_chapter(contents: Contents) -> Chapter:
                 files=("tables/drivers.csv",),
             ),
         ]
-        picture = probability_plot(contents, name)
-        if picture is not None:
-            heading = f"The tests behind the strength of {limit_name(name)}"
-            tests = tests_table(contents, name)
-            blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests))
+        known = fitted_tests(contents, name)
+        if known is not None:
+            heading, picture = f"The tests behind the strength of {limit_name(name)}", probability_plot(known)
+            blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests_table(known)))
     return Chapter(anchor="margins", heading="Margins", short="Margins", blocks=tuple(blocks))
 
 

@@ -128,10 +128,11 @@ def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     return text + "; ".join(f"{value} times the demand {words[key]}" for key, value in known.items()) + f" ({reason})."
 
 
-def score(p: Any) -> Array:
+def score(p: Any, least: float = _LEAST) -> Array:
+    """Normal scores of probabilities, which are kept `least` away from 0 and 1."""
     from scipy.special import ndtri
 
-    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), _LEAST, 1.0 - _LEAST)))
+    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), least, 1.0 - least)))
 
 
 def fragility_figure(contents: Contents, name: str) -> Picture | None:

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.report.contents import Contents
-from uqsphere.report.tables import Table
+from uqsphere.report.tables import Table, cell, thousands
 from uqsphere.report.wording import (
     ABSENT,
     absent_reason,
     capital,
-    estimate_text,
     input_name,
     limit_name,
     number_text,
@@ -29,14 +28,9 @@ __all__ = [
     "given_failure_table",
     "measure_finding",
     "measure_table",
+    "mostly_missed",
     "shapley_table",
 ]
-
-
-def _cell(estimate: Mapping[str, Any] | None, name: str = "") -> str:
-    if estimate is None:
-        return ABSENT
-    return estimate_text(estimate, name) if estimate["value"] is not None else f"{ABSENT} ({absent_reason(estimate)})"
 
 
 def _by_value(table: Mapping[str, Any]) -> list[str]:
@@ -54,7 +48,7 @@ def _known(table: Mapping[str, Any] | None) -> list[str]:
 def _shared_rows(entry: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     both = entry["kucherenko"]
     return tuple(
-        (input_name(n), _cell(entry["shapley"][n]), _cell(both["first"].get(n)), _cell(both["total"].get(n)))
+        (input_name(n), cell(entry["shapley"][n]), cell(both["first"].get(n)), cell(both["total"].get(n)))
         for n in _by_value(entry["shapley"])
     )
 
@@ -86,7 +80,7 @@ def distances_table(contents: Contents, quantity: str) -> Table | None:
     return Table(
         caption=f"How far an input moves the whole law of {symbol(quantity)}{idle}",
         header=("input", "Borgonovo’s δ", "PAWN"),
-        rows=tuple((input_name(n), _cell(delta[n]), _cell(pawn.get(n))) for n in names),
+        rows=tuple((input_name(n), cell(delta[n]), cell(pawn.get(n))) for n in names),
     )
 
 
@@ -97,7 +91,7 @@ def distances_finding(contents: Contents, quantity: str) -> str:
     if not names:
         return ""
     words = capital(input_name(names[0])) if names[0] != input_name(names[0]) else names[0]
-    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {_cell(delta[names[0]])}."
+    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {cell(delta[names[0]])}."
 
 
 # --- failure --------------------------------------------------------------------------------------------
@@ -114,7 +108,7 @@ def failure_table(contents: Contents, name: str) -> Table | None:
     names = _known(entry["total"])
     if not names:
         return None
-    rows = tuple((input_name(n), _cell(entry["first"].get(n)), _cell(entry["total"][n])) for n in names)
+    rows = tuple((input_name(n), cell(entry["first"].get(n)), cell(entry["total"][n])) for n in names)
     return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
 
 
@@ -127,7 +121,7 @@ def failure_finding(contents: Contents, name: str) -> str:
         reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
         return f"What drives missing the aim is not known: {reason}."
     kind = "Shapley effect" if entry.get("shapley") else "total index"
-    largest = f"{input_name(names[0])} ({kind} {_cell(table[names[0]])})"
+    largest = f"{input_name(names[0])} ({kind} {cell(table[names[0]])})"
     whole = entry["of"] == "missing the aim"
     text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
     explained = (entry.get("explained") or {}).get("value")
@@ -151,7 +145,7 @@ def given_failure_table(contents: Contents, name: str) -> Table | None:
         rows.append(
             (
                 input_name(variable),
-                _cell(found["mean"], subject),
+                cell(found["mean"], subject),
                 _range(low, high, subject),
                 value_text(law["mean"], subject),
                 _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
@@ -181,23 +175,23 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
     rows: list[tuple[str, ...]] = []
     for row in entry["rows"]:
         seen = row["observations"]
-        tests = (f"{row['tests']:,}".replace(",", " ") if row["tests"] else "none") + (
+        tests = (thousands(row["tests"]) if row["tests"] else "none") + (
             "" if seen is None else f" (the law rests on {seen})"
         )
         if probability:
-            rows.append((input_name(row["input"]), _cell(row["sway"]), f"{100.0 * row['share']:.3g} %", tests))
+            rows.append((input_name(row["input"]), cell(row["sway"]), f"{100.0 * row['share']:.3g} %", tests))
         else:
-            rows.append((input_name(row["input"]), _cell(row["share"]), tests))
+            rows.append((input_name(row["input"]), cell(row["share"]), tests))
     wanted = f"{100.0 * entry['wanted']:g} %"
     if probability:
         header: tuple[str, ...] = (
             "input",
             "change of the probability per standard deviation",
             "share in its uncertainty",
-            f"specimens for {wanted} of the probability",
+            f"tests until its error moves the probability by {wanted} of its value",
         )
     else:
-        header = ("input", "share of the variance", f"specimens for {wanted} of it")
+        header = ("input", "share of the variance", f"tests until {wanted} of today’s variance is left to it")
     return Table(caption=caption, header=header, rows=tuple(rows))
 
 
@@ -206,13 +200,12 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    first, of = rows[0], "the probability" if entry["of"] == "probability" else "the variance"
-    tests = f"{first['tests']:,}".replace(",", "\u202f") + f" specimen{'s' if first['tests'] != 1 else ''}"
-    bring = "brings" if first["tests"] == 1 else "bring"
-    return (
-        f"Measure {input_name(first['input'])} first: {tests} {bring} its part in the uncertainty of {of} down to "
-        f"{100.0 * entry['wanted']:g} %."
-    )
+    first, wanted = rows[0], f"{100.0 * entry['wanted']:g} %"
+    tests = thousands(first["tests"]) + f" test{'s' if first['tests'] != 1 else ''}"
+    text = f"Measure {input_name(first['input'])} first: after {tests} "
+    if entry["of"] == "probability":
+        return text + f"the error left in its mean moves the probability by {wanted} of its value (one standard error)."
+    return text + f"its part in the variance is {wanted} of today’s whole variance."
 
 
 def design_table(contents: Contents, name: str) -> Table | None:
@@ -236,14 +229,21 @@ def design_table(contents: Contents, name: str) -> Table | None:
     )
 
 
+def mostly_missed(limit: Mapping[str, Any]) -> bool:
+    """Whether the aim of a limit is missed in more than half of the cases."""
+    return bool((limit["miss"]["value"] or 0.0) > 0.5)
+
+
 def design_finding(contents: Contents, name: str) -> str:
     """What the search for the design point found, in sentences."""
     limit = contents.results["limits"][name]
     reason = limit.get("design_point_reason")
     if not limit.get("design_point"):
         return f"No design point: {reason}." if reason else ""
-    text = "Of all combinations of inputs that miss the aim this is the likeliest; factors are its squared direction "
-    text += "cosines in standard normal space."
+    # where most samples miss the aim the point lies on the way to those that keep it
+    which = "keep" if mostly_missed(limit) else "miss"
+    text = f"Of all combinations of inputs that {which} the aim this is the likeliest; factors are its squared "
+    text += "direction cosines in standard normal space."
     if limit.get("design_points", 1) > 1:
         text += f" {limit['design_points']} such points were found, of which this is the nearest."
     return text

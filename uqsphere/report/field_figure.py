@@ -12,7 +12,7 @@ from uqsphere.mechanics.field import field_grid
 from uqsphere.mechanics.field_view import FieldView, extent
 from uqsphere.mechanics.waves import BARS
 from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, INK, PAPER, RED, Picture
+from uqsphere.report.canvas import BLUE, LIGHT, ON_LIGHT, PAPER, RED, Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def draw_field(view: FieldView) -> Picture:
         )  # fmt: skip
         figure.colorbar(image, ax=axes, label="axial stress [MPa], tension positive", pad=0.02)
         _fronts(axes, view)
-        axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=INK, linewidth=3.0)
+        axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=ON_LIGHT, linewidth=3.0)
         _names(axes, view)
         _tensions(axes, view)
         axes.set_xlim(-left, right)
@@ -62,7 +62,7 @@ def _fronts(axes: Axes, view: FieldView) -> None:
     for delay, line in ((0.0, "-"), (view.pulse_end, "--")):
         if not math.isfinite(delay):
             continue
-        style: dict[str, Any] = {"color": INK, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
+        style: dict[str, Any] = {"color": ON_LIGHT, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
         for bar, sign in ((0, -1.0), (1, 1.0)):
             ends = np.array([0.0, sign * view.reach[bar]])
             out = np.array([0.0, view.reach[bar] / view.wave_speed])
@@ -93,20 +93,20 @@ def _names(axes: Axes, view: FieldView) -> None:
     for name, inside in regions.items():
         if inside.mean() > _ROOM:
             axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
-                      fontsize=9.0, color=INK)  # fmt: skip
+                      fontsize=9.0, color=ON_LIGHT)  # fmt: skip
 
 
 def _tensions(axes: Axes, view: FieldView) -> None:
     for found in view.tensions:
         if found.time < view.last:
             place = -found.position if found.bar == BARS[0] else found.position
-            axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=INK, markerfacecolor=PAPER,
+            axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=ON_LIGHT, markerfacecolor=LIGHT,
                       clip_on=False, zorder=5)  # fmt: skip
 
 
 def _field_finding(view: FieldView) -> str:
-    text = "V: at rest behind the pulse; VI: pulse and reflected wave; VII: reflected wave alone; VIII: transmitted "
-    text += "wave; X, XI: the same after the pulse has passed (numbers of the paper)."
+    low, high = float(view.stress.min()) * 1e-6, float(view.stress.max()) * 1e-6
+    text = f"The bars carry between {low:.3g} and {high:.3g} MPa (tension positive).".replace("-", "−")
     tensions = {one.bar: one for one in view.tensions}
     for bar in BARS:
         found = tensions.get(bar)
@@ -114,8 +114,11 @@ def _field_finding(view: FieldView) -> str:
             text += f" The {bar} bar sees no tension."
         else:
             text += f" The {bar} bar is first under tension {found.position:.4g} m from the sphere after "
-            text += f"{found.time * 1e6:.4g} us (circle)."
-    return text
+            text += f"{found.time * 1e6:.4g} µs (circle)."
+    return (
+        f"{text} Regions, by the numbers of the paper – V: at rest behind the pulse; VI: pulse and reflected wave; "
+        "VII: reflected wave alone; VIII: transmitted wave; X, XI: the same after the pulse has passed."
+    )
 
 
 def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:

@@ -6,19 +6,16 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import probability_axis, x_scale
+from uqsphere.report.decision import probability_axis, score, x_scale
 from uqsphere.report.figures import axis_label
-from uqsphere.report.sections import Table
+from uqsphere.report.tables import Table, cell
 from uqsphere.report.wording import (
-    ABSENT,
     absent_reason,
-    estimate_text,
     input_name,
     limit_name,
     listed,
@@ -41,26 +38,15 @@ _STATE: Final = {
 _SHARES: Final = {"0.05": "5 %", "0.5": "median", "0.95": "95 %"}
 _COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 _STYLES: Final = ("-", "--", "-.", ":")
+#: normal scores go so far out that a curve leaves the picture where it would
+_FAR: Final = 1e-14
 #: limits that are drawn
 MOST_CURVES: Final = 8
-
-
-def _score(p: Any) -> npt.NDArray[np.float64]:
-    """Normal scores of probabilities, so far out that a curve leaves the picture where it would."""
-    from scipy.special import ndtri
-
-    return np.asarray(ndtri(np.clip(np.asarray(p, dtype=float), 1e-14, 1.0 - 1e-14)))
 
 
 def _found(contents: Contents) -> Mapping[str, Any]:
     found: Mapping[str, Any] = contents.results.get("fracture") or {}
     return found
-
-
-def _cell(estimate: Mapping[str, Any], name: str = "") -> str:
-    if estimate["value"] is None:
-        return f"{ABSENT} ({absent_reason(estimate)})"
-    return estimate_text(estimate, name) if name else probability_text(estimate)
 
 
 def fracture_finding(contents: Contents) -> str:
@@ -104,22 +90,30 @@ def fracture_table(contents: Contents) -> Table | None:
     if not found:
         return None
     several = len(found["limits"]) > 1
-    rows = [("probability of fracture over the record" + (", by any limit" if several else ""), _cell(found["union"]))]
+    rows = [
+        (
+            "probability of fracture over the record" + (", by any limit" if several else ""),
+            cell(found["union"], probability=True),
+        )
+    ]
     if "first_loading" in found:
-        rows.append(("probability of fracture in the first loading", _cell(found["first_loading"])))
+        rows.append(("probability of fracture in the first loading", cell(found["first_loading"], probability=True)))
     if several:
         rows += [
-            (f"share of fractures in which {limit_name(name)} is reached first", _cell(estimate))
+            (f"share of fractures in which {limit_name(name)} is reached first", cell(estimate, probability=True))
             for name, estimate in found.get("governed_by", {}).items()
         ]
         rows += [
-            ("share in the order " + ", then ".join(limit_name(n) for n in entry["limits"]), _cell(entry["share"]))
+            (
+                "share in the order " + ", then ".join(limit_name(n) for n in entry["limits"]),
+                cell(entry["share"], probability=True),
+            )
             for entry in found.get("order", ())
             if len(entry["limits"]) > 1
         ]
     for key, (words, like) in _STATE.items():
         for p, e in found.get(key, {}).get("quantiles", {}).items():
-            rows.append((f"{words}, {_SHARES.get(p, p)}", _cell(e, like)))
+            rows.append((f"{words}, {_SHARES.get(p, p)}", cell(e, like)))
     return Table(
         caption="Fracture, with 95 % intervals; what follows the probabilities is of the spheres that break",
         header=("", "value (95 % interval)"),
@@ -145,20 +139,32 @@ def interplay_figure(contents: Contents) -> Picture | None:
     with canvas.style():
         figure, (axes,) = canvas.new_figure(4.3)
         axes.fill_between(
-            union[:, 0] * factor, _score(union[:, 2]), _score(union[:, 3]), color=GREY, alpha=0.35, linewidth=0.0
+            union[:, 0] * factor,
+            score(union[:, 2], least=_FAR),
+            score(union[:, 3], least=_FAR),
+            color=GREY,
+            alpha=0.35,
+            linewidth=0.0,
         )
-        axes.plot(union[:, 0] * factor, _score(union[:, 1]), color=INK, linewidth=3.0, alpha=0.55, label="any of them")
+        axes.plot(
+            union[:, 0] * factor,
+            score(union[:, 1], least=_FAR),
+            color=INK,
+            linewidth=3.0,
+            alpha=0.55,
+            label="any of them",
+        )
         for k, (name, curve) in enumerate(curves.items()):
             kept = curve[(curve[:, 0] >= lowest * 0.999) & (curve[:, 0] <= highest * 1.001)]
             axes.plot(
                 kept[:, 0] * factor,
-                _score(kept[:, 1]),
+                score(kept[:, 1], least=_FAR),
                 color=_COLOURS[k % len(_COLOURS)],
                 linestyle=_STYLES[k % len(_STYLES)],
                 label=canvas.shorten(limit_name(name), 28),
             )
         x_scale(axes, union[:, 0] * factor)
-        axes.set_ylim(float(_score(1e-6)), float(_score(1.0 - 1e-4)))
+        axes.set_ylim(float(score(1e-6)), float(score(1.0 - 1e-4)))
         if here is not None and lowest <= here <= highest:
             axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
             left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.3

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
+from uqsphere.report.bearing import breach, check_name, grave, warned
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding
 from uqsphere.report.drivers import measure_finding
 from uqsphere.report.figures import sensitivity_finding
-from uqsphere.report.verdict import check_name
 from uqsphere.report.wording import (
     capital,
     estimate_text,
@@ -18,7 +18,6 @@ from uqsphere.report.wording import (
     limit_name,
     listed,
     plain_percent,
-    symbol,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
 
@@ -104,16 +103,14 @@ def _driver(contents: Contents, quantity: str) -> str:
         if limit["quantity"] == quantity and shares:
             first = max(shares, key=lambda n: float(shares[n]))
             several = limit.get("governing_inputs_method") == BY_INFORMATION
-            whole = "what its failures tell of the inputs" if several else "its scatter"
-            parts.append(
-                f"Of {limit_name(name)}: {input_name(first)} ({100.0 * float(shares[first]):.0f} % of {whole})."
-            )
-    return " ".join(
-        [
-            *parts,
-            f"Of {symbol(quantity)} itself: {sensitivity_finding(contents, quantity).partition(';')[0].rstrip('.')}.",
-        ]
-    )
+            share = f"{100.0 * float(shares[first]):.0f} %"
+            whole = f"{share} of what its failures tell" if several else f"importance factor {share}"
+            parts.append(f"Of the probability of {limit_name(name)}, which decides: {input_name(first)} ({whole}).")
+    load = sensitivity_finding(contents, quantity)
+    if not (contents.results["sensitivity"].get(quantity) or {}).get("shapley"):
+        # the largest share alone: the next ones stand in the chapter
+        load = load.partition(";")[0].partition(" Interactions ")[0].rstrip(".") + "."
+    return " ".join([*parts, f"Of the load alone: {load}"])
 
 
 def _measure(entry: Mapping[str, Any] | None) -> str:
@@ -124,23 +121,14 @@ def _measure(entry: Mapping[str, Any] | None) -> str:
     return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
 
 
-#: what a check finds, where its name does not say it to somebody who meets it for the first time
-_FOUND: Final = {
-    "bar_yield_contact": "the bars yield under the sphere",
-    "bar_yield_pulse": "the pulse makes the bars yield",
-    "force_balance": "the two contact forces differ",
-}
-
-
 def _valid(contents: Contents) -> str:
     """Whether an assumption of the model is broken, and which."""
-    for grade, words in (("failure", "No: outside the model’s validity"), ("warning", "With warnings")):
-        broken = [c for c in contents.results["validity"] if c.get(f"share_{grade}", 0.0) > 0.0]
+    for grade, words, broken in (
+        ("failure", "No: outside the model’s validity", grave(contents)),
+        ("warning", "With warnings", warned(contents)),
+    ):
         if broken:
-            shares = [plain_percent(c[f"share_{grade}"]) for c in broken]
-            said = [_FOUND.get(c["check"], check_name(c["check"])) for c in broken]
-            named = [f"{text} ({share} of the samples)" for text, share in zip(said, shares, strict=True)]
-            return f"{words}: {listed(named)}."
+            return f"{words}: {listed([breach(c, grade) for c in broken])}. What that does to the answer: see below."
     unknown = [c for c in contents.results["validity"] if c["worst"] is None]
     if unknown:
         return f"As far as checked; not checked: {listed([check_name(c['check']) for c in unknown])}."

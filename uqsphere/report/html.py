@@ -25,7 +25,7 @@ from uqsphere.store import write_atomically
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["MOST_BYTES", "build_report", "new_environment", "page_style"]
+__all__ = ["MOST_BYTES", "build_report", "new_environment"]
 
 #: a page is never larger than this
 MOST_BYTES: Final = 3_000_000
@@ -112,18 +112,20 @@ def _plain(value: Any) -> Any:
 
 
 def new_environment() -> Environment:
-    """Templates that escape every text and refuse what is not there."""
-    from jinja2 import Environment, StrictUndefined
+    """Templates that escape every text and refuse what is not there, with what all pages share."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from markupsafe import Markup
 
-    return Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_plain
-    )
+    environment = Environment(
+        loader=FunctionLoader(_own_text), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, finalize=_plain,
+    )  # fmt: skip
+    environment.globals["style"] = Markup(_own_text("style.css"))
+    return environment
 
 
-def page_style() -> str:
-    """The style sheet of the report, for pages that look like it."""
-    text = resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8")
-    return text.partition("<style>")[2].partition("</style>")[0]
+def _own_text(name: str) -> str:
+    return resources.files("uqsphere.report").joinpath(name).read_text("utf-8")
 
 
 def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[str, str]) -> str:
@@ -153,7 +155,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
     order = iter(range(sum(1 for _ in _blocks(chapters))))
     environment = new_environment()
     environment.filters["drawn"] = drawn
-    template = environment.from_string(resources.files("uqsphere.report").joinpath("template.html").read_text("utf-8"))
+    template = environment.get_template("template.html")
     return (
         template.render(
             title=canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study",

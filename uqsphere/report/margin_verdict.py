@@ -69,7 +69,7 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
         if not answer:
             continue
         entry, limit = contents.results["margins"][name], contents.results["limits"][name]
-        lines = (answer, _lost(contents, entry), _next(entry, limit, contents))
+        lines = (answer, _lost(contents, entry, limit), _next(entry, limit, contents))
         found.append(
             Verdict(
                 word="answer",
@@ -80,13 +80,18 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
     return found
 
 
-def _lost(contents: Contents, entry: Mapping[str, Any]) -> str:
+def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> str:
     """What the margin is lost to, and how the uncertainty of the value splits."""
     text = ""
     shares = (entry.get("lost_to") or {}).get("shares")
     if shares:
         order = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] >= 0.02][:3]
-        text = "The margin is lost to " + listed([f"{input_name(n)} ({100.0 * shares[n]:.0f} %)" for n in order]) + ". "
+        chance = plain_percent(limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"])
+        text = (
+            f"Between half of the specimens and {chance}, the margin is lost to "
+            + listed([f"{input_name(n)} ({100.0 * shares[n]:.0f} %)" for n in order])
+            + ". "
+        )
     split = entry.get("split") or {}
     words = {"scatter": "scatter from specimen to specimen", "ignorance": "few tests", "numerical": "computing"}
     known = [f"{100.0 * split[part]:.2g} % by {word}" for part, word in words.items() if split.get(part) is not None]

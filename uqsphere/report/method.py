@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from uqsphere.quantities import OUTPUTS
+from uqsphere.report.bearing import check_name
 from uqsphere.report.contents import Contents
 from uqsphere.report.tables import Table, thousands
-from uqsphere.report.verdict import check_name
 from uqsphere.report.wording import (
     ABSENT,
     call,
@@ -47,7 +47,7 @@ def checks_table(contents: Contents) -> Table:
     return Table(
         caption="Assumptions of the model, checked on a pilot sample",
         rows=tuple(rows),
-        header=("assumption", "grade", "share of samples", "finding"),
+        header=("assumption", "grade", "share", "finding"),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,21 +17,34 @@ from uqsphere.report.wording import limit_name, symbol, value_text
 from uqsphere.uq.laws import Law
 from uqsphere.uq.weibull import KINDS, StrengthFit, StrengthTests, fit_strength, make_tests, pivots, plotting_positions
 
-__all__ = ["probability_plot", "tests_table"]
+__all__ = ["FittedTests", "fitted_tests", "probability_plot", "tests_table"]
 
 Array = npt.NDArray[np.float64]
 
 _TICKS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 0.8, 0.9, 0.99, 0.999)
 
 
-def _tests(contents: Contents, name: str) -> tuple[StrengthTests, Law] | None:
+@dataclass(frozen=True, kw_only=True)
+class FittedTests:
+    """The tests behind the strength of a limit, the law that the run used, and the fit of its kind."""
+
+    limit: str
+    quantity: str
+    tests: StrengthTests
+    law: Law
+    fit: StrengthFit
+
+
+def fitted_tests(contents: Contents, name: str) -> FittedTests | None:
     """The tests behind a limit's strength, where a Weibull or lognormal law was fitted to them."""
     found = contents.resolved["random"].get(f"limits.{name}.strength")
     if found is None or found["dist"] not in KINDS or not found["data"]:
         return None
     stopped = found.get("censored", [])
     tests = make_tests([*found["data"], *stopped], [False] * len(found["data"]) + [True] * len(stopped))
-    return tests, Law(kind=found["dist"], parameters=found["parameters"])
+    law = Law(kind=found["dist"], parameters=found["parameters"])
+    quantity = contents.results["limits"][name]["quantity"]
+    return FittedTests(limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, law.kind))
 
 
 def _height(kind: str, p: Array) -> Array:
@@ -47,18 +62,13 @@ def _line(kind: str, parameters: dict[str, float], heights: Array) -> Array:
     return np.asarray(np.exp(parameters["log_mean"] + parameters["log_sd"] * heights))
 
 
-def probability_plot(contents: Contents, name: str) -> Picture | None:
-    """Tests, fitted law and the 95 % band of the laws that the tests allow; None where none was fitted to tests."""
+def probability_plot(known: FittedTests) -> Picture:
+    """Tests, fitted law and the 95 % band of the laws that the tests allow."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
-    known = _tests(contents, name)
-    if known is None:
-        return None
-    tests, law = known
-    quantity = contents.results["limits"][name]["quantity"]
+    tests, law, fitted, quantity = known.tests, known.law, known.fit, known.quantity
     factor = display_unit(quantity)[1]
     kind = law.kind
-    fitted = fit_strength(tests, kind)
     positions = _height(kind, plotting_positions(tests.failed))
     low = min(float(_height(kind, np.array([0.01]))[0]), float(positions[0]) - 0.3)
     high = max(float(_height(kind, np.array([0.99]))[0]), float(positions[-1]) + 0.3)
@@ -90,7 +100,7 @@ def probability_plot(contents: Contents, name: str) -> Picture | None:
         axes.set_xlabel(axis_label(quantity, f"strength against {canvas.shorten(symbol(quantity), 40)}"))
         axes.set_ylabel("share of the specimens\nthat has failed")
     return Picture(
-        name=slug("strength", name), title=f"Strength tests: {limit_name(name)}",
+        name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
         finding=_finding(fitted, law, quantity), figure=figure,
     )  # fmt: skip
 
@@ -106,14 +116,9 @@ def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
     return text + f"{fits} (p = {fitted.p_value:.2g}). Band: the laws that the tests allow (95 %)."
 
 
-def tests_table(contents: Contents, name: str) -> Table | None:
+def tests_table(known: FittedTests) -> Table:
     """Parameters with both kinds of intervals, and the closeness of the fit."""
-    known = _tests(contents, name)
-    if known is None:
-        return None
-    tests, law = known
-    quantity = contents.results["limits"][name]["quantity"]
-    fitted = fit_strength(tests, law.kind)
+    law, fitted, quantity = known.law, known.fit, known.quantity
     turned = law.kind == "weibull"
     shape = "modulus" if turned else "standard deviation of the logarithm"
     scale = "scale (63.2 %)" if turned else "median"

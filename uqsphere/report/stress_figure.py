@@ -12,7 +12,7 @@ from uqsphere.mechanics.stress.surface import surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
 from uqsphere.quantities import format_value
 from uqsphere.report import canvas
-from uqsphere.report.canvas import GREY, INK, PAPER, RED, Picture
+from uqsphere.report.canvas import GREY, INK, LIGHT, ON_LIGHT, PAPER, RED, Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def _half(axes: Axes, points: tuple[Array, Array], values: Array, levels: tuple[
     palette = matplotlib.colormaps[colours].resampled(len(levels) + 2)
     shades = [palette(k + 1) for k in range(len(levels))]
     drawn = axes.contourf(*points, values, levels=levels, colors=shades, extend="max", norm=BoundaryNorm(levels, 256))
-    axes.contour(*points, values, levels=levels, colors=[INK], linewidths=0.4)
+    axes.contour(*points, values, levels=levels, colors=[ON_LIGHT], linewidths=0.4)
     return drawn
 
 
@@ -79,6 +79,8 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
     value, depth = (float(part) for part in core_ratio(contact_ratio, nu))
     with canvas.style():
         figure, (axes,) = canvas.new_figure(4.7)
+        # what is compressed stays white on dark paper too
+        axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=LIGHT, edgecolor="none", zorder=0.5))
         right = _half(axes, (across, along), tension / value, _TENSION, "YlOrRd")
         left = _half(axes, (-across, along), shear, _SHEAR, "Blues")
         axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=GREY, linewidth=1.0))

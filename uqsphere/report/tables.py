@@ -20,8 +20,10 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def cell(estimate: Mapping[str, Any], name: str = "", *, probability: bool = False) -> str:
-    """An estimate with its interval and unit, or a dash and the reason why it is absent."""
+def cell(estimate: Mapping[str, Any] | None, name: str = "", *, probability: bool = False) -> str:
+    """An estimate with its interval and unit, or a dash and the reason why it is absent; None was never asked for."""
+    if estimate is None:
+        return ABSENT
     if estimate["value"] is None:
         return f"{ABSENT} ({absent_reason(estimate)})"
     return probability_text(estimate) if probability else estimate_text(estimate, name)

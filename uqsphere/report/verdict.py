@@ -11,18 +11,22 @@ from typing import Any
 from uqsphere.model import status_text
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report import canvas
+from uqsphere.report.bearing import bearing, breach, grave, warned
 from uqsphere.report.contents import Contents
+from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
     absent_reason,
     begin,
     call,
+    capital,
     input_name,
     limit_name,
     listed,
     plain_percent,
     probability_range,
     probability_text,
+    rounded,
     symbol,
     value_text,
 )
@@ -64,7 +68,7 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     word = _word(limit)
     breaks = limit["aim"] == "break"
     what = f"Probability of missing {limit_name(name)}" if breaks else f"Probability of {limit_name(name)}"
-    answer = f"{what}: {probability_text(limit['miss'])}"
+    answer = f"{what}: {_headline(limit['miss'])}"
     if not contents.resolved["random"] and limit["exceedance"]["value"] is not None:
         kept = "" if limit["exceedance"]["value"] > 0.5 else "not "
         answer = f"Limit {limit_name(name)} is {kept}exceeded in the one scene of a study without scatter"
@@ -95,7 +99,9 @@ def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str
     if low is None or high is None or not contents.resolved["random"]:
         text += "the computation adds none."
     else:
-        text += f"the computation leaves {_ends(limit['miss'])} (95 %)"
+        whole = _headline(limit["miss"]) == probability_text(limit["miss"])
+        text += "the interval is that of the computation (95 %)" if whole else ""
+        text += "" if whole else f"the computation leaves {_ends(limit['miss'])} (95 %)"
         if word == "undecided":
             text += "; the interval reaches across the target: more evaluations would decide it"
         elif target and word == "met" and 0.0 < high < target:
@@ -105,6 +111,18 @@ def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str
         text += "."
     opened = ignorance_text(contents, limit)
     return f"{text} {opened or 'The laws of the inputs and the strength are taken as given.'}"
+
+
+def _headline(miss: Mapping[str, Any]) -> str:
+    """A probability that is known better than anybody asks in three digits alone; its interval is in the next line."""
+    value, low, high = miss["value"], miss["low"], miss["high"]
+    if value is None or low is None or high is None or not 0.0 < high - low < 0.02 * min(value, 1.0 - value):
+        return probability_text(miss)
+    if value > 0.99:
+        return plain_percent(value)
+    if value < 1e-4:
+        return rounded(miss, digits=3)
+    return rounded({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}, digits=3) + " %"
 
 
 def _ends(miss: Mapping[str, Any]) -> str:
@@ -166,7 +184,8 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         if limit.get("governing_inputs_method") == BY_INFORMATION:
             text += ", by how much a failure tells of each; failures lie in several directions. "
         else:
-            text += ", by their shares in the direction of the failures. "
+            likeliest = "success" if mostly_missed(limit) else "failure"
+            text += f", by their importance factors in the likeliest {likeliest}. "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
     return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()
@@ -188,22 +207,12 @@ def cautions(contents: Contents) -> list[str]:
     """Everything that weakens the answer, the gravest first; empty if nothing does."""
     results = contents.results
     found = _failures(contents)
-    grave = [c for c in results["validity"] if c.get("share_failure", 0.0) > 0.0]
-    if grave:
+    for check in grave(contents):
         found.append(
-            "Outside the model's validity: "
-            + listed([f"{check_name(c['check'])} in {plain_percent(c['share_failure'])} of the samples" for c in grave])
-            + "."
+            f"Outside the model's validity: {breach(check, 'failure')}. {capital(bearing(contents, check['check']))}."
         )
-    warned = [c for c in results["validity"] if c not in grave and c.get("share_warning", 0.0) > 0.0]
-    if warned:
-        found.append(
-            "Validity warnings: "
-            + listed(
-                [f"{check_name(c['check'])} in {plain_percent(c['share_warning'])} of the samples" for c in warned]
-            )
-            + "."
-        )
+    for check in warned(contents):
+        found.append(f"Validity warning: {breach(check, 'warning')}. {capital(bearing(contents, check['check']))}.")
     for name, entry in results["quantities"].items():
         share = entry["censored_share"]
         if share["value"]:
@@ -222,9 +231,19 @@ def cautions(contents: Contents) -> list[str]:
         opened = limit.get("ignorance")
         if opened and limit["target"] is not None and limit["met"] is not None and opened.get("met") is None:
             found.append(f"Limit {limit_name(name)} is not decided by the tests. {ignorance_text(contents, limit)}")
-    found += _missed([str(text) for text in results["accuracy"]["missed"]])
+    missed = _missed([str(text) for text in results["accuracy"]["missed"]])
+    if missed and limits_are_accurate(results):
+        missed[0] += " The probabilities that the verdict rests on are as accurate as asked."
+    found += missed
     found += [str(text) for text in results.get("warnings", [])]
     return found
+
+
+def limits_are_accurate(results: Mapping[str, Any]) -> bool:
+    """Whether there are limits, and none of their probabilities is less accurate than asked."""
+    texts = [str(text) for text in results["accuracy"]["missed"]]
+    known = all(limit["miss"]["value"] is not None for limit in results["limits"].values())
+    return bool(results["limits"]) and known and not any(text.startswith("limit ") for text in texts)
 
 
 def _missed(texts: list[str]) -> list[str]:
@@ -255,8 +274,3 @@ def _failures(contents: Contents) -> list[str]:
     how = policy[contents.resolved["analysis"]["on_failure"]]
     text = f"{model['failures']} evaluations failed ({how})"
     return [text + (": " + "; ".join(reasons) if reasons else "") + "."]
-
-
-def check_name(check: str) -> str:
-    """A validity check in words."""
-    return check.replace("_", " ")

@@ -134,6 +134,8 @@ def probability_text(estimate: Estimate) -> str:
 
     >>> probability_text({"value": 0.0075, "low": 0.0071, "high": 0.0079})
     '0.750 (0.710 to 0.790) %'
+    >>> probability_text({"value": 1.46e-7, "low": 0.0, "high": 1.2e-4})
+    '1.5 × 10⁻⁷ (0 % to 0.012 %)'
     """
     value, low, high = estimate["value"], estimate["low"], estimate["high"]
     if value is None:
@@ -144,9 +146,21 @@ def probability_text(estimate: Estimate) -> str:
         return f"none seen, at most {_percent(high)}"
     if value == 1.0 and high == 1.0 and low < 1.0:
         return f"all seen, at least {_percent(low)}"
+    if _lost(value, low, high):
+        return (
+            f"{_percent(float(f'{value:.2g}'))} ({_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))})"
+        )
     if high < 1e-4:
         return estimate_text(estimate)
     return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}) + " %"
+
+
+def _lost(value: float, low: float, high: float) -> bool:
+    """Whether a probability above zero would read as zero in the digits that its interval supports."""
+    if not low < high or not value > 0.0:
+        return False
+    step = 10.0 ** (math.floor(math.log10(0.5 * (high - low)) + _ROUND) - 1)
+    return value < 0.5 * step or 0.0 < low < 0.5 * step
 
 
 def probability_range(low: float, high: float) -> str:
@@ -154,8 +168,15 @@ def probability_range(low: float, high: float) -> str:
 
     >>> probability_range(1.5331809e-06, 0.0123)
     '1.5 × 10⁻⁶ to 1.2 %'
+    >>> probability_range(0.99901, 0.9999997)
+    '99.901 % to 99.99997 %'
     """
-    return f"{_percent(float(f'{low:.2g}'))} to {_percent(float(f'{high:.2g}'))}"
+    return f"{_percent(_two_figures(low))} to {_percent(_two_figures(high))}"
+
+
+def _two_figures(p: float) -> float:
+    """A probability to two figures; close to one, of what is missing to it."""
+    return 1.0 - float(f"{1.0 - p:.2g}") if 0.99 < p < 1.0 else float(f"{p:.2g}")
 
 
 def _percent(value: float) -> str:

@@ -1,34 +1,40 @@
-"""Values set from outside the file: ``--set striker.speed.mean="0.6 m/s"``."""
+"""Values set or taken out from outside the file: ``--set striker.speed.mean="0.6 m/s"``, ``--set margins=null``."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from uqsphere.errors import UsageError
-from uqsphere.study.findings import Place, render_place, shown
+from uqsphere.study.findings import Place, render_place, shown, suggestion
 
 __all__ = ["apply_overrides"]
 
+#: what takes a value out; as a text it is written with its quotation marks
+_NOTHING: Final = "null"
 _PART = re.compile(r"""(?:([A-Za-z0-9_-]+)|"([^"\\]*)"|'([^']*)')((?:\[\d{1,6}\])*)(\.|$)""")
 
 
 def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> list[Place]:
     """Put each ``PATH=VALUE`` into `data`; the places that were set.
 
-    VALUE is a TOML value; what is none (a bare quantity such as ``0.6 m/s``, a bare word) is a text.
+    VALUE is a TOML value; what is none (a bare quantity such as ``0.6 m/s``, a bare word) is a text.  The bare word
+    ``null``, which TOML does not have, takes out what stands at the path: a value, a table or an item of a list.
 
     Raises
     ------
     UsageError
-        Where there is no "=", the path is none, or it leads through something that is not a table.
+        Where there is no "=", the path is none, it leads through something that is not a table, or there is nothing
+        to take out.
 
     >>> data = {"striker": {"speed": {"mean": "0.5 m/s"}}}
     >>> apply_overrides(data, ["striker.speed.mean=0.6 m/s"])
     [('striker', 'speed', 'mean')]
     >>> data
     {'striker': {'speed': {'mean': '0.6 m/s'}}}
+    >>> apply_overrides(data, ["striker.speed=null"]), data
+    ([('striker', 'speed')], {'striker': {}})
     """
     return [_apply(data, text) for text in overrides]
 
@@ -38,9 +44,12 @@ def _apply(data: dict[str, Any], text: str) -> Place:
     if not sign or not path.strip():
         raise UsageError(f"found {shown(text)}: PATH=VALUE is due, such as striker.speed=0.6 m/s")
     place = _split(path.strip(), text)
+    taken_out = value.strip() == _NOTHING
     node: Any = data
     for depth, part in enumerate(place[:-1]):
         if isinstance(node, dict) and isinstance(part, str):
+            if taken_out and part not in node:
+                raise _nothing_there(place[: depth + 1], node, text)
             node = node.setdefault(part, {})
         elif isinstance(node, list) and isinstance(part, int) and part < len(node):
             node = node[part]
@@ -51,7 +60,12 @@ def _apply(data: dict[str, Any], text: str) -> Place:
     usable = usable or (isinstance(node, list) and isinstance(last, int) and last < len(node))
     if not usable:
         raise _no_way(place[:-1], node, text)
-    node[last] = _value(value.strip())
+    if not taken_out:
+        node[last] = _value(value.strip())
+    elif isinstance(node, dict) and last not in node:
+        raise _nothing_there(place, node, text)
+    else:
+        del node[last]
     return place
 
 
@@ -73,6 +87,12 @@ def _split(path: str, text: str) -> Place:
 def _no_way(place: Place, node: object, text: str) -> UsageError:
     where = render_place(place) or "the study"
     return UsageError(f"found {shown(text)}, but {where} is {shown(node)}: set {where} itself")
+
+
+def _nothing_there(place: Place, node: dict[str, Any], text: str) -> UsageError:
+    there = sorted(str(key) for key in node)
+    hint = suggestion(str(place[-1]), there) or (f"; there is {', '.join(there[:20])}" if there else "")
+    return UsageError(f"found {shown(text)}, but there is no {render_place(place)} to take out{hint}")
 
 
 def _value(text: str) -> Any:
