@@ -284,7 +284,8 @@ def test_the_data_of_a_study_is_kept_beside_it(box: Path) -> None:
 @pytest.mark.parametrize(
     "name",
     ["../x.csv", "/x.csv", "tables/x.csv", "Evaluations/x.csv", "results.json", "results.json/x.csv", ".x.csv",
-     "a/.x.csv", "nul.csv", "a/nul.csv", "a/../x.csv", "x.py", "-x.csv", "c:x.csv", "a\u202eb.csv", "a\\u001bb.csv", "a//x.csv"],
+     "a/.x.csv", "nul.csv", "a/nul.csv", "a/../x.csv", "x.py", "-x.csv", "c:x.csv", "a\u202eb.csv", "a\\u001bb.csv",
+     "a//x.csv"],
 )  # fmt: skip
 def test_only_plain_files_of_data_beside_a_study_are_kept(name: str) -> None:
     assert named_files(f'[limits.a.strength]\nfile = "{name}"\n') == []

@@ -204,7 +204,7 @@ def _stored(case: Path) -> int:
 def kill_runs(
     case: Path, times: int, *, seed: int = 1, jobs: str = "2", warm: bool = False, limit: float = float("inf")
 ) -> Campaign:
-    """Kill a run at random moments until it finishes, begin a new one, and so on: a number of kills, `limit` seconds at most.
+    """Kill a run at random moments until it finishes, begin a new one, and so on, `times` kills or `limit` seconds.
 
     Answers are held against those of a process of its own that nobody disturbs, `warm` or not.  After each kill the
     rows that are stored are counted: with the calls that had ended by then this says what had been evaluated and not
