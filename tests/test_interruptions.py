@@ -218,8 +218,10 @@ def test_a_resumed_scene_integrates_nothing_again(
     def refuse(*given: Any, **more: Any) -> Any:
         raise AssertionError("integrated again")
 
+    assert list((tmp_path / "r" / "evaluations").glob("fracture.loading.*"))
     monkeypatch.setattr("uqsphere.model.solve_scene", refuse)
     monkeypatch.setattr("uqsphere.runner.pilot.solve_scene", refuse)
+    monkeypatch.setattr("uqsphere.mechanics.fracture.first_fractures", refuse)
     assert answers_of(uqsphere.run(scene, out=tmp_path / "r").folder) == first
 
 

@@ -64,3 +64,12 @@ def test_random_generator_is_keyed_alike() -> None:
     first = random_generator(seed=1, task="a").random(3)
     assert np.array_equal(first, random_generator(seed=1, task="a").random(3))
     assert not np.array_equal(first, random_generator(seed=1, task="b").random(3))
+
+
+def test_points_do_not_depend_on_what_was_drawn_before() -> None:
+    def part(start: int, count: int, replicate: int = 0) -> np.ndarray:
+        return sobol_points(dimension=3, count=count, start=start, seed=9, task="pieces", replicate=replicate)
+
+    whole = {replicate: part(0, 300, replicate) for replicate in range(80)}  # more sequences than are kept open
+    for replicate, start, count in [(0, 0, 7), (0, 7, 100), (79, 250, 50), (0, 107, 1), (0, 20, 30), (79, 0, 300)]:
+        np.testing.assert_array_equal(part(start, count, replicate), whole[replicate][start : start + count])

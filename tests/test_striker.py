@@ -52,6 +52,12 @@ def test_steps_are_those_of_two_bars_that_meet(ratio):
     np.testing.assert_allclose(pulse_value(pulse, 0, times), found, atol=2.1e-3)
 
 
+@pytest.mark.parametrize(("rise", "fall", "fits"), [(0.8, 0.8, True), (1.0, 1.0, True), (1.2, 0.9, False)])
+def test_ramps_of_steps_may_fill_the_width_and_no_more(rise: float, fall: float, fits: bool) -> None:
+    pulse = build_pulse("trapezoid", [1.0], {"rise": [rise], "fall": [fall], "striker_ratio": [2.0]})
+    assert bool(pulse.valid[0]) is fits
+
+
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0, 8.0])
 def test_a_stiff_striker_gives_all_it_has(ratio):
     """Impulse M_s v0 and energy M_s v0²/2; in units of Z, v0/2 and one step: ratio and ratio."""

@@ -16,7 +16,7 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.runner.datafiles import kept_data, named_files
-from uqsphere.runner.rehearsal import _undo, stored_study
+from uqsphere.runner.rehearsal import stored_study
 from uqsphere.runner.sums import read_sums
 from uqsphere.verify import verify_folder, verify_text
 
@@ -260,22 +260,17 @@ def test_a_run_that_was_stopped_is_no_damage(box: Path, key: str, who: str) -> N
 # --- the stored study -----------------------------------------------------------------------------
 
 
-def test_observations_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    for factor in (1e-3, 1e6, 1e9, 0.01, 1.0):
-        values = rng.lognormal(sigma=3.0, size=200)
-        assert all(_undo(float(v) * factor, factor) * factor == float(v) * factor for v in values)
-
-
 def test_a_stored_study_reads_nothing_beside_itself(box: Path, tmp_path: Path) -> None:
     text = (box / "run" / "study.toml").read_text()
     resolved = json.loads((box / "run" / "study.resolved.json").read_text())
     (tmp_path / "a").mkdir()
-    study = stored_study(text, resolved, tmp_path / "a")
+    study = stored_study(text, resolved, tmp_path / "a", kept_data(text, box / "run"))
     assert study.hash == resolved["hash"]
     assert study.title == "ball"
     (tmp_path / "b").mkdir()
-    with pytest.raises(FolderError, match="outside its folder"):
+    with pytest.raises(FolderError, match="there is no file"):
+        stored_study(text, resolved, tmp_path / "b")
+    with pytest.raises(FolderError, match="of its own folder only"):
         stored_study(text.replace("tests.csv", "../tests.csv"), resolved, tmp_path / "b")
     assert not (tmp_path / "tests.csv").exists()
 
@@ -286,8 +281,44 @@ def test_the_data_of_a_study_is_kept_beside_it(box: Path) -> None:
     assert kept_data((box / "run" / "study.toml").read_text(), box / "run").keys() == {"tests.csv"}
 
 
-@pytest.mark.parametrize("name", ["../x.csv", "/x.csv", "a/x.csv", "results.json", ".x.csv", "nul.csv", "x.py"])
+@pytest.mark.parametrize(
+    "name",
+    ["../x.csv", "/x.csv", "tables/x.csv", "Evaluations/x.csv", "results.json", "results.json/x.csv", ".x.csv",
+     "a/.x.csv", "nul.csv", "a/nul.csv", "a/../x.csv", "x.py", "-x.csv", "c:x.csv", "a\u202eb.csv", "a\\u001bb.csv",
+     "a//x.csv"],
+)  # fmt: skip
 def test_only_plain_files_of_data_beside_a_study_are_kept(name: str) -> None:
     assert named_files(f'[limits.a.strength]\nfile = "{name}"\n') == []
     assert named_files("not toml") == []
     assert named_files('[[a]]\nfile = "b.csv"\n[pulse]\nfile = "b.csv"') == ["b.csv"]
+
+
+@pytest.mark.parametrize(
+    "name", ["data/x.csv", "a/b/x.CSV", "my tests (1).csv", "Prüfung.dat", "./x.tsv", "data\\\\x.csv"]
+)
+def test_files_below_a_study_are_kept(name: str) -> None:
+    kept = name.removeprefix("./").replace("\\\\", "/")
+    assert named_files(f'[limits.a.strength]\nfile = "{name}"\n') == [kept]
+
+
+def test_data_in_a_folder_of_its_own_is_kept_and_verified(box: Path) -> None:
+    import shutil
+
+    home = box / "deeper"
+    (home / "my data").mkdir(parents=True)
+    shutil.move(box / "tests.csv", home / "my data" / "Prüfung 1.csv")
+    text = (box / "run" / "study.toml").read_text().replace("tests.csv", "my data/Prüfung 1.csv")
+    (home / "box.toml").write_text(text, encoding="utf-8")
+    model = f"{box / 'model.py'}:f"
+    run = uqsphere.run(uqsphere.load_study(home / "box.toml"), out=home / "run", model=model).folder
+    (home / "my data" / "Prüfung 1.csv").unlink()
+    assert "my data/Prüfung 1.csv" in (run / "SHA256SUMS").read_text("utf-8")
+    found = verify_folder(run, model=model)
+    assert (found["verdict"], found["faults"]) == ("whole", [])
+    (run / "my data").rename(home / "elsewhere")
+    (run / "my data").symlink_to(home / "elsewhere")
+    assert kept_data(text, run) == {}
+    assert verify_folder(run, model=model)["verdict"] == "damaged"
+    (home / "my data" / "Prüfung 1.csv").write_bytes((home / "elsewhere" / "Prüfung 1.csv").read_bytes())
+    with pytest.raises(FolderError, match="link"):
+        uqsphere.run(uqsphere.load_study(home / "box.toml"), out=run, model=model)

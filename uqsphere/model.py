@@ -71,7 +71,11 @@ def is_answered(status: Any) -> npt.NDArray[np.bool_]:
     >>> is_answered([0, 3, 7]).tolist()
     [True, False, True]
     """
-    return np.asarray(np.isin(np.asarray(status), list(ANSWERED)), dtype=bool)
+    given = np.asarray(status)
+    found = np.zeros(given.shape, dtype=bool)
+    for code in ANSWERED:  # several times faster than isin, for every row of a run
+        found |= given == code
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOWED", "LONGEST", "Outcome", "faults_of", "guarded", "watched"]
+__all__ = ["ALLOWED", "LONGEST", "Outcome", "faults_of", "guarded", "one_parser", "watched"]
 
 #: exit codes that damaged input may give
 ALLOWED = (0, 2, 5, 6)
@@ -91,6 +91,20 @@ class Hang(BaseException):
 
 def _too_long(number: int, frame: Any) -> None:
     raise Hang
+
+
+@contextlib.contextmanager
+def one_parser() -> Iterator[None]:
+    """Commands share one command-line parser: building it takes longer than checking most of the damaged studies."""
+    from uqsphere import cli
+
+    build = cli.build_parser
+    parser = build()
+    cli.build_parser = lambda: parser
+    try:
+        yield
+    finally:
+        cli.build_parser = build
 
 
 def watched(arguments: Sequence[str], *roots: Path) -> Outcome:

@@ -43,7 +43,18 @@ MUTANTS: list[tuple[str, str, str, str]] = [
         "test_bars.py",
     ),
     (PULSES, "3.0 * rise / length**2, -2.0", "3.0 * rise / length**2, 2.0", "test_pulses.py"),
-    (PULSES, "duration - 0.5 * (rise + fall)", "duration - (rise + fall)", "test_pulses.py"),
+    (
+        PULSES,
+        "duration - 0.5 * (rise + fall)\n    zero",
+        "duration - (rise + fall)\n    zero",
+        "test_pulses.py",
+    ),
+    (
+        PULSES,
+        "duration - 0.5 * (rise + fall)\n    roomy",
+        "duration - (rise + fall)\n    roomy",
+        "test_striker.py::test_ramps_of_steps_may_fill_the_width_and_no_more",
+    ),
     (PULSES, "frequency=np.pi / duration", "frequency=2.0 * np.pi / duration", "test_pulses.py"),
     # closed forms and scales
     (CLOSED, "1.0 / (1.0 + 1.5 * k)", "1.0 / (1.0 + 2.5 * k)", "test_closed_form.py"),
@@ -192,7 +203,7 @@ MUTANTS: list[tuple[str, str, str, str]] = [
     (MARGINS, "return 0.5 * (rising + falling)", "return rising", "test_margins.py"),
     (LIMITS, "demands * limit.model_factor", "demands / limit.model_factor", "test_limits_agree.py test_runner.py"),
     # what is stored and compared
-    (STORE, 'if hashlib.sha256(data).hexdigest()[:16] == match["digest"]', "if data", "test_store.py"),
+    (STORE, "if hashlib.sha256(data).hexdigest()[:16] == name[-20:-4]:", "if data:", "test_store.py"),
     (STORE, "os.replace(temporary, path)", "os.rename(temporary, path)", "test_store.py"),
     (STORE, "            os.fsync(file.fileno())\n", "", "test_store.py"),
     (COMPARE, "math.hypot(b[0] - b[1], a[2] - a[0])", "math.hypot(b[0] - b[1], a[0] - a[1])", "test_compare.py"),

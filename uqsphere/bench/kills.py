@@ -2,7 +2,8 @@
 
 ``python -m uqsphere.bench.kills local --times 200 --out FOLDER`` kills the run itself with SIGKILL, at random moments,
 until it has finished, again and again; ``dask`` kills workers of a cluster of this machine while a run goes on.
-A model that writes down every call is what shows what was evaluated.
+A model that writes down every call is what shows what was evaluated.  With ``--warm`` every run is a fork of a process
+that has its modules loaded already, so that its life is the run and not the start of an interpreter; it draws no page.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ STUDY = """\
 title = "killed"
 seed = 3
 [inputs]
-x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
-x2 = { dist = "normal", mean = 0.0, sd = 1.0 }
+x1 = {{ dist = "uniform", lower = 0.0, upper = 1.0 }}
+x2 = {{ dist = "normal", mean = 0.0, sd = 1.0 }}
 [outputs]
 names = ["y"]
 [limits.high]
@@ -39,8 +40,8 @@ quantity = "y"
 strength = 4.0
 [analysis]
 methods = ["sobol"]
-quantiles = [0.5]
-accuracy = { mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }
+{limit}quantiles = [0.5]
+accuracy = {{ mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }}
 """
 #: a call is one line of its file when it begins, and one when it ends; appended, so that processes share the file
 MODEL = """\
@@ -81,10 +82,14 @@ class Campaign:
     codes: list[int] = field(default_factory=list)
 
 
-def write_case(folder: Path, sleep: float) -> Path:
-    """A black box that writes down its calls, and its study; `sleep` is what a row takes."""
+def write_case(folder: Path, sleep: float, *, processes: bool = False) -> Path:
+    """A black box that writes down its calls, and its study; `sleep` is what a row takes.
+
+    processes : have it evaluated in processes of its own, which a limit of time needs however cheap a row is.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "killed.toml").write_text(STUDY, encoding="utf-8")
+    limit = 'time_limit = "1 min"\n' if processes else ""
+    (folder / "killed.toml").write_text(STUDY.format(limit=limit), encoding="utf-8")
     (folder / "killed.py").write_text(MODEL.format(sleep=sleep), encoding="utf-8")
     return folder
 
@@ -111,9 +116,66 @@ def calls_of(case: Path) -> tuple[dict[str, int], dict[str, int], dict[str, int]
     return begun, ended, rows
 
 
+def _arguments(case: Path, *more: str) -> list[str]:
+    return [
+        "run",
+        str(case / "killed.toml"),
+        "--model",
+        f"{case / 'killed.py'}:f",
+        "--out",
+        str(case / "results"),
+        *more,
+    ]
+
+
 def _command(case: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "uqsphere", "run", str(case / "killed.toml"), "--model", f"{case / 'killed.py'}:f",
-            "--out", str(case / "results"), *more]  # fmt: skip
+    return [sys.executable, "-m", "uqsphere", *_arguments(case, *more)]
+
+
+class _Fork:
+    """A run in a fork of this process, without its page, with what of `subprocess.Popen` is needed here."""
+
+    def __init__(self, case: Path) -> None:
+        self.code: int | None = None
+        self.process = os.fork()
+        if self.process == 0:
+            code = 1
+            try:
+                silence = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(silence, 1)
+                os.dup2(silence, 2)
+                _run_here(case)
+                code = 0
+            finally:
+                os._exit(code)
+
+    def wait(self, timeout: float | None = None) -> int:
+        until = None if timeout is None else time.monotonic() + timeout
+        while self.code is None:
+            found, status = os.waitpid(self.process, 0 if until is None else os.WNOHANG)
+            if found:
+                self.code = os.waitstatus_to_exitcode(status)
+            elif until is not None and time.monotonic() >= until:
+                raise subprocess.TimeoutExpired("run", timeout or 0.0)
+            else:
+                time.sleep(0.0005)
+        return self.code
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.process, number)
+
+
+def _run_here(case: Path) -> None:
+    import uqsphere
+
+    study = uqsphere.load_study(case / "killed.toml")
+    uqsphere.run(study, out=case / "results", model=f"{case / 'killed.py'}:f")
+
+
+def _start(case: Path, warm: bool, *more: str) -> _Fork | subprocess.Popen[bytes]:
+    if warm:
+        return _Fork(case)
+    return subprocess.Popen(_command(case, *more), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def _clear(case: Path) -> None:
@@ -139,18 +201,26 @@ def _stored(case: Path) -> int:
     return sum(len(np.load(files[key])) for key, base in bases.items() if base == key or base not in files)
 
 
-def kill_runs(case: Path, times: int, *, seed: int = 1, jobs: str = "2") -> Campaign:
-    """Kill a run at random moments until it finishes, begin a new one, and so on for a number of kills.
+def kill_runs(
+    case: Path, times: int, *, seed: int = 1, jobs: str = "2", warm: bool = False, limit: float = float("inf")
+) -> Campaign:
+    """Kill a run at random moments until it finishes, begin a new one, and so on, `times` kills or `limit` seconds.
 
-    After each kill the rows that are stored are counted: with the calls that had ended by then this says what had been
-    evaluated and not stored.
+    Answers are held against those of a process of its own that nobody disturbs, `warm` or not.  After each kill the
+    rows that are stored are counted: with the calls that had ended by then this says what had been evaluated and not
+    stored.
     """
     rng, found = random.Random(seed), Campaign()
     whole, seconds, evaluations = _whole(case, "-j", jobs)
+    if warm:
+        _clear(case)
+        _run_here(case)  # loads all that a run needs
     _clear(case)
-    lost = 0
+    lost, until = 0, time.monotonic() + limit
     while True:
-        process = subprocess.Popen(_command(case, "-j", jobs), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        times = times if time.monotonic() < until else 0
+        began, fresh = time.monotonic(), not (case / "calls.log").exists()
+        process = _start(case, warm, "-j", jobs)
         try:
             code = process.wait(timeout=rng.uniform(0.0, seconds) if found.kills < times else None)
         except subprocess.TimeoutExpired:
@@ -161,6 +231,8 @@ def kill_runs(case: Path, times: int, *, seed: int = 1, jobs: str = "2") -> Camp
             begun, ended, rows = calls_of(case)
             lost = sum(rows[name] * n for name, n in ended.items()) - _stored(case)
             continue
+        if fresh:  # the machine may be busier than it was, or less: moments are drawn from the life of the last run
+            seconds = time.monotonic() - began
         found.runs += 1
         found.codes.append(code)
         begun, ended, rows = calls_of(case)
@@ -246,11 +318,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sleep", type=float, default=0.0005, help="seconds that a row takes")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", default="2", help="processes of a local run, or workers of the cluster")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="no more kills after that (local)")
+    parser.add_argument("--warm", action="store_true", help="local runs are forks of a process that is ready")
+    parser.add_argument("--processes", action="store_true", help="local runs evaluate in processes of their own")
     parser.add_argument("--out", type=Path, required=True, help="a folder to work in")
     chosen = parser.parse_args(arguments)
-    case = write_case(chosen.out.resolve(), chosen.sleep)
+    case = write_case(chosen.out.resolve(), chosen.sleep, processes=chosen.processes)
     if chosen.which == "local":
-        found = kill_runs(case, chosen.times, seed=chosen.seed, jobs=chosen.jobs)
+        found = kill_runs(
+            case, chosen.times, seed=chosen.seed, jobs=chosen.jobs, warm=chosen.warm, limit=chosen.seconds
+        )
     else:
         found = kill_workers(case, chosen.times, workers=int(chosen.jobs), seed=chosen.seed)
     print(json.dumps(asdict(found)))

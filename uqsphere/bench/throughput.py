@@ -15,7 +15,7 @@ from pathlib import Path
 
 from uqsphere.model import answer
 from uqsphere.runner.pilot import first_look
-from uqsphere.runner.work import REPLICATES, Ledger, Work, draw, evaluate_draw
+from uqsphere.runner.work import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_draw
 from uqsphere.store import open_store
 from uqsphere.study import Study, load_study
 
@@ -30,7 +30,10 @@ class Throughput:
     """What a number of evaluations took: seconds, evaluations per second, bytes.
 
     `bare` is the kernel called with rows that are there already, for as many of them as fit into one stage; `drawing`
-    is what the points take, which any use of the kernel has to pay; `runner` is everything.
+    is what the points take, which any use of the kernel has to pay; `runner` is everything.  `overhead` is in time of
+    the processor, all threads together, which other work on the machine does not lengthen much; `outside` is by the
+    clock: time that was neither drawing nor in the model, waits for the disk included, over the time in the model.
+    `peaks` are the largest memory after each eighth of the evaluations.
     """
 
     study: str
@@ -41,7 +44,9 @@ class Throughput:
     drawing_seconds: float
     runner_seconds: float
     overhead: float
+    outside: float
     peak_memory: int
+    peaks: tuple[int, ...]
     stored: int
 
 
@@ -68,25 +73,34 @@ def measure(study: Study, evaluations: int, folder: Path, *, threads: int | None
         work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
         count = max(1, min(STAGE, evaluations) // REPLICATES)
 
-        def bare() -> float:
+        def bare() -> tuple[float, float]:
+            """Seconds of an evaluation, by the clock and of the processor."""
             rows = draw(work.drawn, seed=study.seed, task="sampling", start=0, count=count).physical
             rows = rows[:, :, : len(work.scene_names)].reshape(REPLICATES * count, -1)
-            began = time.perf_counter()
-            answer(study, work.scene_names, rows, work.quantities, fidelity=work.fidelity, threads=threads,
-                   tolerance=study.model.tolerance, fallback=work.fallback)  # fmt: skip
-            return len(rows) / (time.perf_counter() - began)
+            began, used = time.perf_counter(), time.process_time()
+            for first in range(0, len(rows), CHUNK):  # its best use: what a call works on fits into the cache
+                answer(study, work.scene_names, rows[first : first + CHUNK], work.quantities, fidelity=work.fidelity,
+                       threads=threads, tolerance=study.model.tolerance, fallback=work.fallback)  # fmt: skip
+            return (time.perf_counter() - began) / len(rows), (time.process_time() - used) / len(rows)
 
-        before, drawing, start = bare(), 0.0, 0
-        began = time.perf_counter()
+        bare()  # what is compiled or loaded on first use
+        before, start, peaks = bare(), 0, [peak_memory()]
+        drawing = drawing_used = 0.0
+        inside = work.engine.seconds
+        began, used = time.perf_counter(), time.process_time()
         while start * REPLICATES < evaluations:
             some = min(count, -(-evaluations // REPLICATES) - start)
-            drew = time.perf_counter()
+            drew, drew_used = time.perf_counter(), time.process_time()
             points = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=some)
             drawing += time.perf_counter() - drew
+            drawing_used += time.process_time() - drew_used
             evaluate_draw(work, f"sampling.{start}", points)
             start += some
-        seconds = time.perf_counter() - began
-        speed = 2.0 / (1.0 / before + 1.0 / bare())
+            if 8 * start * REPLICATES >= len(peaks) * evaluations:
+                peaks.append(peak_memory())
+        seconds, used = time.perf_counter() - began, time.process_time() - used
+        inside = work.engine.seconds - inside
+        after = bare()
     finally:
         store.close()
     done = start * REPLICATES
@@ -94,12 +108,14 @@ def measure(study: Study, evaluations: int, folder: Path, *, threads: int | None
         study=study.title,
         fidelity=work.fidelity,
         evaluations=done,
-        bare_per_second=speed,
+        bare_per_second=2.0 / (before[0] + after[0]),
         runner_per_second=done / seconds,
         drawing_seconds=drawing,
         runner_seconds=seconds,
-        overhead=(seconds - drawing) * speed / done - 1.0,
+        overhead=(used - drawing_used) / done * 2.0 / (before[1] + after[1]) - 1.0,
+        outside=(seconds - drawing - inside) / inside,
         peak_memory=peak_memory(),
+        peaks=tuple(peaks[1:]),
         stored=sum(path.stat().st_size for path in (folder / "evaluations").iterdir()),
     )
 

@@ -75,12 +75,15 @@ def packed(answered: Answered) -> npt.NDArray[Any]:
 
     Plain rows (n, q) of numbers where every row was answered as asked, else with a byte for each flag.
     """
-    flags = np.concatenate([answered.censored, answered.status[:, None], answered.routes[:, None]], axis=1)
-    values = np.ascontiguousarray(answered.values)
-    if not flags.any():
+    values, route = np.ascontiguousarray(answered.values), answered.route
+    if not (answered.censored.any() or answered.status.any() or (route is not None and route.any())):
         return values
-    table = np.empty(len(values), dtype=[("values", "<f8", (values.shape[1],)), ("flags", "u1", (flags.shape[1],))])
-    table["values"], table["flags"] = values, flags
+    columns = values.shape[1]
+    table = np.empty(len(values), dtype=[("values", "<f8", (columns,)), ("flags", "u1", (columns + 2,))])
+    table["values"] = values
+    flags = table["flags"]
+    flags[:, :columns], flags[:, columns] = answered.censored, answered.status
+    flags[:, columns + 1] = 0 if route is None else route
     return table
 
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from uqsphere.model import scene_of
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.remember import remembered_fractures
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.union import (
     fracture_limits,
@@ -153,7 +154,10 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
     scene = scene_of(work.study, {name: physical[:, k] for k, name in enumerate(names)}, len(distinct))
     paths = [path for limit in limits if (path := path_of(limit.quantity, work.study.demands)) is not None]
     shares = drawn.shares.reshape(len(limits), -1).T
-    result = first_fractures(scene, shares, paths, rows=rows, threads=work.threads)
+    result = remembered_fractures(
+        work.store, "fracture.loading", scene, [limit.quantity for limit in limits], [shares, rows],
+        lambda: first_fractures(scene, shares, paths, rows=rows, threads=work.threads),
+    )  # fmt: skip
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(distinct)
     lost = float((result.first < 0).mean())
     if lost > MOST_LOST:

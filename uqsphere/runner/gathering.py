@@ -25,7 +25,8 @@ Array = npt.NDArray[np.float64]
 
 #: seconds of evaluation that may wait to be stored: a run that is killed repeats no more than that
 UNSAVED: Final = 0.01
-#: seconds of evaluation that are worth waiting for the disk: a part that is lost with the machine is evaluated again
+#: seconds of evaluation that are worth waiting for the disk: what is lost with the machine, and not with the process
+#: alone, is evaluated again
 DURABLE: Final = 1.0
 
 
@@ -67,11 +68,12 @@ class _Sheet:
 
     def part(self, start: int, stop: int) -> Answered:
         some = slice(start, stop)
+        route = self.route[some]
         return Answered(
             values=self.values[some],
             censored=self.censored[some],
             status=self.status[some],
-            route=self.route[some].astype(np.int64),
+            route=route.astype(np.int64) if route.any() else None,
             note=self.note,
         )
 
@@ -104,7 +106,7 @@ def collect(
         for chunk in chunks:
             _load(store, chunk, sheet)
     reused = sum(int(chunk.done.sum()) for chunk in chunks)
-    done, waiting = reused, 0.0
+    done, waiting, loose = reused, 0.0, 0.0
     blocks = _missing(task, rows, chunks, engine)
     finished = _evaluated(task, rows, blocks, engine=engine, box=box, threads=threads, go_on=go_on)
     try:
@@ -113,9 +115,10 @@ def collect(
             chunk = chunks[start // CHUNK]
             chunk.done[start - chunk.start : stop - chunk.start] = True
             chunk.unsaved.append((start, stop))
-            done, waiting = done + stop - start, waiting + seconds
+            done, waiting, loose = done + stop - start, waiting + seconds, loose + seconds
             if store is not None and chunk.done.all():
-                _save_whole(store, chunk, sheet)
+                _save_whole(store, chunk, sheet, durable=loose >= DURABLE)
+                loose = 0.0 if loose >= DURABLE else loose
             elif store is not None and waiting >= UNSAVED:
                 _save_parts(store, chunks, sheet, durable=waiting >= DURABLE)
                 waiting = 0.0
@@ -193,8 +196,9 @@ def _load(store: Store, chunk: _Chunk, sheet: _Sheet) -> None:
             chunk.parts.append(key)
 
 
-def _save_whole(store: Store, chunk: _Chunk, sheet: _Sheet) -> None:
-    store.save(chunk.name, packed(sheet.part(chunk.start, chunk.stop)))
+def _save_whole(store: Store, chunk: _Chunk, sheet: _Sheet, *, durable: bool = True) -> None:
+    # parts that were waited for are given up only for what is as safe
+    store.save(chunk.name, packed(sheet.part(chunk.start, chunk.stop)), durable=durable or bool(chunk.parts))
     store.drop(chunk.parts)
     chunk.parts.clear()
     chunk.unsaved.clear()

@@ -8,7 +8,6 @@ goes to a private folder that is gone afterwards.
 from __future__ import annotations
 
 import tempfile
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +18,6 @@ import numpy.typing as npt
 
 from uqsphere.errors import FolderError, StudyError, UsageError
 from uqsphere.model import BlackBox
-from uqsphere.quantities import UNITS
 from uqsphere.store import Store
 from uqsphere.study import Study, load_study
 
@@ -104,8 +102,8 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapp
     Parameters
     ----------
     text, resolved : content of study.toml and of study.resolved.json.
-    place : a private folder; observations that the study took from a CSV are written there from `resolved`.
-    data : content of data files by name, where they are kept: they go there as they are.
+    place : a private folder.
+    data : content of the data files that are kept, by name (`uqsphere.runner.datafiles.kept_data`): they go there.
 
     Raises
     ------
@@ -115,12 +113,8 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapp
     path = place / "study.toml"
     path.write_text(text, encoding="utf-8")
     try:
-        for name, columns in _columns(tomllib.loads(text), resolved).items():
-            rows = zip(*columns.values(), strict=True)
-            lines = [",".join(_quoted(column) for column in columns), *(",".join(map(repr, row)) for row in rows)]
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            (place / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
         for name, content in (data or {}).items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(content)
         study = load_study(path, tuple(resolved.get("overrides", ())))
     except (StudyError, UsageError, ValueError, OSError, RecursionError) as error:
@@ -128,37 +122,6 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapp
     if study.hash != resolved.get("hash"):
         raise FolderError("study.toml is not the study that study.resolved.json was made from")
     return replace(study, title=str(resolved.get("title", study.title)))
-
-
-def _quoted(column: str) -> str:
-    return '"' + column.replace('"', '""') + '"'
-
-
-def _columns(data: Mapping[str, Any], resolved: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
-    """The CSV files that the study names: file -> column -> values in the column's own unit."""
-    found: dict[str, dict[str, list[float]]] = {}
-    for name, law in resolved["random"].items():
-        raw: Any = data
-        for key in name.split(".") if "." in name else ("inputs", name):
-            raw = raw.get(key, {}) if isinstance(raw, Mapping) else {}
-        if law["dist"] != "empirical" or not isinstance(raw, Mapping) or not {"file", "column"} <= set(raw):
-            continue
-        file, column = str(raw["file"]), str(raw["column"])
-        parts = Path(file.replace("\\", "/")).parts
-        if Path(file).is_absolute() or ".." in parts or ":" in file or not parts or len(file) > 255:
-            raise FolderError("study.toml names a file outside its folder")
-        factor = next((units[raw["unit"]] for units in UNITS.values() if raw.get("unit") in units), 1.0)
-        found.setdefault(file, {})[column] = [_undo(value, factor) for value in law["data"]]
-    return found
-
-
-def _undo(value: float, factor: float) -> float:
-    """The number that times `factor` is `value` to the last bit."""
-    start = value / factor
-    for candidate in (start, np.nextafter(start, np.inf), np.nextafter(start, -np.inf)):
-        if float(candidate) * factor == value:
-            return float(candidate)
-    return start
 
 
 # --- the run once more --------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""Answers of the pilot, stored like all others."""
+"""Answers of the pilot, and what breaks first along a loading, stored like all others."""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -15,9 +16,10 @@ from uqsphere.store import Store
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.fracture import Fractures
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["remembered"]
+__all__ = ["remembered", "remembered_fractures"]
 
 Table: TypeAlias = npt.NDArray[Any]
 
@@ -33,12 +35,7 @@ def remembered(store: Store | None, key: str, scene: Scene, about: object, solve
     """
     if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
         return solve()
-    numbers = np.stack([np.broadcast_to(column, (len(scene),)) for column in scene.columns.values()], axis=1)
-    flags = [scene.shape, scene.infinite, scene.rigid_contact, scene.first_loading_only, scene.horizon]
-    record = None if scene.record is None else asdict(scene.record)
-    demands = {name: [kind, dict(values)] for name, (kind, values) in scene.demands.items()}
-    meaning = json.dumps([list(scene.columns), flags, record, demands, about], default=float).encode()
-    name = f"{key}.0.{fingerprint(meaning, np.asarray(numbers, dtype=float))}"
+    name = _name(key, scene, about)
     stored = store.load(name)
     if stored is not None and stored.dtype.names is not None and len(stored) == len(scene):
         found = _unpacked(stored)
@@ -47,6 +44,41 @@ def remembered(store: Store | None, key: str, scene: Scene, about: object, solve
     found = solve()
     store.save(name, _packed(found))
     return found
+
+
+def remembered_fractures(
+    store: Store | None, key: str, scene: Scene, about: object, given: Sequence[Table], solve: Callable[[], Fractures]
+) -> Fractures:
+    """What `solve` finds along the loading of specimens, from the store if it was asked before.
+
+    about, given : plain values and arrays that it depends on beside the scene's columns.
+    """
+    from uqsphere.mechanics.fracture import Fractures
+
+    if store is None or sum(map(len, scene.demands)) > LONGEST_NAMES:
+        return solve()
+    digest = hashlib.blake2b(b"".join(np.ascontiguousarray(array).tobytes() for array in given), digest_size=8)
+    name = _name(key, scene, [about, digest.hexdigest()])
+    stored, names = store.load(name), [part.name for part in fields(Fractures)]
+    if stored is not None and list(stored.dtype.names or ()) == names:
+        return Fractures(**{name: np.ascontiguousarray(stored[name]) for name in names})
+    found = solve()
+    columns = {name: np.asarray(getattr(found, name)) for name in names}
+    table = np.empty(len(found.first), dtype=[(name, part.dtype, part.shape[1:]) for name, part in columns.items()])
+    for column, part in columns.items():
+        table[column] = part
+    store.save(name, table)
+    return found
+
+
+def _name(key: str, scene: Scene, about: object) -> str:
+    """The name of the one chunk of a question: its key, and the fingerprint of all that its answers depend on."""
+    numbers = np.stack([np.broadcast_to(column, (len(scene),)) for column in scene.columns.values()], axis=1)
+    flags = [scene.shape, scene.infinite, scene.rigid_contact, scene.first_loading_only, scene.horizon]
+    record = None if scene.record is None else asdict(scene.record)
+    demands = {name: [kind, dict(values)] for name, (kind, values) in scene.demands.items()}
+    meaning = json.dumps([list(scene.columns), flags, record, demands, about], default=float).encode()
+    return f"{key}.0.{fingerprint(meaning, np.asarray(numbers, dtype=float))}"
 
 
 def _columns(answers: Answers) -> dict[str, Table]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -190,12 +191,16 @@ def _judged(check: dict[str, Any], fracture: Mapping[str, Any] | None) -> dict[s
 def versions() -> dict[str, str]:
     """Versions that an answer depends on."""
     found = {"uqsphere": uqsphere.__version__, "python": platform.python_version()}
-    for name in _DEPENDENCIES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "missing"
-    return found
+    return {**found, **{name: _installed(name) for name in _DEPENDENCIES}}
+
+
+@cache
+def _installed(name: str) -> str:
+    """The version of a package: it does not change in the life of a process, and is slow to find out."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "missing"
 
 
 def build_results(work: Work, found: Findings) -> dict[str, Any]:

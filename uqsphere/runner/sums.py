@@ -17,7 +17,7 @@ from uqsphere.store import write_atomically
 __all__ = ["NAME", "compare_sums", "read_sums", "write_sums"]
 
 NAME: Final = "SHA256SUMS"
-_LINE: Final = re.compile(r"([0-9a-f]{64})  ([A-Za-z0-9][A-Za-z0-9._/-]{0,199})")
+_LINE: Final = re.compile(r"""([0-9a-f]{64})  (\w[^\x00-\x1f\x7f-\x9f\\:*?"<>|]{0,199})""")
 _MOST_BYTES: Final = 1 << 22
 
 
@@ -44,7 +44,7 @@ def read_sums(folder: Path) -> dict[str, str] | None:
         When the file is not what a run writes, or names a file outside the folder.
     """
     try:
-        text = read_whole(folder / NAME, _MOST_BYTES).decode("ascii")
+        text = read_whole(folder / NAME, _MOST_BYTES).decode("utf-8")
     except AccessError as error:
         if isinstance(error.__cause__, FileNotFoundError):
             return None
@@ -52,9 +52,9 @@ def read_sums(folder: Path) -> dict[str, str] | None:
     except UnicodeDecodeError as error:
         raise FolderError(f"{folder / NAME} is damaged: {error}") from error
     sums = {}
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(text.removesuffix("\n").split("\n"), 1):
         match = _LINE.fullmatch(line)
-        if match is None or ".." in match[2].split("/"):
+        if match is None or ".." in match[2].split("/") or not match[2].isprintable():
             raise FolderError(f"{folder / NAME} is damaged: line {number} is no checksum of a file inside the folder")
         sums[match[2]] = match[1]
     return sums

@@ -275,13 +275,14 @@ def evaluate_points(
 
 def _account(work: Work, fidelity: str, answered: Answered) -> None:
     """Count evaluations and failures, and stop where the policy says so."""
-    ledger, status, routes = work.ledger, answered.status, answered.routes
-    by_full = int((routes != ROUTE_ASKED).sum())
-    ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + int((routes != ROUTE_FULL).sum())
+    ledger, status, route = work.ledger, answered.status, answered.route
+    by_full = 0 if route is None else int((route != ROUTE_ASKED).sum())
+    asked = len(status) if route is None else int((route != ROUTE_FULL).sum())
+    ledger.evaluations[fidelity] = ledger.evaluations.get(fidelity, 0) + asked
     if by_full:
         ledger.evaluations["full"] = ledger.evaluations.get("full", 0) + by_full
         ledger.fallback += by_full
-    if work.spare:
+    if work.spare or not (status.any() or ledger.failures):
         return
     ledger.undecided += int((status == STATUS_UNDECIDED).sum())
     codes, counts = np.unique(status[~is_answered(status)], return_counts=True)

@@ -8,6 +8,7 @@ depends on the order in which things are drawn, and a sequence can be continued 
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,9 @@ __all__ = ["MOST_DIMENSIONS", "random_generator", "sobol_points"]
 MOST_DIMENSIONS = 21201
 
 _BLOCK = 65536
+#: sequences that may be continued, and where they are: a long one is drawn piece by piece, and need not begin anew
+_left: dict[tuple[int, int, str, int], tuple[Any, int]] = {}
+_MOST_LEFT = 64
 _WIDE = 1000  # from here on the scrambling matrices of 52-bit points would fill the memory
 
 
@@ -57,17 +61,23 @@ def sobol_points(*, dimension: int, count: int, start: int = 0, seed: int, task:
     bits = 52 if dimension < _WIDE else 30
     if start + count > 2**bits:
         raise ValueError(f"a sequence in {dimension} dimensions holds 2^{bits} points")
-    generator = np.random.default_rng(_seed(seed, task, replicate))
-    engine = qmc.Sobol(dimension, scramble=True, bits=bits, rng=generator)
+    key = (dimension, seed, task, replicate)
+    engine, drawn = _left.pop(key, (None, 0))
+    if engine is None or drawn > start:
+        generator = np.random.default_rng(_seed(seed, task, replicate))
+        engine, drawn = qmc.Sobol(dimension, scramble=True, bits=bits, rng=generator), 0
     # The very first point by itself: a first draw of another size than 2^k would warn, and a sequence that
     # is going to be continued may be cut anywhere.  Points before `start` are drawn and thrown away, since
     # fast_forward of SciPy 1.17 takes no sequence of more than 32 bits.
-    drawn, wanted = 0, []
+    wanted = []
     while drawn < start + count:
         size = 1 if drawn == 0 else min(_BLOCK, (start if drawn < start else start + count) - drawn)
         block = engine.random(size)
         if drawn >= start:
             wanted.append(block)
         drawn += size
+    if len(_left) >= _MOST_LEFT:
+        _left.pop(next(iter(_left)), None)
+    _left[key] = engine, drawn
     points = np.concatenate(wanted)
     return np.asarray(points, dtype=np.float64) + 0.5 ** (bits + 1)
