@@ -6,7 +6,7 @@ import math
 
 from uqsphere.report.contents import Contents
 from uqsphere.report.sections import Table
-from uqsphere.report.wording import input_name, limit_name, plain_percent, probability_range, value_text
+from uqsphere.report.wording import input_name, limit_name, listed, plain_percent, probability_range, value_text
 
 __all__ = ["parts_finding", "parts_table"]
 
@@ -21,14 +21,14 @@ def parts_finding(contents: Contents, name: str) -> str:
         return ""
     subject = contents.subject(entry["solve"])
     factor = middle / value["value"]
-    lost = "; ".join(
-        f"{input_name(n)}: a factor of {math.exp(share * math.log(factor)):.3g}"
+    lost = listed([
+        f"{math.exp(share * math.log(factor)):.3g} ({input_name(n)})"
         for n, share in sorted(shares.items(), key=lambda item: -item[1])
         if share >= 0.005
-    )
+    ])  # fmt: skip
     return (
         f"Half of the specimens of {limit_name(name)} break at {value_text(middle, subject)}; between that and "
-        f"{value_text(value['value'], subject)} lies a factor of {factor:.3g}. Of it goes to {lost}."
+        f"{value_text(value['value'], subject)} lies a factor of {factor:.3g}, made up of {lost}."
     )
 
 
