@@ -66,6 +66,8 @@ MARKS: Final = "osD^vP"
 _THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue"}
 _WIDTH: Final = 6.4
 _BIDI: Final = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+#: a coordinate of a path with more digits than anybody sees: a hundredth of a point is kept
+_LONG: Final = re.compile(r"-?\d+\.\d{3,}")
 _SVG: Final = "{http://www.w3.org/2000/svg}"
 _XLINK: Final = "{http://www.w3.org/1999/xlink}"
 
@@ -251,6 +253,8 @@ def render(picture: Picture) -> str:
         found = element.get("style", "")
         if "font:" in found:
             element.set("style", found.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
+        if "d" in element.attrib:
+            element.set("d", _LONG.sub(lambda number: f"{float(number[0]):.2f}", element.attrib["d"]))
     _describe(root, picture)
     ElementTree.register_namespace("", _SVG[1:-1])
     ElementTree.register_namespace("xlink", _XLINK[1:-1])
