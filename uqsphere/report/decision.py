@@ -176,11 +176,22 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
 def _interesting(p: Array, x: Array, here: float | None) -> Array:
     """Points of the curve between the first that is practically sure and the last, and around the operating point."""
     inside = np.flatnonzero((p > 1e-5) & (p < 1.0 - 1e-5))
-    first, last = (inside[0], inside[-1]) if len(inside) else (0, len(p) - 1)
+    first, last = (max(inside[0] - 1, 0), min(inside[-1] + 1, len(p) - 1)) if len(inside) else (0, len(p) - 1)
+    begin, end = _close_together(x)
+    if begin < last and first < end:
+        first, last = max(first, begin), min(last, end)
     if here is not None and x[0] <= here <= x[-1]:
         k = int(np.searchsorted(x, here))
         first, last = min(first, max(k - 1, 0)), max(last, min(k, len(p) - 1))
-    return np.arange(max(first - 1, 0), min(last + 2, len(p)))
+    return np.arange(first, last + 1)
+
+
+def _close_together(x: Array) -> tuple[int, int]:
+    """First and last of the values that lie close together, if most do: beyond them the curve is a first look only."""
+    steps = np.diff(np.log(x) if x[0] > 0.0 else x)
+    close = np.flatnonzero(steps <= 2.0 * np.median(steps))
+    whole = len(close) >= 0.7 * len(steps) and close[-1] - close[0] == len(close) - 1
+    return (int(close[0]), int(close[-1]) + 1) if whole else (0, len(x) - 1)
 
 
 def x_scale(axes: Axes, x: Array) -> None:
@@ -234,20 +245,21 @@ def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array,
 
 
 def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
-    """The accepted probability, labelled where the curve lies below it."""
+    """The accepted probability, labelled at the end where the curve is far from it."""
     if limit["target"] is None:
         return
     accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
     y = float(score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
     word = "at most" if limit["aim"] == "survive" else "at least"
+    left = rising == (accepted > 0.5)
     axes.annotate(
         f"target: {word} {plain_percent(accepted)}",
-        (0.0 if rising else 1.0, y),
-        xytext=(4 if rising else -4, 3),
+        (0.0 if left else 1.0, y),
+        xytext=(4 if left else -4, 3),
         xycoords=("axes fraction", "data"),
         textcoords="offset points",
-        ha="left" if rising else "right",
+        ha="left" if left else "right",
         va="bottom",
         color=RED,
         fontsize=9.0,
