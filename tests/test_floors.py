@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -119,3 +120,22 @@ def test_a_wrong_import_is_found(module: str, line: str) -> None:
 def test_files_stay_readable() -> None:
     long = {name: lines for name, path in MODULES.items() if (lines := path.read_text("utf-8").count("\n")) > 430}
     assert long.keys() <= {"uqsphere.mechanics.kernel"}  # one compiled loop, which numba wants in one piece
+
+
+def test_the_top_level_is_as_agreed() -> None:
+    """What is kept there is told by git; a stray file is found before it goes out."""
+    top = ROOT.parent
+    kept = subprocess.run(["git", "ls-files"], cwd=top, capture_output=True, text=True, check=True).stdout.splitlines()
+    names = {name.partition("/")[0] for name in kept}
+    agreed = {
+        "pyproject.toml",
+        "uqsphere",
+        "tests",
+        "studies",
+        "reports",
+        "README.md",
+        "docs",
+        "CHANGELOG.md",
+        "LICENSE",
+    }
+    assert {name for name in names if not name.startswith(".")} == agreed | {"constraints.txt"}
