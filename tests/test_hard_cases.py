@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_kernel import scaled_scene
 
+from uqsphere.bench.scenes import scattered_scene
 from uqsphere.mechanics.dynamics import integrate, solve
 from uqsphere.mechanics.layout import ANSWER_X_MAX
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
@@ -146,3 +147,17 @@ def test_the_record_before_the_first_echo_keeps_no_waves() -> None:
     first = Scene(columns=scene.columns, first_loading_only=True)
     assert integrate(first, quantities=("p_max",)).steps[0] < integrate(scene, quantities=("p_max",)).steps[0]
     assert integrate(first, quantities=("p_max",)).answers[0, ANSWER_X_MAX] > 0.0
+
+
+@pytest.mark.parametrize(("mu", "theta"), [(1e-6, 3.0), (1e-6, 10.0), (1e-7, 0.5)])
+def test_the_largest_pressure_of_a_long_motion_alone_keeps_the_tolerance_without_a_second_look(
+    mu: float, theta: float
+) -> None:
+    scene = scattered_scene(8, mu=mu, theta=theta)
+    found = solve(scene, tolerance=1e-6, quantities=("p_max",))
+    close = solve(scene, tolerance=1e-10, quantities=("p_max",))
+    assert (found.steps > 1_000).all()
+    np.testing.assert_allclose(found.values["p_max"], close.values["p_max"], rtol=1e-7)
+    # a second look at a hundredth of the tolerance would have been kept, and takes more steps
+    again = solve(scene, tolerance=1e-8, quantities=("p_max",))
+    assert (again.steps > 1.2 * found.steps).all()

@@ -27,7 +27,8 @@ Rows = npt.NDArray[np.int64]
 #: integrates rows to a tolerance, with what `graze` of the kernel is for them: answers, status and steps of the rows
 March = Callable[[Rows, float, Array | None], tuple[Array, Rows, Rows]]
 
-#: steps after which the errors of single steps may have added up
+#: steps after which the errors of single steps may have added up ; the largest approach alone they leave within a
+#: twentieth of the tolerance after up to 18,000 steps (`tests/test_hard_cases.py`)
 _MANY_STEPS = 1_000
 #: change of a time over that of its threshold, both relative, that is no longer smooth
 _JUMP = 100.0
@@ -66,6 +67,7 @@ def doubtful(
     steps: npt.NDArray[np.int64],
     block: npt.NDArray[np.int64],
     tolerance: float,
+    peak_only: bool = False,
 ) -> list[tuple[float, npt.NDArray[np.int64]]]:
     """Rows of a block whose end of contact has to be looked at more closely: (share of the tolerance, rows).
 
@@ -77,7 +79,8 @@ def doubtful(
     with np.errstate(all="ignore"):
         sharpness = found[:, ANSWER_LOSS_RATE] * found[:, ANSWER_CONTACT] / found[:, ANSWER_X_MAX]
     # what else deserves a closer look: a face that nearly left, a threshold that is nearly missed, a long motion
-    doubtful = np.isfinite(found[:, ANSWER_NEAREST]) | (steps[block] > _MANY_STEPS) | jumping(found, tolerance)
+    long = (steps[block] > _MANY_STEPS) & (not peak_only)
+    doubtful = np.isfinite(found[:, ANSWER_NEAREST]) | long | jumping(found, tolerance)
     sharpness = np.where(doubtful, np.fmin(sharpness, 0.5), sharpness)
     # where no look can decide, one that is close enough for a clean loss will do
     hovering = found[:, ANSWER_NEAREST] <= tolerance * found[:, ANSWER_X_MAX]
@@ -121,13 +124,15 @@ def _farther(answers: Array, one: Array, other: Array) -> npt.NDArray[np.bool_]:
 
 
 def settle(
-    march: March, block: Rows, tolerance: float, answers: Array, others: Array, status: Rows, steps: Rows
-) -> None:
+    march: March, block: Rows, tolerance: float, answers: Array, others: Array, status: Rows, steps: Rows, *,
+    peak_only: bool = False,
+) -> None:  # fmt: skip
     """Look closer at the doubtful rows of a block that has been integrated, until they are certain or have two answers.
 
     answers, others (n, ANSWERS), status, steps (n,) are brought up to date; undecided rows get the status for it.
+    With `peak_only` nothing beyond the largest approach is asked for.
     """
-    looks = doubtful(answers, status, steps, block, tolerance)
+    looks = doubtful(answers, status, steps, block, tolerance, peak_only)
     while looks:
         factor, rows = looks.pop(0)
         closer = max(_FINEST, factor * tolerance)

@@ -269,7 +269,8 @@ def integrate(
 
     def run(block: Rows) -> None:
         inner[block], inner_status[block], inner_steps[block] = march(block, tolerance)
-        settle(march, block, tolerance, inner, inner_others, inner_status, inner_steps)
+        settle(march, block, tolerance, inner, inner_others, inner_status, inner_steps,
+               peak_only=wanted == 0)  # fmt: skip
 
     workers = min(thread_count(threads), len(blocks))
     if workers == 1:
