@@ -96,6 +96,8 @@ def test_a_value_is_its_number_times_its_unit(dimension: str, number: float, dat
 @example("__import__('os')", "length")
 @example("1e400 mm", "length")
 @example("1+1 mm", "length")
+@example("2_ mm", "length")
+@example("1__0", "number")
 def test_no_text_is_evaluated(text: str, dimension: str) -> None:
     try:
         value = parse_value(text, dimension)
@@ -103,6 +105,27 @@ def test_no_text_is_evaluated(text: str, dimension: str) -> None:
         return
     assert math.isfinite(value)
     assert any(character.isdigit() for character in text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1_000 mm", 1.0),
+        ("1_0.2_5 m", 10.25),
+        (".2_5 m", 0.25),
+        ("1.e1_ m", None),
+        ("1_ m", None),
+        ("_1 m", None),
+        ("1__0 m", None),
+        ("\u0663 m", None),
+    ],
+)
+def test_an_underscore_stands_between_two_digits(text: str, value: float | None) -> None:
+    if value is not None:
+        assert parse_value(text, "length") == value
+        return
+    with pytest.raises(UnitError):
+        parse_value(text, "length")
 
 
 # --- store ----------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ __all__ = ["build_schema"]
 
 Node = dict[str, Any]
 
-_NUMBER: Final = r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*"
+_NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
 _NAME: Final = "^[A-Za-z_][A-Za-z0-9_-]{0,63}$"
 _SHARE: Final[Node] = {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1}
 _FLAG: Final[Node] = {"type": "boolean"}
