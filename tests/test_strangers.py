@@ -374,3 +374,19 @@ def test_the_log_says_how_a_run_failed_and_stops_no_run(tmp_path: Path) -> None:
     with logged(tmp_path / "d"):
         pass
     assert target.read_text() == "precious"
+
+
+@pytest.mark.filterwarnings("ignore:Glyph:UserWarning")
+@pytest.mark.parametrize("evil", ["\x1b[2J", "\x00", "\ufffe", "\x0b"])
+def test_no_name_breaks_a_figure(evil: str) -> None:
+    from xml.etree import ElementTree
+
+    from uqsphere.report.canvas import Picture, new_figure, render
+
+    figure, (axes,) = new_figure(2.0)
+    axes.set_yticks([0.0, 1.0], labels=["a", f"b{evil}c"])
+    axes.set_title(f"d{evil}e")
+    drawn = ElementTree.fromstring(render(Picture(name="x", title="t", finding=f"f{evil}g", figure=figure)).encode())
+    text = "".join(drawn.itertext())
+    assert "c" in text
+    assert evil not in text

@@ -143,6 +143,10 @@ class Picture:
     rows: tuple[tuple[Any, ...], ...] = ()
 
 
+#: what no XML may hold, as UTF-8: a name in a figure may come from a stranger's folder
+_NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
+
+
 def clean(text: str) -> str:
     """A text of a study as it may stand in a figure: no control characters, on one line.
 
@@ -242,7 +246,7 @@ def render(picture: Picture) -> str:
             engine.execute(picture.figure)
             picture.figure.set_layout_engine("none")
         picture.figure.savefig(buffer, format="svg", metadata=nothing)
-    root = ElementTree.fromstring(buffer.getvalue())
+    root = ElementTree.fromstring(_NO_XML.sub(b"", buffer.getvalue()))
     for parent in list(root.iter()):
         for child in list(parent):
             # metadata says nothing; the style sheet would reach beyond the figure once it stands in a page
