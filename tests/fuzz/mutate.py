@@ -157,5 +157,5 @@ def damage_json(document: Any, generator: Generator) -> Any:
             value = other[name] if (name in other if isinstance(other, dict) else name < len(other)) else None
             parent[key] = copy.deepcopy(value)
         else:
-            parent[key] = _pick(generator, NUMBERS)
+            parent[key] = copy.deepcopy(_pick(generator, NUMBERS))  # the next damage may go into it
     return document
