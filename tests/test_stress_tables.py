@@ -91,8 +91,8 @@ def test_tension_falls_short_of_the_largest_value() -> None:
 
 def test_the_rim_against_the_series_step_by_step() -> None:
     """A contact that grows in steps of 3 % up to a/r = 0.3: the largest tension at each place, summed by trapezoids."""
-    grown, poisson = 0.3 * np.exp(-0.03 * np.arange(75)), [0.1, 0.25]
-    sine = np.concatenate([grown[::-1], np.geomspace(0.3, 1.0, 300)[1:]])
+    grown, poisson = 0.3 * np.exp(-0.03 * np.arange(60)), [0.1, 0.25]
+    sine = np.concatenate([grown[::-1], np.geomspace(0.3, 1.0, 150)[1:]])
     seen = np.zeros((len(sine), 2))
     for ratio in grown:
         outside = sine >= ratio * (1.0 - 1e-12)

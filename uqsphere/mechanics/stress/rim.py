@@ -114,7 +114,7 @@ def _largest_seen(contact_ratio: float, sine: Array, nu: float) -> Array:
     bend = before - 2.0 * here + after
     # the top of the parabola through three steps, where the largest one lies between others
     top = here - np.where(bend < 0.0, (after - before) ** 2 / (8.0 * np.where(bend < 0.0, bend, -1.0)), 0.0)
-    return np.maximum(np.where((k == inner) & (k > 0), top, seen[at, k]), 0.0)
+    return np.asarray(np.maximum(np.where((k == inner) & (k > 0), top, seen[at, k]), 0.0))
 
 
 def rim_integrals(contact_ratio: float, nu: float, moduli: npt.ArrayLike) -> Array:
