@@ -121,3 +121,14 @@ def test_exceedance_and_fragility_agree() -> None:
 def test_what_goes_not_together_is_refused(grid: np.ndarray, probabilities: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"must"):
         fragility(grid, probabilities, (0.5,), samples=10, evaluations=1)
+
+
+def test_the_place_where_a_curve_turns_back_is_told() -> None:
+    """Up to the value 2.2 and down again, ending lower than it began: the rise is not taken for the turn."""
+    shape = np.exp(-((np.log(GRID / 2.2)) ** 2) / 0.3)
+    exact = np.repeat((0.1 + 0.8 * shape)[:, None], 4, axis=1)
+    exact[-1] = 0.05
+    reason = fragility(GRID, exact, (0.5,), samples=1000, evaluations=1).values[0.5].reason
+    assert reason is not None
+    told = float(reason.rsplit(" ", 1)[1])
+    assert told == pytest.approx(GRID[np.argmin(np.abs(GRID - 2.2))], rel=0.25)

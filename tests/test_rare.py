@@ -27,6 +27,7 @@ from uqsphere.uq.rare.importance import (
 )
 from uqsphere.uq.rare.kriging import fit_kriging, predict
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, fit_mixture, log_density
+from uqsphere.uq.rare.modes import _paths
 from uqsphere.uq.rare.problem import Evaluator, FailedEvaluation, LimitFunction
 from uqsphere.uq.rare.radial import Radial, draw_radial, radial_density
 from uqsphere.uq.rare.sorm import correct
@@ -415,3 +416,10 @@ def test_untouched_space_is_looked_at_before_a_process_is_believed() -> None:
     entry = problem("RP110")
     found = learn_probability(LimitFunction(function=entry.function, dimension=2), seed=1, budget=100)
     assert found.estimate.value == pytest.approx(entry.reference, rel=0.15)
+
+
+def test_paths_between_peaks_are_points_also_from_the_origin() -> None:
+    for second in (np.array([2.0, 1.0, 0.0]), np.zeros(3)):
+        found = _paths(np.zeros(3), second)
+        assert found.shape == (14, 3)
+        assert np.isfinite(found).all()

@@ -13,6 +13,8 @@ import pytest
 from scipy.stats import norm
 
 import uqsphere
+from uqsphere.runner.rare import narrower
+from uqsphere.uq.estimates import Estimate
 
 TEXT = """\
 title = "Rare"
@@ -192,3 +194,21 @@ def test_a_black_box_with_two_failure_modes(tmp_path: Path) -> None:
     assert miss["value"] == pytest.approx(value, rel=0.05)
     assert run.results["limits"]["g"]["modes"] == 2
     assert run.results["limits"]["g"]["design_points"] >= 2
+
+
+def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_contradiction() -> None:
+    def told(value: float, half: float) -> Estimate:
+        return Estimate(
+            value=value, low=value - half, high=value + half, std_error=half / 2.0, method="", evaluations=1
+        )
+
+    own = told(1.17e-6, 0.01e-6)
+    assert narrower(own, told(1.10e-6, 0.02e-6))[0] is own
+    # too little of it, too much, or a probability that plain sampling can be trusted with: both are held
+    for other in (told(0.8e-6, 0.02e-6), told(1.25e-6, 0.02e-6)):
+        kept, text = narrower(own, other)
+        assert "both" in text
+        assert kept.low is not None
+        assert kept.high is not None
+        assert kept.low <= other.value <= kept.high  # type: ignore[operator]
+    assert "both" in narrower(told(1.17e-3, 0.01e-3), told(1.10e-3, 0.02e-3))[1]

@@ -11,6 +11,7 @@ import pytest
 from uqsphere.mechanics.stress import tables
 from uqsphere.mechanics.stress.axis import axis_series, load_on_axis
 from uqsphere.mechanics.stress.make_tables import SHAPES, exact, pack
+from uqsphere.mechanics.stress.rim import rim_tension
 from uqsphere.mechanics.stress.weakest_link import hoop_field, surface_integrals, volume_integrals
 
 #: the error that the tables state
@@ -86,6 +87,33 @@ def test_tension_falls_short_of_the_largest_value() -> None:
         found = tables.ratio("volume", np.full(40, ratio), 0.2, moduli)
         assert np.all(np.diff(found) > 0.0)
         assert found[-1] < float(tables.core_ratio(ratio, 0.2)[0])
+
+
+def test_the_rim_against_the_series_step_by_step() -> None:
+    """A contact that grows in steps of 3 % up to a/r = 0.3: the largest tension at each place, summed by trapezoids."""
+    grown, poisson = 0.3 * np.exp(-0.03 * np.arange(60)), [0.1, 0.25]
+    sine = np.concatenate([grown[::-1], np.geomspace(0.3, 1.0, 150)[1:]])
+    seen = np.zeros((len(sine), 2))
+    for ratio in grown:
+        outside = sine >= ratio * (1.0 - 1e-12)
+        z = np.sqrt(np.maximum(np.log(sine[outside] / ratio), 0.0) / math.log(1.0 / ratio))
+        seen[outside] = np.maximum(seen[outside], ratio / 0.3 * rim_tension(float(ratio), z, poisson))
+    for m in (5.0, 9.0):
+        totals = np.trapezoid(seen**m * sine[:, None], np.arcsin(np.minimum(sine, 1.0)), axis=0)
+        found = tables.half_space_rim(0.3, poisson, m) * tables.ratio("rim", 0.3, poisson, m)
+        assert found == pytest.approx(totals ** (1.0 / m), rel=2e-3)
+
+
+def test_the_rim_of_a_small_contact_is_that_of_the_half_space() -> None:
+    ratios = np.array([0.005, 0.05, 0.3])
+    share = tables.ratio("rim", ratios, 0.2, 9.0)
+    assert 0.98 < share[0] < 1.0
+    assert np.all(np.diff(share) < 0.0)
+    # in the half space: what lies outside, and what the contact has grown over
+    s = np.geomspace(1e-4, 1.0, 200_001)
+    seen = 0.2 * np.where(s < 0.005, s / 0.005, (0.005 / s) ** 2)
+    total = float(np.trapezoid(seen**9.0 * s, s)) ** (1.0 / 9.0)
+    assert float(tables.half_space_rim(0.005, 0.2, 9.0)) == pytest.approx(total, rel=1e-5)
 
 
 def test_packing_keeps_what_it_says() -> None:

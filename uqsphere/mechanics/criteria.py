@@ -298,10 +298,10 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
 
 
 def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
-    m = parameters["modulus"]
-    area = 2.0 * math.pi * np.square(np.asarray(columns["a_max"])) / (m - 1.0)
-    edge = contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"]))
-    return np.asarray(edge * (area / parameters["reference_area"]) ** (1.0 / m))
+    ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
+    size = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"])) / parameters["reference_area"]
+    field = tables.half_space_rim(ratio, nu, m) * tables.ratio("rim", ratio, nu, m)
+    return np.asarray(np.asarray(columns["p_max"]) * field * size ** (1.0 / m))
 
 
 def _energy(columns: Columns, parameters: Parameters) -> Array:
@@ -390,11 +390,12 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=_weakest("surface")),
         Criterion(
             name="weakest_link_rim", meaning="flaws in the surface around both contacts opened by the radial tension",
-            formula="(1 - 2 nu)/3 p_max [2 pi a²/((m - 1) S_0)]^(1/m)", dimension="pressure",
+            formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far", dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
-            source="Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; half space",
-            range_text="a/r <= 0.05, m > 1", needs=_FIELD, parameters=("modulus", "reference_area"),
-            ranges={"a/r": (0.0, 0.05), "sphere.nu": (0.0, 0.5)}, formula_of=_weakest_rim),
+            source=f"Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; {_SERIES}",
+            range_text=_WEIBULL_TEXT, needs=_FIELD,
+            parameters=("modulus", "reference_area"), ranges=_WEIBULL_TABLE,
+            formula_of=_weakest_rim),
         Criterion(
             name="specific_energy", quantity="specific_energy",
             meaning="energy stored in both contacts per mass",

@@ -53,6 +53,8 @@ LEAST: Final = 3000
 FOR_DESIGN: Final = 1000
 #: probability below which sampling's own interval is not believed
 DOUBTFUL: Final = 1e-4
+#: plain sampling falls short of a doubtful probability by so much without contradicting it: its terms are skewed
+LACKING: Final = 1.25
 #: normal scores beyond which a tail is taken for certain
 _FAR: Final = 37.0
 
@@ -250,11 +252,13 @@ def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
         return own, ""
     if own.half_width >= old.half_width and old.value >= DOUBTFUL:
         return old, "sampling was as accurate: its answer is kept"
+    if own.low > old.high and old.value < DOUBTFUL and own.value < LACKING * old.value:
+        return own, f"plain sampling gave {old.value:.3g}: it lacks the rare great terms of so small a probability"
     if own.low > old.high or own.high < old.low:
         text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
         low, high = min(own.low, old.low), max(own.high, old.high)
         return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
-    return own, "plain sampling agrees"
+    return own, f"plain sampling agrees: {old.value:.3g}"
 
 
 def complement(e: Estimate) -> Estimate:

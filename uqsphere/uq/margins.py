@@ -83,13 +83,13 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
 
 
 def _turning(grid: Array, probabilities: Array) -> float | None:
-    """Value at which the curve goes against its own direction by more than four standard errors, if any."""
+    """Value at which a curve that has risen falls, or has fallen rises, by more than four standard errors, if any."""
     steps = np.diff(probabilities, axis=0)
     mean = steps.mean(axis=1)
-    direction = 1.0 if probabilities[-1].mean() >= probabilities[0].mean() else -1.0
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
-    against = direction * mean < -(4.0 * error + 1e-9)
-    return float(grid[int(np.argmax(against)) + 1]) if against.any() else None
+    sure = np.flatnonzero(np.abs(mean) > 4.0 * error + 1e-9)
+    back = sure[np.sign(mean[sure]) != np.sign(mean[sure[0]])] if sure.size else sure
+    return float(grid[int(back[0])]) if back.size else None
 
 
 def _monotone(scores: Array) -> Array:

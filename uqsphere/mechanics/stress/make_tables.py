@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.stress.axis import equatorial_hoop, largest_hoop, largest_shear, load_on_axis
+from uqsphere.mechanics.stress.rim import rim_integrals
 from uqsphere.mechanics.stress.tables import chebyshev_fit, chebyshev_nodes
 from uqsphere.mechanics.stress.weakest_link import hoop_field, surface_integrals, volume_integrals
 
@@ -20,7 +21,7 @@ __all__ = ["SHAPES", "exact", "make", "pack"]
 #: number of polynomials in a/r, nu and m, and what one unit of the written whole numbers is worth
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "core": (28, 64), "core_depth": (28, 64), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
-    "volume": (38, 20, 34), "surface": (38, 20, 34),
+    "volume": (38, 20, 34), "surface": (38, 20, 34), "rim": (24, 16, 20),
 }  # fmt: skip
 _UNITS: Final = {2: 1e-10, 3: 2e-9}
 
@@ -54,7 +55,12 @@ def _three_way() -> dict[str, Array]:
         for j, nu in enumerate(poisson):
             values["volume"][i, j] = volume_integrals(field, float(nu), moduli)
             values["surface"][i, j] = surface_integrals(field, float(nu), moduli)
-    return values
+    return values | {"rim": _rim()}
+
+
+def _rim() -> Array:
+    ratios, poisson, moduli = chebyshev_nodes(SHAPES["rim"])
+    return np.array([[rim_integrals(float(ratio), float(nu), moduli) for nu in poisson] for ratio in ratios])
 
 
 def pack(values: Array) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from uqsphere.mechanics.stress.surface import cross_in_closed_form, pressure_on_
 
 Array = npt.NDArray[np.float64]
 
-__all__ = ["HoopField", "hoop_field", "surface_integrals", "volume_integrals"]
+__all__ = ["HoopField", "hoop_field", "legendre_even", "surface_integrals", "volume_integrals"]
 
 
 def _gauss(edges: Array, nodes: int) -> tuple[Array, Array]:
@@ -68,7 +68,7 @@ class HoopField:
         self._mean, self._degree = float(p[0]), np.arange(2, terms + 1, 2, dtype=float)
         # a smooth cut-off: near the surface the powers do not end the sum, and away from the rim this is exact
         self._load = p[2::2] * np.exp(-36.0 * (self._degree / terms) ** 8)
-        self._value, self._slope = _legendre(np.cos(angle), terms)
+        self._value, self._slope = legendre_even(np.cos(angle), terms)
         self._power = np.exp(np.outer(np.log(self.radius), self._degree - 2.0))
 
     def hoop(self, nu: float) -> Array:
@@ -94,7 +94,7 @@ class HoopField:
         return np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross)
 
 
-def _legendre(x: Array, terms: int) -> tuple[Array, Array]:
+def legendre_even(x: Array, terms: int) -> tuple[Array, Array]:
     """P_n and x P_n' of the even degrees from 2 on, (degrees, points)."""
     values, slopes = np.empty((terms // 2, len(x))), np.empty((terms // 2, len(x)))
     before, now, slope_before, slope = np.ones_like(x), x.copy(), np.zeros_like(x), np.ones_like(x)

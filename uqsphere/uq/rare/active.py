@@ -19,7 +19,7 @@ from uqsphere.uq.families import Array
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import FormAnswer
 from uqsphere.uq.rare.importance import wide_mixture
-from uqsphere.uq.rare.kriging import Kriging, fit_kriging, predict, through
+from uqsphere.uq.rare.kriging import Kriging, fit_kriging, predict, predict_reduced, reduced, through
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
 from uqsphere.uq.sampling import sobol_points
@@ -28,6 +28,8 @@ __all__ = ["METHOD", "ActiveAnswer", "learn_probability"]
 
 #: calls between two looks at the lengths of the process, and candidates of every look
 EVERY, CANDIDATES = 5, 6000
+#: turns in a row that have to be sure enough
+CALM = 3
 #: looks at untouched space for every variable, before the process is believed
 LOOKS = 6
 #: doubt that is said to be more than the answer can bear
@@ -72,53 +74,61 @@ class ActiveAnswer:
 def learn_probability(
     limit: LimitFunction, *, seed: int, budget: int = 200, accuracy: float = 0.05, task: str = "active"
 ) -> ActiveAnswer:
-    """Probability of failure from at most `budget` calls, ended earlier when the doubt is below `accuracy`.
+    """Probability of failure from at most `budget` calls, ended earlier when half the interval is below `accuracy`.
 
     The interval holds what importance sampling gives on the process's mean, and on its mean plus and minus
     1.96 standard deviations.  For at most ten or so variables, and limits that a Gaussian process can follow.
     """
     evaluator = Evaluator(limit=limit, budget=budget)
     size = evaluator.size
+    looks = LOOKS * size
     points = _first_points(size, seed, task, min(max(12, 4 * size), budget))
     try:
         values = evaluator.hard(points)
-        doubt, calm, looked = 1.0, 0, 0
+        doubt, calm, looked, pause = 1.0, 0, 0, 0
         known = np.isfinite(values)
         if known.sum() < 3:
             nothing = absent("fewer than three of the first points have an answer", METHOD, evaluator.count)
             return _nothing(nothing, evaluator, size)
-        model = fit_kriging(points[known], _squeezed(values[known]))
-        while evaluator.left >= 1 and (calm < 3 or looked < LOOKS * size):
-            candidates, weights = _candidates(model, seed, task, evaluator.count)
-            mean, deviation = predict(model, candidates)
+        scale = _scale(values[known])
+        model = fit_kriging(points[known], _squeezed(values[known], scale))
+        candidates, weights, rows = _sight(model, seed, task, evaluator.count)
+        while evaluator.left >= 1 and (calm < CALM or looked < looks):
+            mean, deviation = predict_reduced(model, rows)
             wrong, failing = _signs(mean, deviation)
             total = float((weights * failing).sum())
             doubt = float((weights * wrong).sum()) / max(total, 1e-300)
-            # the looks at untouched space come after three calm turns, and are not ended by a little more doubt
-            calm = calm + 1 if doubt < (accuracy if calm < 3 else 4.0 * accuracy) else 0
-            far = calm >= 3
+            # the looks at untouched space come after some calm turns, and are not ended by a little more doubt
+            calm = calm + 1 if _band(weights, mean, deviation) < (1.0 if calm < CALM else 2.0) * accuracy else 0
+            # a search that does not settle leaves a quarter of its calls for what the looks may find
+            late = pause == 0 and evaluator.left <= looks - looked + 0.25 * budget
+            far = looked < looks and (calm >= CALM or late)
             chosen = (
                 _untouched(candidates, points, total)
                 if far
                 else candidates[int(np.argmax(weights * wrong * deviation / deviation.max()))]
             )
             values = np.append(values, evaluator.hard(chosen[None, :]))
+            pause = max(pause - 1, 0)
             if far:
                 # what was excluded there and yet fails sends the process back to learning
                 surprised = bool(values[-1] < 0.0) and float(predict(model, chosen[None, :])[0][0]) > 0.0
-                calm, looked = (0, 0) if surprised else (calm, looked + 1)
+                calm, looked, pause = (0, 0, 4 * size) if surprised else (calm, looked + 1, pause)
             points = np.concatenate([points, chosen[None, :]])
             known = np.isfinite(values)
-            if len(points) % EVERY == 0 or calm > 0:
-                model = fit_kriging(points[known], _squeezed(values[known]), model.lengths)
-            else:
-                model = through(points[known], _squeezed(values[known]), model.lengths)
+            if len(points) % EVERY == 0:
+                scale = _scale(values[known])
+                model = fit_kriging(points[known], _squeezed(values[known], scale), model.lengths)
+                candidates, weights, rows = _sight(model, seed, task, evaluator.count)
+            elif known[-1]:
+                model = through(points[known], _squeezed(values[known], scale), model.lengths)
+                rows = reduced(model, candidates, rows)
     except Spent:
         return _nothing(
             absent("the budget does not suffice for a first design", METHOD, evaluator.count), evaluator, size
         )
     found = _answer(model, size, seed, evaluator.count, doubt)
-    return replace(found, looked=looked, looks=LOOKS * size, failed=evaluator.failed)
+    return replace(found, looked=looked, looks=looks, failed=evaluator.failed)
 
 
 def _nothing(estimate: Estimate, evaluator: Evaluator, size: int) -> ActiveAnswer:
@@ -137,9 +147,12 @@ def _first_points(size: int, seed: int, task: str, count: int) -> Array:
     return np.concatenate([np.zeros((1, size)), rays * (1.0 + (reach - 1.0) * uniforms[:, :1])])
 
 
-def _squeezed(values: Array) -> Array:
+def _scale(values: Array) -> float:
+    return float(np.median(np.abs(values))) or 1.0
+
+
+def _squeezed(values: Array, scale: float) -> Array:
     """Values with their sign, great ones pulled in: what matters is where they change it."""
-    scale = float(np.median(np.abs(values))) or 1.0
     return np.asarray(np.arcsinh(2.0 * values / scale))
 
 
@@ -163,6 +176,12 @@ def _signs(mean: Array, deviation: Array) -> tuple[Array, Array]:
     return np.asarray(ndtr(-np.abs(scores))), np.asarray(ndtr(-scores))
 
 
+def _band(weights: Array, mean: Array, deviation: Array) -> float:
+    """Half of what lies between the process plus and minus 1.96 standard deviations, over the probability."""
+    least, middle, most = (float(weights[mean + side * deviation < 0.0].sum()) for side in (1.96, 0.0, -1.96))
+    return 0.5 * (most - least) / max(middle, 1e-300)
+
+
 def _candidates(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array, Array]:
     """Points in the wide surroundings and about the failures that are known, and their weights in the law."""
     size = model.points.shape[1]
@@ -175,6 +194,12 @@ def _candidates(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array,
     drawn = Mixture(shares=np.array(counts) / CANDIDATES, components=mixture.components)
     found = draw_mixture(drawn, counts, seed=seed, task=f"{task} candidates", replicate=turn)
     return found, np.exp(log_normal_density(found) - log_density(drawn, found))
+
+
+def _sight(model: Kriging, seed: int, task: str, turn: int) -> tuple[Array, Array, Array]:
+    """Candidates, their weights, and what the process needs to be predicted there."""
+    candidates, weights = _candidates(model, seed, task, turn)
+    return candidates, weights, reduced(model, candidates)
 
 
 def model_sign(model: Kriging) -> Array:
@@ -193,8 +218,8 @@ def _surrogate(model: Kriging, shift: float) -> Callable[[Array], Array]:
 def _answer(model: Kriging, size: int, seed: int, calls: int, doubt: float) -> ActiveAnswer:
     """Importance sampling on the process, and on its two edges for the interval."""
     found: list[RareAnswer] = [
-        find_probability(LimitFunction(function=_surrogate(model, shift), dimension=size), seed=seed, budget=12_000,
-                         accuracy=0.03)
+        find_probability(LimitFunction(function=_surrogate(model, shift), dimension=size), seed=seed, budget=16_000,
+                         accuracy=0.015)
         for shift in (0.0, -1.96, 1.96)
     ]  # fmt: skip
     middle, most, least = (answer.estimate for answer in found)

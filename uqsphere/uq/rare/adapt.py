@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.uq.families import Array
 from uqsphere.uq.rare.importance import defended
-from uqsphere.uq.rare.mixture import Mixture, allocate, draw_mixture, fit_mixture, joined, log_density, log_total
+from uqsphere.uq.rare.mixture import FEW, Mixture, allocate, draw_mixture, fit_mixture, joined, log_density, log_total
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density
 from uqsphere.uq.sampling import random_generator
 
@@ -71,7 +71,8 @@ def refit(pool: Pool, *, rng: np.random.Generator, most: int) -> Mixture | None:
     """A mixture fitted to the weighted failures of the pool; None where they are worth too little."""
     points, weights = pooled_weights(pool)
     worth = worth_of(weights)
-    if worth < max(12.0, 2.0 * pool.points[0].shape[1]):
+    d = pool.points[0].shape[1]
+    if worth < (max(12.0, 2.0 * d) if d <= FEW else 30.0):
         return None
     if len(weights) > _MOST_FITTED:
         chosen = rng.choice(len(weights), _MOST_FITTED, replace=False)

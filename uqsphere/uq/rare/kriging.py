@@ -9,7 +9,7 @@ import numpy as np
 
 from uqsphere.uq.families import Array
 
-__all__ = ["Kriging", "fit_kriging", "predict", "through"]
+__all__ = ["Kriging", "fit_kriging", "predict", "predict_reduced", "reduced", "through"]
 
 _NUGGET = 1e-8
 
@@ -76,7 +76,7 @@ def fit_kriging(points: Array, values: Array, start: Array | None = None) -> Kri
         except np.linalg.LinAlgError:
             return 1e10
 
-    best = minimize(cost, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25})
+    best = minimize(cost, begin, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25 if start is None else 10})
     return _solved(points, values, np.exp(best.x))[1]
 
 
@@ -91,3 +91,34 @@ def predict(model: Kriging, points: Array) -> tuple[Array, Array]:
         part = solve_triangular(model.factor, across, lower=True, check_finite=False)
         deviations.append(np.sqrt(model.variance * np.maximum(1.0 - (part**2).sum(axis=0), 0.0)))
     return np.concatenate(means), np.concatenate(deviations)
+
+
+def reduced(model: Kriging, points: Array, before: Array | None = None) -> Array:
+    """What prediction at points (m, d) needs of a process through n values, (n, m).
+
+    `before` is that of the same lengths and fewer values, the first of these: only the rest is computed.
+    """
+    from scipy.linalg import solve_triangular
+
+    if before is None:
+        across = _correlation(model.points, points, model.lengths)
+        return np.asarray(solve_triangular(model.factor, across, lower=True, check_finite=False))
+    rows = before
+    for k in range(len(before), len(model.points)):
+        across = _correlation(model.points[k : k + 1], points, model.lengths)
+        rows = np.concatenate([rows, (across - model.factor[k : k + 1, :k] @ rows) / model.factor[k, k]])
+    return rows
+
+
+def predict_reduced(model: Kriging, rows: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation (m,) from `reduced` rows (n, m).
+
+    >>> x = np.linspace(-2.0, 2.0, 9)[:, None]
+    >>> model, place = fit_kriging(x, np.sin(x[:, 0])), np.array([[0.3]])
+    >>> few = through(x[:7], np.sin(x[:7, 0]), model.lengths)
+    >>> rows = reduced(model, place, reduced(few, place))
+    >>> np.allclose(predict_reduced(model, rows), predict(model, place), atol=1e-9)
+    True
+    """
+    mean = model.mean + rows.T @ (model.factor.T @ model.loads)
+    return np.asarray(mean), np.sqrt(model.variance * np.maximum(1.0 - np.einsum("nm,nm->m", rows, rows), 0.0))

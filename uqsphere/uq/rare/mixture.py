@@ -21,6 +21,8 @@ __all__ = ["Component", "Mixture", "allocate", "draw_mixture", "fit_mixture", "l
 
 #: dimensions from which on direction and distance are tried too
 LEAST_RADIAL = 5
+#: dimensions beyond which few numbers have to describe a component
+FEW = 10
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
@@ -139,17 +141,15 @@ def fit_mixture(
     worth = float(1.0 / (weights**2).sum()) / correlated
     d = points.shape[1]
     best: tuple[float, Mixture] | None = None
-    for radial in (False, True) if d >= LEAST_RADIAL else (False,):
+    for family in _families(d):
         least = math.inf
-        for count in (k for k in (1, 2, 3, 4, 6, 8) if k <= (3 if radial else most)):
+        for count in (k for k in (1, 2, 3, 4, 6, 8) if k <= (3 if family == "radial" else most)):
             # a component of few points fits their noise, and leaves holes beside itself
-            if count > 1 and worth < count * (4.0 * (d + 1) if d > 10 or radial else 3.0 * (d + 0.5 * d * (d + 1))):
+            own = 4.0 * (d + 1) if d > FEW or family == "radial" else 3.0 * (d + 0.5 * d * (d + 1))
+            if count > 1 and worth < count * own:
                 break
-            fitted, loglik = _maximise(points, weights, count, worth, rng, radial)
-            # in many dimensions the covariances are mostly not free: see _covariance
-            shape = 3.0 if radial else (0.5 * d * (d + 1) if worth > 10.0 * d * d * count else 2.0 * d)
-            free = len(fitted.components) * (1.0 + d + shape) - 1.0
-            score = -2.0 * worth * loglik + math.log(max(worth, 2.0)) * free
+            fitted, loglik = _maximise(points, weights, count, worth, rng, family)
+            score = -2.0 * worth * loglik + math.log(max(worth, 2.0)) * _free(fitted, worth, family)
             if best is None or score < best[0]:
                 best = (score, fitted)
             if score > least + 20.0:
@@ -159,8 +159,25 @@ def fit_mixture(
     return best[1]
 
 
+def _families(d: int) -> tuple[str, ...]:
+    """Kinds of components that are tried in d variables."""
+    if d > FEW:
+        return "full", "lean", "radial"
+    return ("full", "radial") if d >= LEAST_RADIAL else ("full",)
+
+
+def _free(mixture: Mixture, worth: float, family: str) -> float:
+    """Numbers that a fit was free to choose."""
+    count, d = len(mixture.components), mixture.dimension
+    if family == "lean":
+        return float(sum(np.count_nonzero(c.mean) + 3 for c in mixture.components) - 1)
+    # in many dimensions the covariances are mostly not free: see _covariance
+    shape = 3.0 if family == "radial" else (0.5 * d * (d + 1) if worth > 10.0 * d * d * count else 2.0 * d)
+    return count * (1.0 + d + shape) - 1.0
+
+
 def _maximise(
-    points: Array, weights: Array, count: int, worth: float, rng: np.random.Generator, radial: bool
+    points: Array, weights: Array, count: int, worth: float, rng: np.random.Generator, family: str
 ) -> tuple[Mixture, float]:
     """EM from weighted k-means++ centres; the mixture and its mean log-likelihood."""
     centres = _centres(points, weights, count, rng)
@@ -170,7 +187,7 @@ def _maximise(
     duties = (distances == distances.min(axis=1, keepdims=True)).astype(float)
     duties /= duties.sum(axis=1, keepdims=True)
     last = -math.inf
-    mixture = _mixture_of(points, weights, duties, worth, radial)
+    mixture = _mixture_of(points, weights, duties, worth, family)
     for _ in range(20):
         table = component_densities(mixture.components, points) + np.log(mixture.shares)
         whole = log_total(table)
@@ -178,7 +195,7 @@ def _maximise(
         if len(mixture.components) == 1 or loglik < last + 1e-3:
             return mixture, loglik
         last = loglik
-        mixture = _mixture_of(points, weights, np.exp(table - whole[:, None]), worth, radial)
+        mixture = _mixture_of(points, weights, np.exp(table - whole[:, None]), worth, family)
     return mixture, last
 
 
@@ -192,7 +209,7 @@ def _centres(points: Array, weights: Array, count: int, rng: np.random.Generator
     return np.array(chosen)
 
 
-def _mixture_of(points: Array, weights: Array, duties: Array, worth: float, radial: bool) -> Mixture:
+def _mixture_of(points: Array, weights: Array, duties: Array, worth: float, family: str) -> Mixture:
     """Shares, means and covariances for given duties (n, K); components that carry almost nothing are dropped."""
     loads = weights @ duties
     shares: list[float] = []
@@ -201,19 +218,35 @@ def _mixture_of(points: Array, weights: Array, duties: Array, worth: float, radi
     for k in np.flatnonzero(loads > max(2.0 / worth, 1e-4)) if (loads > 2.0 / worth).any() else [int(loads.argmax())]:
         own = weights * duties[:, k] / loads[k]
         shares.append(loads[k])
-        if radial:
+        if family == "radial":
             components.append(fit_radial(points, own))
             continue
         mean = own @ points
         offsets = points - mean
         scatter = (own[:, None] * offsets).T @ offsets
         number = max(loads[k] * worth, 1.0)
-        if d > 10:
+        if d > FEW:
             # in many dimensions the noise of a mean's idle coordinates adds up
-            mean = np.where(np.abs(mean) < 1.5 / math.sqrt(number), 0.0, mean)
+            cut = 1.5 if family == "full" else math.sqrt(2.0 * math.log(d))
+            mean = np.where(np.abs(mean) < cut / math.sqrt(number), 0.0, mean)
+        if family == "lean":
+            components.append(Component(mean=mean, factor=factor_of(_along_and_across(scatter, mean, number))))
+            continue
         components.append(Component(mean=mean, factor=factor_of(_covariance(scatter, number, d))))
     table = np.array(shares)
     return Mixture(shares=table / table.sum(), components=tuple(components))
+
+
+def _along_and_across(scatter: Array, mean: Array, number: float) -> Array:
+    """A covariance with one variance along the mean and another across it."""
+    d = mean.size
+    length = float(np.linalg.norm(mean))
+    unit = mean / length if length > 0.0 else np.eye(d)[0]
+    along = float(unit @ scatter @ unit)
+    across = (float(np.trace(scatter)) - along) / (d - 1)
+    # few points underestimate a spread
+    along, across = np.clip(np.array([along, across]) * (1.0 + 2.0 / max(number - 1.0, 1.0)), 1e-4, 25.0)
+    return np.asarray(across * np.eye(d) + (along - across) * np.outer(unit, unit))
 
 
 def factor_of(covariance: Array) -> Array:

@@ -94,8 +94,8 @@ def _paths(first: Array, second: Array) -> Array:
     line = (1.0 - along) * first + along * second
     lengths = float(np.linalg.norm(first)), float(np.linalg.norm(second))
     cosine = float(first @ second) / max(lengths[0] * lengths[1], 1e-9)
-    if abs(cosine) > 0.98:
-        # opposite points have no one arc between them, and that of neighbours is the line
+    if abs(cosine) > 0.98 or min(lengths) < 1e-9:
+        # opposite points have no one arc between them, nor has the origin, and that of neighbours is the line
         return np.concatenate([line, line])
     angle = math.acos(cosine)
     radius = 1.02 * ((1.0 - along) * lengths[0] + along * lengths[1])
