@@ -63,12 +63,10 @@ def _chaos_text(content: dict[str, Any]) -> str:
               "|---|---|---|---|---|---|"]  # fmt: skip
     for samples in dict.fromkeys(one.samples for one in fits):
         group = [one for one in fits if one.samples == samples]
-        pairs = [(one.true, one.rival_true) for one in group if one.rival_true is not None]
-        no_worse = sum(ours <= max(theirs, 1e-16) for ours, theirs in pairs)
-        better = sum(ours < theirs for ours, theirs in pairs)
+        no_worse, better, compared = chaos.verdicts(group)
         slowest = max(one.seconds for one in group)
         honest = sum(one.honest for one in group)
-        lines.append(f"| {samples} | {no_worse} | {better} | {len(pairs)} | {slowest:.2f} | {honest} of {len(group)} |")
+        lines.append(f"| {samples} | {no_worse} | {better} | {compared} | {slowest:.2f} | {honest} of {len(group)} |")
     lines += ["", "Reported beyond a factor 3 of the true error:", ""]
     lines += ["| model | too small | too large | of | reported over true |", "|---|---|---|---|---|"]
     for model in dict.fromkeys(one.model for one in fits):
