@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
+from uqsphere.uq.chaos.honesty import steadied
 from uqsphere.uq.chaos.outputs import Transform, identity, possible_transforms
 from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
@@ -67,7 +68,8 @@ class Contest:
 class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
-    `reported` is that error and a standard error more: the least of many errors is a lucky one.
+    `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
+    without what a single sample decides (`honesty`).
     """
 
     transform: Transform
@@ -76,6 +78,7 @@ class Found:
     rows: Array
     error: float
     reported: float
+    steady: float
 
 
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
@@ -126,13 +129,16 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
                 sizes=sizes)  # fmt: skip
     path = SOLVERS[solver](task)
     active, least = path.best()
+    off = transform.back(path.held_out) - outputs
+    reported, mean = least + spread_of(off) / variance, float(np.mean(off**2))
     return Found(
         transform=transform,
         solver=solver,
         indices=indices[active],
         rows=rows[active],
         error=least,
-        reported=least + spread_of(transform.back(path.held_out) - outputs) / variance,
+        reported=reported,
+        steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
     )
 
 

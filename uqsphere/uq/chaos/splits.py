@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.chaos.borders import Border, Side, score_features
 from uqsphere.uq.chaos.choice import Basis, Contest, deal
-from uqsphere.uq.chaos.honesty import left_one_out
+from uqsphere.uq.chaos.honesty import left_one_out, steadied
 from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
 from uqsphere.uq.chaos.truncation import Indices
 from uqsphere.uq.families import Array
@@ -35,12 +35,14 @@ _MOST_CANDIDATES: Final = 600
 class Split:
     """Two expansions (multi-indices, coefficients) with their border and their K-fold error.
 
-    `left_out` is the error of samples left out of the coefficients alone, of the piece that holds them.
+    `steady` is that error without what a single fold decides, `left_out` that of samples left out of the coefficients
+    alone, of the piece that holds them.
     """
 
     pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
     border: Border
     error: float
+    steady: float
     left_out: float
     proposal: str
 
@@ -86,7 +88,7 @@ def _left_by_cuts(data: _Data, axes: Samples, places: Array) -> Array:
     """
     n, d = data.points.shape
     features = score_features(data.points, d + 1)
-    above = data.points[:, axes].T > places[:, None]
+    above = np.greater(data.points[:, axes].T, places[:, None])
     pairs = (features[:, :, None] * features[:, None, :]).reshape(n, -1)
     aims = features * data.outputs[:, None]
     predicted = np.zeros(above.shape)
@@ -348,15 +350,17 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
         # What does not even describe the samples at hand will not foretell others.
         if at_hand + doubt >= limit:
             continue
-        left = doubt
+        left, lost = doubt, []
         for fold in range(5):
-            left += _left_out(data, folds == fold, propose, side, whole[1], trials)
+            lost.append(_left_out(data, folds == fold, propose, side, whole[1], trials))
+            left += lost[-1]
             if left >= limit:
                 break
         if left < limit:
             total = variance * outputs.size
             one_by_one = _one_left_out(data, whole[0], side) + doubt
             best = Split(
-                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name
-            )
+                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name,
+                steady=(5.0 * steadied(np.array(lost)) + doubt) / total,
+            )  # fmt: skip
     return best
