@@ -1,6 +1,6 @@
 """Sparse polynomial chaos measured: true and reported error on ten models, beside OpenTURNS (`chaos_rival`).
 
-    python -m uqsphere.bench.chaos --sizes 64 128 --seeds 2
+    python -m uqsphere.bench.chaos --sizes 64 128 --seeds 1 41 42
 
 The rival's numbers are those of the stored run, or measured here.  Times are those of the processor, one thread.
 """
@@ -20,7 +20,10 @@ from uqsphere.bench.chaos_models import CHECKED, MODELS, checked, design, relati
 from uqsphere.bench.chaos_rival import Rival, rival_fit, rival_present, same_design, stored
 from uqsphere.uq.chaos import fit_chaos, predict
 
-__all__ = ["CHECKED", "EXACT", "Measured", "measure", "rival_present", "table", "verdicts"]
+__all__ = ["CHECKED", "EXACT", "SEEDS", "Measured", "measure", "rival_present", "table", "verdicts"]
+
+#: the first is that of the stored rival; the others took no part in any choice within the expansions
+SEEDS: Final = (1, 41, 42, 43, 44, 45, 46)
 
 #: of the variance: two errors below this are both exact
 EXACT: Final = 1e-10
@@ -145,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Sparse polynomial chaos on ten analytical models")
     parser.add_argument("--models", nargs="+", default=list(MODELS), choices=list(MODELS))
     parser.add_argument("--sizes", nargs="+", type=int, default=[64, 128, 256, 512])
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
     parser.add_argument("--rival-sizes", nargs="*", type=int, default=[], help="where OpenTURNS is run if not stored")
     asked = parser.parse_args(arguments)
 
@@ -154,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{one.model}, N = {one.samples}, seed {one.seed}: true {one.true:.1e}, reported {one.reported:.1e}, "
               f"{one.seconds:.2f} s, {one.chosen}{rival}", file=sys.stderr, flush=True)  # fmt: skip
 
-    found = measure(asked.models, asked.sizes, range(1, 1 + asked.seeds), rival_sizes=asked.rival_sizes, notice=notice)
+    found = measure(asked.models, asked.sizes, asked.seeds, rival_sizes=asked.rival_sizes, notice=notice)
     print(table(found))
     return 0
 
