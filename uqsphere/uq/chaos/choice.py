@@ -69,7 +69,7 @@ class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
     `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
-    without what a single sample decides (`honesty`).
+    without what a single sample decides (`honesty`).  `ended`: more terms allowed would have changed nothing.
     """
 
     transform: Transform
@@ -79,6 +79,7 @@ class Found:
     error: float
     reported: float
     steady: float
+    ended: bool
 
 
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
@@ -139,6 +140,7 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
         error=least,
         reported=reported,
         steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
+        ended=path.order.size < most,
     )
 
 
@@ -212,8 +214,12 @@ def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> li
     """All solvers on the basis on which the search ended."""
     if found.error < _ENOUGH and contest.search is None:
         return [found]
-    trials = [(solver, basis) for solver in contest.solvers] + [("least squares", whole) for whole in contest.bases]
-    return [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
+    # the search had forward selection there, perhaps with fewer terms allowed or on fewer samples
+    again = contest.search is not None or not (found.ended or contest.quick_terms == contest.most_terms)
+    trials = [(solver, basis) for solver in contest.solvers if again or solver != found.solver]
+    trials += [("least squares", whole) for whole in contest.bases]
+    fresh = [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
+    return fresh if again else [found, *fresh]
 
 
 def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:

@@ -164,6 +164,7 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     most = max(min(task.most, basis.shape[0]), 1)
     lanes = _Lanes(task, most)
     norms = lanes.norms
+    least = _DEPENDENT * norms
     left = norms.copy()  # square norms of the rows beyond the span of those taken
     correlations = lanes.residuals @ basis.T
     every = np.arange(lanes.masks.shape[0])
@@ -172,8 +173,8 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     wanted = np.ones(every.size, dtype=bool)
     for k in range(most):
         if k:
-            closed |= left <= _DEPENDENT * norms
-            scores = correlations**2 / (np.maximum(left, _DEPENDENT * norms) if orthogonal else norms)
+            closed |= left <= least
+            scores = correlations**2 / (np.maximum(left, least) if orthogonal else norms)
             scores[closed] = -1.0
             rows = np.argmax(scores, axis=1)
             wanted = scores[every, rows] >= 0.0
