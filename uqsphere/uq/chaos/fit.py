@@ -137,7 +137,7 @@ def _candidates(
 ) -> Iterator[_Candidate]:  # fmt: skip
     """The split, if there is one, then the leaders in their order."""
     if split is not None:
-        yield _in_two(split, points, scaled, unit, germs, law)
+        yield _in_two(split, contest, points, scaled, unit, germs, law)
     for found in leaders[: _TRIED - (split is not None)]:
         if not found.error < _NOTHING:
             break
@@ -194,18 +194,47 @@ def _whole(
 
 
 def _in_two(
-    split: Split, points: Array, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
+    split: Split, contest: Contest, points: Array, scaled: Array, unit: float, germs: tuple[GermLike, ...], law: Array
 ) -> _Candidate:
-    """Two expansions and their border; what is loose in them is in the K-fold error, which finds the border anew."""
+    """Two expansions and their border, which the K-fold error finds anew."""
     pieces = tuple(
         Piece(coefficients=coefficients * unit, multi_indices=indices, transform=None)
         for indices, coefficients in split.pieces
     )
     chaos = Chaos(pieces=pieces, border=split.border, germs=germs, cross_validation_error=split.error,
                   samples=scaled.size, solver=f"two pieces: {split.proposal}")  # fmt: skip
+    loose = steadied(_shifts(split, contest, points, scaled, germs, law))
     one = _Candidate(chaos=chaos, folded=split.error, loose=1.0, values=predict(chaos, law) / unit,
-                     reported=blended(split.steady, split.left_out, share=_FEWER))  # fmt: skip
+                     reported=blended(split.steady, split.left_out, loose, share=_FEWER))  # fmt: skip
     return replace(one, reported=max(one.reported, _excess(one, scaled)))
+
+
+def _shifts(
+    split: Split, contest: Contest, points: Array, scaled: Array, germs: tuple[GermLike, ...], law: Array
+) -> Array:
+    """What each fold (K,) moves the two pieces by under the law of the inputs, their terms as they are.
+
+    A piece goes on beyond its own samples, and where it wins there the folds show how much is made up.
+    """
+    highest = max(int(indices.max()) for indices, _ in split.pieces)
+    here, there = (
+        [orthonormal_values(germ, where[:, j], highest) for j, germ in enumerate(germs)] for where in (points, law)
+    )
+    count = int(contest.folds.max()) + 1
+    rows = [products(here, indices) for indices, _ in split.pieces]
+    ends = [coefficients @ own for (_, coefficients), own in zip(split.pieces, rows, strict=True)]
+    side = split.border.side(points, ends)
+    lines = []
+    for (indices, coefficients), own, part in zip(split.pieces, rows, (~side, side), strict=True):
+        several = np.tile(coefficients, (count + 1, 1))
+        if own.shape[0] <= int(part.sum()):
+            fits = refits(own[:, part], scaled[part], contest.folds[part])
+            several = np.tile(fits.coefficients, (count + 1, 1))
+            several[1 : 1 + len(fits.without)] = fits.without
+        lines.append(several @ products(there, indices))
+    values = np.array([np.where(split.border.side(law, pair), pair[1], pair[0]) for pair in zip(*lines, strict=True)])
+    moved = values[1:] - values[0]
+    return np.asarray((count - 1) * np.mean(moved**2, axis=1) / float(np.var(scaled)))
 
 
 def validation_error(chaos: Chaos, points: Array, outputs: Array) -> float:
