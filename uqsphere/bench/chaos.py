@@ -22,7 +22,7 @@ from uqsphere.uq.chaos import fit_chaos, predict
 
 __all__ = ["CHECKED", "EXACT", "SEEDS", "Measured", "measure", "rival_present", "table", "verdicts"]
 
-#: the first is that of the stored rival; the others took no part in any choice within the expansions
+#: the first is that of the stored rival
 SEEDS: Final = (1, 41, 42, 43, 44, 45, 46)
 
 #: of the variance: two errors below this are both exact

@@ -61,8 +61,8 @@ def _chaos_text(content: dict[str, Any]) -> str:
         "those of a stored run of its own (`python -m uqsphere.bench.chaos_rival`), where the design was the same.",
         "", chaos.table(fits), "",
         f"Design by design: no worse is an error within 5 %, or both below {chaos.EXACT:g}; better is a smaller one, "
-        f"and not both below that. Designs: {', '.join(str(one) for one in dict.fromkeys(fit.seed for fit in fits))}; "
-        "all but the first took no part in any choice within the expansions.", "",
+        f"and not both below that. Designs: {', '.join(str(one) for one in dict.fromkeys(fit.seed for fit in fits))}.",
+        "",
         "| N | no worse | better | of | slowest fit, s | error within a factor 3 | "
         f"or both below {chaos.EXACT:g} |", "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
