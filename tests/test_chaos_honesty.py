@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from uqsphere.bench.chaos_models import MODELS
 from uqsphere.uq.chaos import fit_chaos, predict
-from uqsphere.uq.chaos.honesty import blended, left_one_out, refits
+from uqsphere.uq.chaos.honesty import blended, left_one_out, refits, steadied
 from uqsphere.uq.sampling import sobol_points
 
 EXACT = 1e-9
@@ -55,8 +55,28 @@ def test_the_reported_error_lies_between_what_it_is_made_of() -> None:
     assert 1e-3 < blended(1e-2, 1e-3) < 1e-2
     for folded, left_out, loose in [(1e-6, 1e-8, 1e-3), (1e-2, 1e-3, 0.5), (1e-30, 0.0, 1e-20)]:
         assert blended(folded, left_out, loose) >= loose
+    assert blended(0.3, 0.01, share=0.5) == pytest.approx(math.sqrt(0.003))  # two pieces, whatever the size
     assert blended(0.0, 0.0) == 0.0
     assert blended(1.0, math.inf) == math.inf
+
+
+def test_no_single_square_decides_a_mean() -> None:
+    alike = np.full(50, 0.3)
+    assert steadied(alike) == pytest.approx(0.3, rel=1e-12)
+    # of many, next to nothing is taken away
+    many = np.random.default_rng(4).standard_normal(3000) ** 2
+    assert steadied(many) == pytest.approx(float(many.mean()), rel=1e-4)
+    # the largest of all, ever larger, is let go
+    ratios = [steadied(np.append(alike, size)) / 0.3 for size in (0.3, 3.0, 3e2, 3e4, 3e8)]
+    assert ratios[0] == pytest.approx(1.0, rel=1e-12)
+    assert max(ratios) < 3.0
+    assert ratios[-1] == pytest.approx(1.0, abs=1e-3)
+    for squares in (np.append(alike, 7.0), many):
+        for factor in (1e-200, 1e200):
+            assert steadied(factor * squares) == pytest.approx(factor * steadied(squares), rel=1e-9)
+    assert steadied(np.array([2.0])) == 2.0
+    assert steadied(np.zeros(4)) == 0.0
+    assert steadied(np.array([1.0, math.inf])) == math.inf
 
 
 def test_what_is_loose_in_the_tails_is_counted() -> None:

@@ -28,6 +28,7 @@ from uqsphere.uq.chaos import (
     validation_error,
 )
 from uqsphere.uq.chaos.outputs import possible_transforms
+from uqsphere.uq.chaos.splits import _Data, _left_by_cuts
 from uqsphere.uq.sampling import sobol_points
 
 
@@ -336,3 +337,22 @@ def test_a_polynomial_that_is_wild_beyond_its_samples_is_not_believed() -> None:
         p = points(128, germs, replicate)
         chaos = fit_chaos(p, branches(p), germs)
         assert validation_error(chaos, held_out, branches(held_out)) < 1.0
+
+
+def test_cuts_tried_all_at_once_leave_what_two_planes_leave() -> None:
+    rng = np.random.default_rng(8)
+    points = rng.uniform(-1.0, 1.0, (90, 3))
+    outputs = np.where(points[:, 1] > 0.2, 3.0 * points[:, 0], points[:, 2]) + 0.1 * rng.standard_normal(90)
+    axes, places = np.repeat(np.arange(3), 4), np.tile([-0.5, 0.1, 0.2, 0.99], 3)
+    left = _left_by_cuts(_Data(points=points, outputs=outputs, bases=()), axes, places)
+    for axis, place, found in zip(axes, places, left, strict=True):
+        total = 0.0
+        side = points[:, axis] > place
+        if side.mean() < 0.08:
+            assert found == math.inf
+            continue
+        for part in (side, ~side):
+            rows = np.column_stack([np.ones(part.sum()), points[part]])
+            total += float(np.linalg.lstsq(rows, outputs[part], rcond=None)[1][0])
+        assert found == pytest.approx(total / 90, rel=1e-6)
+    assert int(np.argmin(left)) == 6  # where the jump is

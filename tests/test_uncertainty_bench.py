@@ -79,7 +79,7 @@ def cells() -> list[dict[str, Any]]:
 def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = dict(PARTS)
     answers = {
-        "chaos": {"peer": True, "checked": 100, "fits": fits(True)},
+        "chaos": {"checked": 100, "peer": "1.0", "fits": fits(True)},
         "coverage": {"cells": cells(), "pooled": []},
     }
     for name, content in answers.items():
@@ -104,9 +104,9 @@ def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pyt
 
 
 def test_without_the_peer_nothing_stands_beside() -> None:
-    content = {"peer": False, "checked": 100, "fits": fits(False)}
+    content = {"checked": 100, "fits": fits(False)}
     text = PARTS["chaos"].text(content)
-    assert "not installed" in text
+    assert "Nothing stands beside it" in text
     assert "| 64 | 0 | 0 | 0 |" in text
     with style():
         (picture,) = PARTS["chaos"].figures(content)

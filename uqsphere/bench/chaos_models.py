@@ -17,9 +17,14 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.uq.chaos import germ_points
 from uqsphere.uq.families import Array
+from uqsphere.uq.sampling import random_generator, sobol_points
 
-__all__ = ["MODELS", "ChaosModel", "inputs_of"]
+__all__ = ["CHECKED", "MODELS", "ChaosModel", "checked", "design", "inputs_of", "relative_error"]
+
+#: points on which the true error is counted
+CHECKED: Final = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,3 +200,23 @@ MODELS: Final = {
         ),
     )
 }  # fmt: skip
+
+
+def design(model: ChaosModel, samples: int, seed: int) -> Array:
+    """Germ points (n, d) of a scrambled Sobol' design."""
+    from scipy.special import ndtri
+
+    uniforms = sobol_points(dimension=len(model.laws), count=samples, seed=seed, task="chaos bench", replicate=0)
+    return germ_points(ndtri(uniforms), model.germs)
+
+
+def checked(model: ChaosModel) -> tuple[Array, Array]:
+    """Germ points (n, d) that no fit has seen, and their outputs (n,)."""
+    generator = random_generator(seed=0, task="chaos bench: check")
+    points = germ_points(generator.standard_normal((CHECKED, len(model.laws))), model.germs)
+    return points, model(points)
+
+
+def relative_error(predicted: Array, outputs: Array) -> float:
+    """Mean square error over the variance of the outputs, both (n,)."""
+    return float(np.mean((predicted - outputs) ** 2) / np.var(outputs))

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.bench import chaos, coverage, overhead, rough, study_runs, surrogates
+from uqsphere.bench import chaos, chaos_rival, coverage, overhead, rough, study_runs, surrogates
 from uqsphere.bench.chaos_models import MODELS
 from uqsphere.errors import FolderError, UsageError
 
@@ -43,32 +43,45 @@ def _measure_chaos(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]
         rival = "" if one.rival_true is None else f"; OpenTURNS {one.rival_true:.1e} in {one.rival_seconds:.1f} s"
         notice(f"{one.model}, {one.samples} points, seed {one.seed}: {one.true:.1e} in {one.seconds:.2f} s{rival}")
 
-    found = chaos.measure(list(MODELS), sizes, range(1, 2 if quick else 4), rival_sizes=sizes, notice=tell)
-    return {"peer": chaos.rival_present(), "checked": chaos.CHECKED, "fits": [asdict(one) for one in found]}
+    found = chaos.measure(list(MODELS), sizes, chaos.SEEDS[: 1 if quick else None], notice=tell)
+    versions = sorted({one.version for one in chaos_rival.stored().values()})
+    return {"checked": chaos.CHECKED, "peer": ", ".join(versions), "fits": [asdict(one) for one in found]}
 
 
 def _chaos_text(content: dict[str, Any]) -> str:
     fits = [chaos.Measured(**one) for one in content["fits"]]
+    peerless = all(one.rival_true is None for one in fits)
     lines = [
         f"Relative mean square error on {content['checked']:,} points that no fit has seen, median over the designs; "
-        "the error that the fit reports; processor seconds of one thread."
-    ]
-    lines += (
-        ["OpenTURNS (LARS, corrected leave-one-out) has the first design, the same points and germs; of all its "
-         "degrees and norms the one with the least true error is counted, and the seconds of all are added up."]
-        if content["peer"] else
-        ["OpenTURNS is not installed, so nothing stands beside it: install the extra `peers`."]
-    )  # fmt: skip
-    lines += ["", chaos.table(fits), "", "| N | no worse | better | of | slowest fit, s | error within a factor 3 |",
-              "|---|---|---|---|---|---|"]  # fmt: skip
-    for samples in dict.fromkeys(one.samples for one in fits):
-        group = [one for one in fits if one.samples == samples]
-        pairs = [(one.true, one.rival_true) for one in group if one.rival_true is not None]
-        no_worse = sum(ours <= max(theirs, 1e-16) for ours, theirs in pairs)
-        better = sum(ours < theirs for ours, theirs in pairs)
+        "the error that the fit reports; processor seconds of one thread.",
+        "Nothing stands beside it: no run of OpenTURNS is stored for these designs." if peerless else
+        f"OpenTURNS {content['peer']} (LARS, corrected leave-one-out) has the first design, the same points and germs; "
+        "of all its degrees and norms the one with the least true error is counted, and the seconds of all are added "
+        "up. It stops a norm after two degrees that were worse. Its numbers are "
+        "those of a stored run of its own (`python -m uqsphere.bench.chaos_rival`), where the design was the same.",
+        "", chaos.table(fits), "",
+        f"Design by design: no worse is an error within 5 %, or both below {chaos.EXACT:g}; better is a smaller one, "
+        f"and not both below that. Designs: {', '.join(str(one) for one in dict.fromkeys(fit.seed for fit in fits))}.",
+        "",
+        "| N | no worse | better | of | slowest fit, s | error within a factor 3 | "
+        f"or both below {chaos.EXACT:g} |", "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    sizes = list(dict.fromkeys(one.samples for one in fits))
+    for name, group in [
+        *((str(samples), [one for one in fits if one.samples == samples]) for samples in sizes),
+        *([("all", fits)] if len(sizes) > 1 else []),
+    ]:
+        no_worse, better, compared = chaos.verdicts(group)
         slowest = max(one.seconds for one in group)
         honest = sum(one.honest for one in group)
-        lines.append(f"| {samples} | {no_worse} | {better} | {len(pairs)} | {slowest:.2f} | {honest} of {len(group)} |")
+        small = sum(one.honest or max(one.true, one.reported) < chaos.EXACT for one in group)
+        lines.append(f"| {name} | {no_worse} | {better} | {compared} | {slowest:.2f} | {honest} of {len(group)} | "
+                     f"{small} of {len(group)} |")  # fmt: skip
+    lines += ["", "Slowest fit of each model, s:", ""]
+    lines += ["| model | " + " | ".join(str(samples) for samples in sizes) + " |", "|---" * (1 + len(sizes)) + "|"]
+    for model in dict.fromkeys(one.model for one in fits):
+        times = [[one.seconds for one in fits if (one.model, one.samples) == (model, size)] for size in sizes]
+        lines.append(f"| {model} | " + " | ".join(f"{max(some):.2f}" if some else "-" for some in times) + " |")
     lines += ["", "Reported beyond a factor 3 of the true error:", ""]
     lines += ["| model | too small | too large | of | reported over true |", "|---|---|---|---|---|"]
     for model in dict.fromkeys(one.model for one in fits):

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
+from uqsphere.uq.chaos.honesty import steadied
 from uqsphere.uq.chaos.outputs import Transform, identity, possible_transforms
 from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
@@ -67,7 +68,8 @@ class Contest:
 class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
-    `reported` is that error and a standard error more: the least of many errors is a lucky one.
+    `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
+    without what a single sample decides (`honesty`).  `ended`: more terms allowed would have changed nothing.
     """
 
     transform: Transform
@@ -76,6 +78,8 @@ class Found:
     rows: Array
     error: float
     reported: float
+    steady: float
+    ended: bool
 
 
 def prepare(points: Array, germs: Sequence[GermLike]) -> Contest:
@@ -126,13 +130,17 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
                 sizes=sizes)  # fmt: skip
     path = SOLVERS[solver](task)
     active, least = path.best()
+    off = transform.back(path.held_out) - outputs
+    reported, mean = least + spread_of(off) / variance, float(np.mean(off**2))
     return Found(
         transform=transform,
         solver=solver,
         indices=indices[active],
         rows=rows[active],
         error=least,
-        reported=least + spread_of(transform.back(path.held_out) - outputs) / variance,
+        reported=reported,
+        steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
+        ended=path.order.size < most,
     )
 
 
@@ -206,8 +214,12 @@ def _leaders(contest: Contest, found: Found, basis: Basis, outputs: Array) -> li
     """All solvers on the basis on which the search ended."""
     if found.error < _ENOUGH and contest.search is None:
         return [found]
-    trials = [(solver, basis) for solver in contest.solvers] + [("least squares", whole) for whole in contest.bases]
-    return [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
+    # the search had forward selection there, perhaps with fewer terms allowed or on fewer samples
+    again = contest.search is not None or not (found.ended or contest.quick_terms == contest.most_terms)
+    trials = [(solver, basis) for solver in contest.solvers if again or solver != found.solver]
+    trials += [("least squares", whole) for whole in contest.bases]
+    fresh = [_run(contest, solver, found.transform, outputs, where, contest.most_terms) for solver, where in trials]
+    return fresh if again else [found, *fresh]
 
 
 def _search(contest: Contest, transform: Transform, outputs: Array) -> tuple[Found, Basis]:

@@ -4,6 +4,7 @@ K-fold errors hold the choice of terms, and are those of fewer samples: too larg
 Leave-one-out errors of the terms chosen are those of all samples but one, and know nothing of the choice: too small.
 Their geometric mean is nearer than either.  Neither sees beyond the samples, where a polynomial is loose: what the
 coefficients are uncertain by, by the jackknife over the folds (Efron and Stein 1981), is carried to the law itself.
+A mean of squares that a single sample or fold makes up says little: `steadied` leans on the others then.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["Refits", "blended", "left_one_out", "refits"]
+__all__ = ["Refits", "blended", "left_one_out", "refits", "steadied"]
 
 #: an error above the first falls too slowly with the number of samples for K-fold to be much too large; one below
 #: the second falls fast
@@ -72,17 +73,36 @@ def _without_itself(q: Array, values: Array, off: Array) -> Array:
     return np.asarray(values - off / (1.0 - np.minimum((q**2).sum(axis=1), 1.0 - 1e-9)))
 
 
-def blended(folded: float, left_out: float, loose: float = 0.0) -> float:
+def steadied(squares: Array) -> float:
+    """A mean of squares (n,) that no single one of them decides: m^(1 - 1/e) r^(1/e), r the mean without the largest.
+
+    The effective number e = (Σ s)²/Σ s² is n where all are alike, and 1 where one of them is all there is.
+
+    >>> import numpy as np
+    >>> steadied(np.array([2.0, 2.0, 2.0, 2.0])), round(steadied(np.array([1e8, 1.0, 1.0, 1.0])), 6)
+    (2.0, 1.000001)
+    """
+    mean = float(np.mean(squares))
+    if squares.size < 2 or not (mean > 0.0 and math.isfinite(mean)):
+        return mean
+    shares = squares / (mean * squares.size)
+    rest = mean * squares.size * float(np.sum(np.delete(shares, int(np.argmax(shares))))) / (squares.size - 1)
+    lean = float(np.sum(shares**2))
+    return math.exp((1.0 - lean) * math.log(mean) + lean * math.log(max(rest, 1e-300)))
+
+
+def blended(folded: float, left_out: float, loose: float = 0.0, *, share: float | None = None) -> float:
     """The error reported: `folded` by K-fold, `left_out` one by one, `loose` over the law, all over the variance.
 
     (larger of folded and loose)^(1 - w) (left_out + loose)^w with w from 0, for errors of a tenth, to a half, below a
-    thousandth; never below `loose`.
+    thousandth, or as given in `share`; never below `loose`.
     """
     upper, lower = max(folded, loose), left_out + loose
     if not (math.isfinite(upper) and math.isfinite(lower)):
         return math.inf
     if not (upper > 0.0 and lower > 0.0):
         return upper
-    share = math.log(_SLOW / max(folded, 1e-300)) / math.log(_SLOW / _FAST)
-    weight = 0.5 * min(max(share, 0.0), 1.0)
-    return max(math.exp((1.0 - weight) * math.log(upper) + weight * math.log(lower)), loose)
+    if share is None:
+        falls = math.log(_SLOW / max(folded, 1e-300)) / math.log(_SLOW / _FAST)
+        share = 0.5 * min(max(falls, 0.0), 1.0)
+    return max(math.exp((1.0 - share) * math.log(upper) + share * math.log(lower)), loose)

@@ -46,7 +46,7 @@ class Transform:
         """Outputs of standardised values."""
         if self.kind == "identity":
             return self.unit * (self.centre + self.scale * values)
-        inner = self.centre + self.scale * np.clip(values, self.lowest, self.highest)
+        inner = self.centre + self.scale * np.minimum(np.maximum(values, self.lowest), self.highest)
         return self.unit * (self.origin + self.sign * _unwarp(self.kind, inner))
 
     def slope(self, values: Array) -> Array:

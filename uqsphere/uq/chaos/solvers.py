@@ -25,6 +25,7 @@ Order: TypeAlias = npt.NDArray[np.intp]
 _ROUNDING: Final = 1e-15  # of the norm of the outputs: what is left is rounding
 _DEPENDENT: Final = 1e-8  # of its square norm: a row that hangs on those taken before
 _LEAST_PATIENCE: Final = 10
+_BLOCK: Final = 96  # rows whose products with the few lanes are taken at once: more would be copied around first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,11 +92,11 @@ class _Lanes:
         self.along = np.empty((most, lanes, task.basis.shape[0]))
         self.norms = self.masks @ (task.basis**2).T  # square norms of all rows over what each lane sees
         self.every = np.arange(lanes)
-        self.fits = np.zeros((lanes, n))
         self.residuals = self.masks * task.values
         self.squares = _dots(self.residuals, self.residuals)
         self.floors = _ROUNDING**2 * self.squares
-        self.places = 1 + task.folds, np.arange(n)
+        self.lane, self.sample = 1 + task.folds, np.arange(n)
+        self.predicted = np.zeros(n)  # of every sample by the lane that does not see it
         self.count = 0
         self.errors: list[float] = []
         self.held_out = np.zeros(n)
@@ -109,37 +110,45 @@ class _Lanes:
         before = self.norms[self.every, rows]
         overlaps = part = np.ascontiguousarray(self.along[:k, self.every, rows].T)
         for turn in range(2):
-            fresh -= np.matmul(part[:, None, :], self.directions[:, :k])[:, 0]
-            squares = _dots(self.masks, fresh**2)
-            if turn or np.all(squares > 1e-5 * before):  # once is enough where something is left
+            if k:
+                fresh -= np.matmul(part[:, None, :], self.directions[:, :k])[:, 0]
+            masked = self.masks * fresh
+            squares = _dots(masked, masked)
+            if turn or (squares > 1e-5 * before).all():  # once is enough where something is left
                 break
-            part = np.matmul(self.directions[:, :k], (self.masks * fresh)[:, :, None])[:, :, 0]
+            part = np.matmul(self.directions[:, :k], masked[:, :, None])[:, :, 0]
             overlaps = overlaps + part
         sound = wanted & (squares > _DEPENDENT * before)
         lengths = np.where(sound, np.sqrt(squares), 0.0)
-        fresh *= np.where(sound, 1.0 / np.where(sound, lengths, 1.0), 0.0)[:, None]
+        inverse = np.where(sound, 1.0 / np.where(sound, lengths, 1.0), 0.0)[:, None]
+        fresh *= inverse
+        masked *= inverse
         self.directions[:, k] = fresh
-        masked = self.masks * fresh
         steps = np.where(self.squares > self.floors, _dots(masked, self.residuals), 0.0)
         self.residuals -= steps[:, None] * masked
         self.squares = _dots(self.residuals, self.residuals)
-        self.fits += steps[:, None] * fresh
+        self.predicted += steps[self.lane] * fresh[self.lane, self.sample]
         self.count += 1
         self.order.append(int(rows[0]) if sound[0] else -1)
         self.steps = steps
-        np.matmul(masked, self.task.basis.T, out=self.along[k])
+        self._project(masked, self.along[k])
         return lengths, overlaps
+
+    def _project(self, masked: Array, out: Array) -> None:
+        """Products (lanes, P) of what the lanes see of their new directions with every row of the basis."""
+        basis = self.task.basis
+        for k in range(0, len(basis), _BLOCK):
+            np.matmul(masked, basis[k : k + _BLOCK].T, out=out[:, k : k + _BLOCK])
 
     def finished(self) -> bool:
         """Counts the error of the fold left out; true where it has risen for a good while, or nothing is left."""
-        predicted = self.fits[self.places]
-        error = self.task.error(predicted)
+        error = self.task.error(self.predicted)
         if error < min(self.errors, default=np.inf):
-            self.held_out = predicted
+            self.held_out = self.predicted.copy()
         self.errors.append(error if math.isfinite(error) else np.inf)
         self._since = 0 if error < 0.99 * self._least else self._since + 1
         self._least = min(self._least, self.errors[-1])
-        nothing_left = bool(np.all(self.squares <= self.floors))
+        nothing_left = bool((self.squares <= self.floors).all())
         return nothing_left or self._since > max(_LEAST_PATIENCE, self.count // 4)
 
     def path(self) -> Path:
@@ -155,6 +164,7 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     most = max(min(task.most, basis.shape[0]), 1)
     lanes = _Lanes(task, most)
     norms = lanes.norms
+    least = _DEPENDENT * norms
     left = norms.copy()  # square norms of the rows beyond the span of those taken
     correlations = lanes.residuals @ basis.T
     every = np.arange(lanes.masks.shape[0])
@@ -163,8 +173,8 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
     wanted = np.ones(every.size, dtype=bool)
     for k in range(most):
         if k:
-            closed |= left <= _DEPENDENT * norms
-            scores = correlations**2 / (np.maximum(left, _DEPENDENT * norms) if orthogonal else norms)
+            closed |= left <= least
+            scores = correlations**2 / (np.maximum(left, least) if orthogonal else norms)
             scores[closed] = -1.0
             rows = np.argmax(scores, axis=1)
             wanted = scores[every, rows] >= 0.0

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.chaos.borders import Border, Side, score_features
 from uqsphere.uq.chaos.choice import Basis, Contest, deal
-from uqsphere.uq.chaos.honesty import left_one_out
+from uqsphere.uq.chaos.honesty import left_one_out, steadied
 from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
 from uqsphere.uq.chaos.truncation import Indices
 from uqsphere.uq.families import Array
@@ -35,12 +35,14 @@ _MOST_CANDIDATES: Final = 600
 class Split:
     """Two expansions (multi-indices, coefficients) with their border and their K-fold error.
 
-    `left_out` is the error of samples left out of the coefficients alone, of the piece that holds them.
+    `steady` is that error without what a single fold decides, `left_out` that of samples left out of the coefficients
+    alone, of the piece that holds them.
     """
 
     pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]]
     border: Border
     error: float
+    steady: float
     left_out: float
     proposal: str
 
@@ -79,29 +81,36 @@ def _balanced(side: Side) -> bool:
     return bool(_LEAST_SHARE <= side.mean() <= 1.0 - _LEAST_SHARE)
 
 
+def _left_by_cuts(data: _Data, axes: Samples, places: Array) -> Array:
+    """Mean squares (t,) left by two planes on either side of cuts across inputs axes (t,) at places (t,), all at once.
+
+    A cut with fewer than a share of the samples on one side leaves everything.
+    """
+    n, d = data.points.shape
+    features = score_features(data.points, d + 1)
+    above = np.greater(data.points[:, axes].T, places[:, None])
+    pairs = (features[:, :, None] * features[:, None, :]).reshape(n, -1)
+    aims = features * data.outputs[:, None]
+    predicted = np.zeros(above.shape)
+    for side in (above, ~above):
+        inside = side.astype(float)
+        counts = np.maximum(inside.sum(axis=1), 1.0)[:, None, None]
+        grams = (inside @ pairs).reshape(-1, d + 1, d + 1) + 1e-8 * counts * np.eye(d + 1)
+        planes = np.linalg.solve(grams, (inside @ aims)[:, :, None])[:, :, 0]
+        predicted += inside * (planes @ features.T)
+    left = np.mean((predicted - data.outputs) ** 2, axis=1)
+    share = above.mean(axis=1)
+    return np.where((share >= _LEAST_SHARE) & (share <= 1.0 - _LEAST_SHARE), left, np.inf)
+
+
 def _cut(data: _Data, hint: Side | None) -> tuple[Side, Border] | None:
-    """The cut across one input that leaves the least to two planes."""
-    best: tuple[float, Border] | None = None
-    levels = np.linspace(0.1, 0.9, 17)
-    for axis in range(data.points.shape[1]):
-        column = data.points[:, axis]
-        # A first look with two parabolas in this input alone keeps the planes for the few that matter.
-        for at in np.quantile(column, levels):
-            side = column > at
-            left = sum(float(np.var(data.outputs[part])) * part.mean() for part in (side, ~side))
-            if best is None or left < best[0]:
-                best = (left, Border(kind="axis", axis=axis, at=float(at)))
-    trials = []
-    for axis in range(data.points.shape[1]):
-        ordered = np.sort(data.points[:, axis])
-        for level in levels[::2]:
-            at = float(np.quantile(ordered, level))
-            side = data.points[:, axis] > at
-            low, high = _planes(data.points, data.outputs, side)
-            left = float(np.mean((np.where(side, high, low) - data.outputs) ** 2))
-            trials.append((left, axis, at))
-    _, axis, at = min(trials)
-    return _sharpened(data, axis, at)
+    """The cut across one input that leaves the least to two planes: of nine for each input, and of those near it."""
+    d = data.points.shape[1]
+    levels = np.linspace(0.1, 0.9, 9)
+    places = np.quantile(data.points, levels, axis=0).T.ravel()
+    axes = np.repeat(np.arange(d), levels.size)
+    best = int(np.argmin(_left_by_cuts(data, axes, places)))
+    return _sharpened(data, int(axes[best]), float(places[best]))
 
 
 def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
@@ -110,15 +119,12 @@ def _sharpened(data: _Data, axis: int, at: float) -> tuple[Side, Border] | None:
     middles = 0.5 * (ordered[1:] + ordered[:-1])
     place = int(np.searchsorted(middles, at))
     reach = max(len(ordered) // 12, 2)
-    trials = []
-    for middle in middles[max(place - reach, 0) : place + reach + 1]:
-        side = data.points[:, axis] > middle
-        if _balanced(side):
-            low, high = _planes(data.points, data.outputs, side)
-            trials.append((float(np.mean((np.where(side, high, low) - data.outputs) ** 2)), float(middle)))
-    if not trials:
+    near = middles[max(place - reach, 0) : place + reach + 1]
+    left = _left_by_cuts(data, np.full(near.size, axis), near)
+    best = int(np.argmin(left))
+    if not np.isfinite(left[best]):
         return None
-    at = min(trials)[1]
+    at = float(near[best])
     return data.points[:, axis] > at, Border(kind="axis", axis=axis, at=at)
 
 
@@ -266,7 +272,7 @@ def _build(
         if not _balanced(new) or bool(np.all(new == side)):
             break
         side = new
-        one, other = _piece(data, seen[~side], trials[0]), _piece(data, seen[side], trials[1])
+        one, other = _piece(data, seen[~side], one[1]), _piece(data, seen[side], other[1])
     return ((one[0], other[0]), border), (one[1], other[1])
 
 
@@ -344,15 +350,17 @@ def find_split(contest: Contest, points: Array, outputs: Array, *, below: float)
         # What does not even describe the samples at hand will not foretell others.
         if at_hand + doubt >= limit:
             continue
-        left = doubt
+        left, lost = doubt, []
         for fold in range(5):
-            left += _left_out(data, folds == fold, propose, side, whole[1], trials)
+            lost.append(_left_out(data, folds == fold, propose, side, whole[1], trials))
+            left += lost[-1]
             if left >= limit:
                 break
         if left < limit:
             total = variance * outputs.size
             one_by_one = _one_left_out(data, whole[0], side) + doubt
             best = Split(
-                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name
-            )
+                pieces=whole[0], border=whole[1], error=left / total, left_out=one_by_one / total, proposal=name,
+                steady=(5.0 * steadied(np.array(lost)) + doubt) / total,
+            )  # fmt: skip
     return best
