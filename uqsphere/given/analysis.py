@@ -14,6 +14,17 @@ import numpy.typing as npt
 from uqsphere.errors import UsageError
 from uqsphere.given.table import Data
 from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.given import (
+    LAWS,
+    LeftOpen,
+    germs_of,
+    given_answers,
+    law_scores,
+    least_runs,
+    odd_pairs,
+    score_table,
+    trusted_from,
+)
 from uqsphere.uq.inputs import Inputs
 from uqsphere.uq.laws import Law, LawError
 
@@ -70,15 +81,24 @@ def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> d
 
     `known`: laws that the runs were drawn from, in the order of the inputs; they are fitted to the runs otherwise.
     """
+    from threadpoolctl import threadpool_limits
+
+    # one thread of linear algebra: the same bytes on every machine, and no threads that wait for each other
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _analysed(data, known, seed)
+
+
+def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
     from uqsphere.uq.marginals import rank_correlations, tied
 
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
-    pairs = rank_correlations(data.x) if len(data.inputs) > 1 else []
-    clear = {(i, j) for i, j, _ in tied(pairs) if i in laws.columns and j in laws.columns}
+    varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
+    pairs = rank_correlations(data.x[:, varying]) if len(varying) > 1 else []
+    pairs = [(varying[i], varying[j], e) for i, j, e in pairs]
+    clear = {(i, j) for i, j, _ in tied(pairs)}
     dependence = [
         {"of": [data.inputs[i], data.inputs[j]], "spearman": e.as_dict(), "dependent": (i, j) in clear}
         for i, j, e in pairs
-        if i in laws.columns and j in laws.columns
     ]
     ties = {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear}
     if known is None:
@@ -102,8 +122,6 @@ def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> d
 
 def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
     """Laws fitted to the runs."""
-    from uqsphere.uq.given import LAWS
-    from uqsphere.uq.marginals import plausible_laws
     from uqsphere.uq.sampling import random_generator
 
     marginals: dict[str, Any] = {}
@@ -111,22 +129,21 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
     for k, name in enumerate(data.inputs):
         values = data.x[:, k]
         generator = random_generator(seed=seed, task=f"analyse {name}")
-        marginals[name], law, fits = _marginal(values, generator)
+        marginals[name], law, open_ = _marginal(values, generator)
         if law is None:
             if np.ptp(values) > 0.0:
                 unknown.append(name)
             continue
         columns.append(k)
         laws.append(law)
-        kernel = law.kind == "empirical"
-        others.append((law,) * LAWS if kernel else tuple(plausible_laws(fits, LAWS, generator)))
+        others.append((law,) * LAWS if law.kind == "empirical" else tuple(open_[:LAWS]))
     names = tuple(data.inputs[k] for k in columns)
     reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
     inputs = None if reason else Inputs(names=names, laws=tuple(laws))
     return marginals, _Laws(columns=tuple(columns), inputs=inputs, others=tuple(others), reason=reason)
 
 
-def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Any]]:
+def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Law]]:
     """One input: every law that was tried, which is taken, and what the observations leave open of it."""
     from uqsphere.uq.distribution import mean, sd
     from uqsphere.uq.ignorance import possible_laws
@@ -168,7 +185,7 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         found = np.array([of(other) for other in others])
         found = found[np.isfinite(found)]
         entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
-    return entry, law, fits
+    return entry, law, others
 
 
 def _parameters(law: Law) -> dict[str, float]:
@@ -224,10 +241,10 @@ def _tied(data: Data, laws: _Laws, ties: Mapping[tuple[int, int], float]) -> _La
     return _Laws(columns=laws.columns, inputs=inputs, others=laws.others)
 
 
-def _left_open(inputs: Inputs, others: Sequence[Sequence[Law]], n: int, generator: np.random.Generator) -> Any:
+def _left_open(
+    inputs: Inputs, others: Sequence[Sequence[Law]], scores: Array, n: int, generator: np.random.Generator
+) -> LeftOpen | None:
     """Laws and correlations that n runs leave open, in the form that the answers are asked in."""
-    from uqsphere.uq.given import LeftOpen, score_table
-
     if not others:
         return None
     tables = np.stack([score_table(law, open_) for law, open_ in zip(inputs.laws, others, strict=True)], axis=1)
@@ -243,7 +260,7 @@ def _left_open(inputs: Inputs, others: Sequence[Sequence[Law]], n: int, generato
             np.fill_diagonal(tied, 1.0)
             correlation = tied if float(np.linalg.eigvalsh(tied)[0]) > 1e-6 else correlation
         moved.append(Inputs(names=inputs.names, laws=inputs.laws, correlation=correlation))
-    return LeftOpen(tables=tables, inputs=tuple(moved))
+    return LeftOpen(tables=tables, inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0))
 
 
 # --- outputs ---------------------------------------------------------------------------------------------------
@@ -328,7 +345,6 @@ def _expansion(
     data: Data, y: Array, laws: _Laws, ties: Mapping[tuple[int, int], float], key: tuple[int, str]
 ) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """What an expansion tells, where it passes its check, and what there is to say about it."""
-    from uqsphere.uq.given import germs_of, given_answers, law_scores, least_runs, odd_pairs, trusted_from
     from uqsphere.uq.sampling import random_generator
 
     def refused(reason: str, error: float | None = None) -> tuple[None, dict[str, Any]]:
@@ -344,7 +360,7 @@ def _expansion(
     if len(rows) < least_runs(len(laws.columns)):
         needed = least_runs(len(laws.columns))
         return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
-    scores = law_scores(laws.inputs.laws, data.x[np.ix_(rows, laws.columns)])
+    scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
     try:
         trusted = trusted_from(scores, y[rows], germs_of(laws.inputs.laws))
     except ValueError as error:
@@ -363,7 +379,7 @@ def _expansion(
         odd = odd_pairs(scores, [(at[i], at[j]) for i, j in ties])
         notes += [f"{laws.inputs.names[i]} and {laws.inputs.names[j]} depend on each other otherwise than the Gaussian "
                   "copula that is taken here: the shares are in doubt" for i, j in odd]  # fmt: skip
-    left_open = _left_open(laws.inputs, laws.others, len(data.x), generator)
+    left_open = _left_open(laws.inputs, laws.others, scores, len(data.x), generator)
     answers = given_answers(trusted, laws.inputs, left_open, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
         order: {

@@ -22,8 +22,6 @@ Array = npt.NDArray[np.float64]
 #: bytes of a file, and columns that are looked at
 _LARGEST: Final = 256 * 1024 * 1024
 _MOST_COLUMNS: Final = 128
-#: numbers beyond this have no squares
-_BIGGEST: Final = 1e305
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +56,8 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
     for name in names:
         if header.count(name) != 1:
             said = "twice or more" if name in header else "not"
-            raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}")
+            hint = " (the first line is taken for their names)" if all(_is_number(cell) for cell in header) else ""
+            raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}{hint}")
         places.append(header.index(name))
     values = np.empty((len(rows), len(names)))
     for k, (line, row) in enumerate(rows):
@@ -73,7 +72,8 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
                     f"{path}:{line}: column {names[column]!r}: found {cell[:40]!r}, where a finite number is due"
                 )
     if len(values) < 5:
-        raise UsageError(f"{path}: found {len(values)} rows, at least 5 are needed")
+        rows_found = "1 row" if len(values) == 1 else f"{len(values)} rows"
+        raise UsageError(f"{path}: found {rows_found}, at least 5 are needed")
     d = len(inputs)
     return Data(inputs=tuple(inputs), outputs=tuple(outputs), x=values[:, :d], y=values[:, d:])
 
@@ -95,6 +95,15 @@ def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not rows:
         raise UsageError(f"{path} is empty")
     header = rows[0][1]
-    if len(header) == 1 and header[0].count(";"):
-        raise UsageError(f"{path} is divided by semicolons: commas between columns and points in numbers are due")
+    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and mark in header[0]:
+            raise UsageError(f"{path} is divided by {called}: commas between columns and points in numbers are due")
     return header, rows[1:]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -18,8 +18,16 @@ _ORDERS: Final = {"shapley": "Shapley effect", "first": "first", "total": "total
 
 def _shown(estimate: Mapping[str, Any]) -> str:
     if estimate["value"] is None:
-        return f"- ({estimate['reason']})"
+        reason = "too few runs" if "too few" in estimate["reason"] else estimate["reason"]
+        return f"- ({reason})"
     return format_estimate(estimate["value"], estimate["low"], estimate["high"])
+
+
+def _share(estimate: Mapping[str, Any]) -> str:
+    """A share of 1: what is known beyond six decimals is of no use to anybody."""
+    if estimate["value"] is None or estimate["high"] - estimate["low"] > 2e-6:
+        return _shown(estimate)
+    return f"{estimate['value'] + 0.0:.6f}"
 
 
 def _range(ends: Sequence[float] | None) -> str:
@@ -37,7 +45,7 @@ def analysis_text(found: Mapping[str, Any]) -> str:
         parts += [f"{name}: {note}" for note in chaos.get("notes", ())]
         if entry["disagree"]:
             parts.append(
-                f"{name}: WARNING: the runs and the expansion disagree by more than chance: {'; '.join(entry['disagree'])}. "
+                f"{name}: WARNING: runs and expansion disagree by more than chance: {'; '.join(entry['disagree'])}. "
                 "The laws, or what is said of the dependence, are wrong, or the runs were not drawn independently; "
                 "believe neither before that is settled"
             )
@@ -69,7 +77,7 @@ def _inputs(found: Mapping[str, Any]) -> list[str]:
     parts += [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
     tied = [pair for pair in found["dependence"] if pair["dependent"]]
     for pair in tied[:_MANY]:
-        parts.append(f"{' and '.join(pair['of'])} depend on each other: rank correlation {_shown(pair['spearman'])}")
+        parts.append(f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}")
     if len(tied) > _MANY:
         parts.append(f"and {len(tied) - _MANY} pairs more")
     if not tied and found["dependence"]:
@@ -85,7 +93,7 @@ def _outputs(found: Mapping[str, Any]) -> str:
         alone = [("mean", "mean", entry["mean"]), ("sd", "standard deviation", entry["sd"])]
         alone += [(p, f"{100.0 * float(p):g} % quantile", e) for p, e in entry["quantiles"].items()]
         for k, (key, label, estimate) in enumerate(alone):
-            row = (name if k == 0 else "", label, _shown(estimate))
+            row: tuple[str, ...] = (name if k == 0 else "", label, _shown(estimate))
             if told is not None:
                 row += (_shown(told[key]["whole"]),)
             rows.append(row + ("-",) * (4 - len(row)))
@@ -105,7 +113,7 @@ def _drivers(found: Mapping[str, Any]) -> str:
             row = [name if k == 0 else "", source, _shown(estimate)]
             for order in orders:
                 one = chaos.get(order, {}).get(source)
-                row.append("-" if one is None else _shown(one["whole"]))
+                row.append("-" if one is None else _share(one["whole"]))
             rows.append(tuple(row))
     header = ("output", "input", "first, by ranks (95 %)", *(f"{_ORDERS[order]}, by expansion" for order in orders))
     return table(header, rows)

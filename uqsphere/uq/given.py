@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from uqsphere.uq.families import Array
 from uqsphere.uq.inputs import Inputs, normal_scores
 from uqsphere.uq.laws import Law, cdf, from_normal, sf
 from uqsphere.uq.sampling import random_generator, sobol_points
-from uqsphere.uq.shapley import MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
+from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 
 __all__ = [
     "LAWS",
@@ -45,8 +46,9 @@ _POINTS: Final = 512
 #: the large design that the surrogate is evaluated on
 _REPLICATES: Final = 16
 _LARGE: Final = 2048
-#: base points of each replicate where inputs depend on each other, and other laws that are tried there
-_SHARED: Final = 64
+#: rows of each replicate where inputs depend on each other, base points at least and at most, and laws tried there
+_SHARED_ROWS: Final = 4096
+_SHARED: Final = (64, 512)
 _SHARED_LAWS: Final = 24
 #: no law is asked beyond these normal scores
 _FURTHEST: Final = 8.0
@@ -73,10 +75,16 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeftOpen:
-    """Laws that the runs leave open: `tables` (laws, d, grid) by `score_table`, and the same inputs with their ties."""
+    """Laws that the runs leave open: `tables` (laws, d, grid) by `score_table`, and the same inputs with their ties.
+
+    `low`, `high` (d,) are the scores between which the runs lie: what the surrogate says beyond them, where wider laws
+    would ask it, is not known, and it is asked at the nearest run instead.
+    """
 
     tables: Array
     inputs: tuple[Inputs, ...]
+    low: Array
+    high: Array
 
 
 def least_runs(inputs: int) -> int:
@@ -169,20 +177,39 @@ def given_answers(
         rows = ("shapley", "first", "total") if dependent else ("first", "total")
         none = Answer(surrogate=nothing, left_open=0.0, whole=nothing)
         return answers | {row: dict.fromkeys(inputs.names, none) for row in rows}
-    shares = (_shared if dependent else _indices)(trusted, inputs, left_open, seed, task)
+    shares = (
+        _shared(trusted, inputs, left_open, seed, task) if dependent else _indices(trusted, inputs, left_open, seed)
+    )
     return answers | shares
 
 
 def _surrogate(chaos: Chaos, left_open: LeftOpen | None) -> Callable[[Array, int | None], Array]:
-    """The surrogate of dependent normal scores (n, d), of the fitted laws or of others by their number."""
+    """The surrogate of dependent normal scores (n, d): of the fitted laws, or between the runs (-1), or of others."""
 
     def values(scores: Array, which: int | None) -> Array:
         if which is not None and left_open is not None:
-            tables = left_open.tables[which]
-            scores = np.column_stack([np.interp(z, table, _GRID) for z, table in zip(scores.T, tables, strict=True)])
+            if which >= 0:
+                tables = left_open.tables[which]
+                scores = np.column_stack(
+                    [np.interp(z, table, _GRID) for z, table in zip(scores.T, tables, strict=True)]
+                )
+            scores = np.clip(scores, left_open.low, left_open.high)
         return np.asarray(predict(chaos, germ_points(np.clip(scores, -_FURTHEST, _FURTHEST), chaos.germs)))
 
     return values
+
+
+def _under(inputs: Inputs, left_open: LeftOpen | None, which: int | None) -> Inputs:
+    return inputs if which is None or which < 0 or left_open is None else left_open.inputs[which]
+
+
+@lru_cache(maxsize=64)
+def _drawn(dimension: int, count: int, replicate: int, what: str, seed: int) -> Array:
+    """Independent normal scores (count, dimension) of one randomisation; the same for every output."""
+    from scipy.special import ndtri
+
+    points = sobol_points(dimension=dimension, count=count, seed=seed, task=f"given: {what}", replicate=replicate)
+    return np.asarray(ndtri(points))
 
 
 def _numbers(left_open: LeftOpen | None) -> range:
@@ -206,30 +233,22 @@ def _answer(estimate: Estimate, moved: Sequence[float], value: float, within: tu
 def _statistics(
     trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, quantiles: Sequence[float], seed: int, task: str
 ) -> dict[str, Answer]:
-    from scipy.special import ndtri
-
     d = len(inputs.names)
     values = _surrogate(trusted.chaos, left_open)
-
-    def drawn(count: int, replicate: int, what: str) -> Array:
-        points = sobol_points(dimension=d, count=count, seed=seed, task=f"given: {what}", replicate=replicate)
-        return np.asarray(ndtri(points))
-
-    large = np.concatenate([drawn(_LARGE, replicate, "large") for replicate in range(_REPLICATES)])
+    large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
     centre = values(normal_scores(inputs, large), None).reshape(_REPLICATES, _LARGE)
     moved, reach = with_residuals(trusted, centre, random_generator(seed=seed, task=f"given: residuals {task}"))
     told = [describe(moved + side * reach, quantiles=quantiles, method=METHOD) for side in (0.0, -1.0, 1.0)]
     middle = widened(trusted, *told)
-    few = np.concatenate([drawn(_POINTS, replicate, "laws") for replicate in range(2)])
+    few = np.concatenate([_drawn(d, _POINTS, replicate, "laws", seed) for replicate in range(2)])
 
     def told_by(which: int | None) -> list[float]:
-        under = inputs if which is None or left_open is None else left_open.inputs[which]
-        y = values(normal_scores(under, few), which)
+        y = values(normal_scores(_under(inputs, left_open, which), few), which)
         unit = float(np.abs(y).max()) or 1.0
         low = np.quantile(y, list(quantiles), method="hazen").tolist() if quantiles else []
         return [float((y / unit).mean()) * unit, float((y / unit).std()) * unit, *low]
 
-    own, rows = told_by(None), [told_by(k) for k in _numbers(left_open)]
+    own, rows = told_by(-1), [told_by(k) for k in _numbers(left_open)]
     estimates = [("mean", middle.mean), ("sd", middle.sd), *((f"{p:g}", e) for p, e in middle.quantiles.items())]
     everywhere = (-math.inf, math.inf)
     return {
@@ -238,16 +257,14 @@ def _statistics(
     }
 
 
-def _indices(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
+def _indices(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: int) -> Answers:
     """Sobol' indices of independent inputs."""
-    from scipy.special import ndtri
-
     d = len(inputs.names)
     values, blocks = _surrogate(trusted.chaos, left_open), Blocks(inputs_count=d)
-    points = ndtri(sobol_points(dimension=2 * d, count=_POINTS, seed=seed, task=f"given: pairs {task}", replicate=0))
+    points = _drawn(2 * d, _POINTS, 0, "pairs", seed)
     design = blocks.mix(points[:, :d], points[:, d:]).reshape(-1, d)
     shape = (_POINTS, len(design) // _POINTS)
-    own = _pick_freeze(values(design, None).reshape(shape), d)
+    own = _pick_freeze(values(design, -1).reshape(shape), d)
     rows = [_pick_freeze(values(design, k).reshape(shape), d) for k in _numbers(left_open)]
     found = indices_of(trusted)
     return {
@@ -273,18 +290,19 @@ def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: 
     values = _surrogate(trusted.chaos, left_open)
     design = subset_design(d, exact=d <= min(8, MOST_EXACT))
     name = f"given: subsets {task}"
+    count = BLOCK * (min(max(_SHARED_ROWS // design.rows, _SHARED[0]), _SHARED[1]) // BLOCK)
 
     def asked(which: int | None, replicates: int) -> dict[str, list[Estimate]]:
-        under = inputs if which is None or left_open is None else left_open.inputs[which]
+        under = _under(inputs, left_open, which)
         outputs, orders = [], []
         for replicate in range(replicates):
-            scores = subset_scores(design, under, count=_SHARED, seed=seed, task=name, replicate=replicate)
-            outputs.append(values(scores.reshape(-1, d), which).reshape(_SHARED, design.rows))
-            orders.append(orders_of(design, count=_SHARED, seed=seed, task=name, replicate=replicate))
+            scores = subset_scores(design, under, count=count, seed=seed, task=name, replicate=replicate)
+            outputs.append(values(scores.reshape(-1, d), which).reshape(count, design.rows))
+            orders.append(orders_of(design, count=count, seed=seed, task=name, replicate=replicate))
         return shapley_estimates(design, np.stack(outputs), None if design.exact else np.stack(orders))
 
     found = asked(None, _REPLICATES)
-    own = asked(None, 2)
+    own = asked(-1, 2)
     rows = [asked(k, 2) for k in _numbers(left_open)[:_SHARED_LAWS]]
     answer: Answers = {}
     for order, estimates in found.items():

@@ -217,8 +217,8 @@ def plausible_laws(fits: Sequence[Fit], count: int, generator: np.random.Generat
     chosen = generator.multinomial(count, [weight for _, weight in kept])
     laws: list[Law] = []
     for (fit, _), times in zip(kept, chosen.tolist(), strict=True):
-        if times and fit.law.kind == "uniform":
-            laws += _uniform_laws(fit.law, times, generator)
+        if times and fit.law.kind in _OWN:
+            laws += _OWN[fit.law.kind](fit.law, times, generator)
         elif times:
             laws += possible_laws(fit.law, times, generator)
     return [laws[k] for k in generator.permutation(len(laws))]
@@ -234,6 +234,23 @@ def _uniform_laws(law: Law, count: int, generator: np.random.Generator) -> list[
         Law(kind="uniform", parameters={}, lower=float(a), upper=float(a + w), data=law.data)
         for a, w in zip(lower, width, strict=True)
     ]
+
+
+def _gamma_laws(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
+    """Gamma laws from samples of the fitted one: ratios of shape and mean to those of the sample serve as pivots."""
+    shape, scale, n = law.parameters["shape"], law.parameters["scale"], len(law.data)
+    x = generator.standard_gamma(shape, (count, n))
+    shapes = shape**2 / _gamma_shape(np.log(x.mean(axis=1)) - np.log(x).mean(axis=1))
+    scales = scale * shape**2 / x.mean(axis=1) / shapes
+    return [
+        Law(kind="gamma", parameters={"shape": float(k), "scale": float(s)}, lower=law.lower, upper=law.upper,
+            data=law.data)
+        for k, s in zip(shapes, scales, strict=True)
+    ]  # fmt: skip
+
+
+#: families whose laws are drawn here
+_OWN: Final = {"uniform": _uniform_laws, "gamma": _gamma_laws}
 
 
 def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:
