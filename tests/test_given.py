@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from uqsphere.bench.given import given_rows
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import analyse_data, analysis_text, known_laws, read_data
@@ -269,6 +270,18 @@ def test_inputs_and_outputs_that_do_not_vary_are_flagged(tmp_path: Path) -> None
     assert found["sensitivity"]["z"]["chaos"]["reason"] == "the output does not vary"
     assert found["outputs"]["z"]["sd"]["value"] == 0.0
     assert "the input does not vary" in analysis_text(found)
+
+
+def test_coverage_is_counted_with_known_laws_and_fitted_ones() -> None:
+    """Two repetitions: that truth and answers belong together; what is covered, many repetitions have to say."""
+    told: list[str] = []
+    rows = given_rows(repetitions=2, models=("linear",), sizes=(100,), notice=told.append)
+    assert [text.split(": ")[1] for text in told] == ["expansion used 2 of 2, disagreement 0"] * 2
+    known = [row for row in rows if row.way == "laws known" and row.kind in ("first index", "total index", "mean")]
+    assert len(known) == 11
+    assert all(row.covered == 1.0 for row in known)
+    errors = {row.way: row.error for row in rows if row.kind == "first index" and row.answer == "x1"}
+    assert errors["laws known"] < 1e-9 < errors["laws fitted to the runs"] < 0.3
 
 
 def test_wide_laws_do_not_ask_the_expansion_where_no_run_lies(tmp_path: Path) -> None:
