@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from uqsphere.bench.given import given_rows
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.given import analyse_data, analysis_text, read_data
-from uqsphere.uq.marginals import fit_marginal, quantile_interval, rank_correlations, tied
+from uqsphere.given import analyse_data, analysis_text, known_laws, read_data
+from uqsphere.uq.distribution import mean as law_mean
+from uqsphere.uq.laws import make_law, pdf
+from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws, quantile_interval, rank_correlations, tied
 from uqsphere.uq.ranks import rank_indices
 from uqsphere.uq.sampling import random_generator
 
@@ -35,21 +38,21 @@ def runs(n: int = 300, seed: int = 3) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("kind", "law"),
     [("normal", stats.norm(5.0, 1.0)), ("lognormal", stats.lognorm(0.8)), ("weibull", stats.weibull_min(1.7)),
-     ("gumbel", stats.gumbel_r(3.0, 1.0)), ("exponential", stats.expon(scale=3.0)), ("gamma", stats.gamma(2.5))],
+     ("gumbel", stats.gumbel_r(3.0, 1.0)), ("exponential", stats.expon(scale=3.0)), ("gamma", stats.gamma(2.5)),
+     ("uniform", stats.uniform(-3.0, 6.0))],
 )  # fmt: skip
 def test_the_p_value_is_even_where_the_family_is_right(kind: str, law: stats.rv_continuous) -> None:
     """Below 0.1 in a tenth of the samples, although the parameters were fitted to the same sample."""
     rng, repetitions = np.random.default_rng(1), 120
     small = 0
     for _ in range(repetitions):
-        fits = fit_marginal(law.rvs(25, random_state=rng), rng)
+        fits = fit_marginal(law.rvs(25, random_state=rng))
         small += next(f.p_value for f in fits if f.law.kind == kind) < 0.1
     assert abs(small / repetitions - 0.1) < 4.0 * np.sqrt(0.09 / repetitions)
 
 
 def test_many_observations_find_their_family_and_refuse_the_others() -> None:
-    rng = np.random.default_rng(2)
-    fits = fit_marginal(stats.weibull_min.rvs(2.0, size=4000, random_state=3), rng)
+    fits = fit_marginal(stats.weibull_min.rvs(2.0, size=2000, random_state=3))
     assert fits[0].law.kind == "weibull"
     assert fits[0].p_value > 0.01
     assert all(f.p_value < 0.01 for f in fits if f.law.kind in ("normal", "lognormal", "exponential"))
@@ -58,7 +61,50 @@ def test_many_observations_find_their_family_and_refuse_the_others() -> None:
 @pytest.mark.parametrize("values", [[1.0, 2.0, 3.0], [1.0] * 9, [1.0, 2.0, 3.0, np.nan, 5.0]])
 def test_no_law_is_fitted_to_what_has_none(values: list[float]) -> None:
     with pytest.raises(ValueError, match=r"observations"):
-        fit_marginal(np.array(values), np.random.default_rng(0))
+        fit_marginal(np.array(values))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [("weibull", stats.weibull_min(1.7, scale=4e9)), ("gumbel", stats.gumbel_r(-300.0, 10.0)),
+     ("gamma", stats.gamma(2.5, scale=1e-6))],
+)  # fmt: skip
+def test_fits_have_the_largest_likelihood(kind: str, law: stats.rv_continuous) -> None:
+    """Parameters from closed equations, against neighbours of each in turn."""
+    values = law.rvs(60, random_state=5)
+    fit = next(f for f in fit_marginal(values) if f.law.kind == kind)
+    best = np.log(pdf(fit.law, values)).sum()
+    for key in fit.law.parameters:
+        for factor in (0.99, 1.01):
+            moved = dict(fit.law.parameters) | {key: fit.law.parameters[key] * factor}
+            if moved != fit.law.parameters:
+                assert np.log(pdf(make_law(kind, moved), values)).sum() < best
+
+
+def test_a_uniform_law_is_told_from_a_normal_one() -> None:
+    """By the Bayes factor: the likelihood alone would take half of all small normal samples for uniform."""
+    rng = np.random.default_rng(11)
+    taken = {"normal": 0, "uniform": 0}
+    for _ in range(60):
+        for kind, values in (("normal", rng.normal(0.0, 1.0, 15)), ("uniform", rng.uniform(-1.0, 1.0, 60))):
+            fits = {f.law.kind: f.criterion for f in fit_marginal(values)}
+            taken[kind] += fits["uniform"] < fits["normal"]
+    assert taken["normal"] < 20
+    assert taken["uniform"] > 55
+
+
+@pytest.mark.parametrize(
+    ("law", "mean"), [(stats.uniform(2.0, 3.0), 3.5), (stats.gamma(6.0), 6.0), (stats.norm(4.0, 1.0), 4.0)]
+)
+def test_laws_that_are_left_open_hold_the_mean(law: stats.rv_continuous, mean: float) -> None:
+    rng, covered = np.random.default_rng(6), 0
+    for _ in range(80):
+        fits = fit_marginal(law.rvs(30, random_state=rng))
+        assert sum(weight for _, weight in plausible(fits)) == pytest.approx(1.0)
+        means = [law_mean(one) for one in plausible_laws(fits, 150, rng)]
+        low, high = np.quantile(means, [0.025, 0.975])
+        covered += low <= mean <= high
+    assert covered >= 0.95 * 80 - 4.0 * np.sqrt(80 * 0.0475)
 
 
 # ---- dependence, quantiles, ranks
@@ -117,22 +163,134 @@ def test_a_table_is_analysed(tmp_path: Path) -> None:
     chaos = found["sensitivity"]["y"]["chaos"]
     share = 1.44 / (1.44 + 0.25)
     assert chaos["usable"]
-    assert chaos["total"]["a"]["value"] == pytest.approx(share, abs=0.06)
-    assert chaos["total"]["c"]["value"] < 0.01
+    entry = chaos["total"]["a"]
+    assert entry["whole"]["value"] == pytest.approx(share, abs=0.06)
+    assert entry["whole"]["low"] < share < entry["whole"]["high"]
+    # what the runs leave open of the laws is nearly all of the interval
+    assert entry["surrogate"]["high"] - entry["surrogate"]["low"] < 1e-3 < entry["left_open"]
+    assert chaos["total"]["c"]["whole"]["value"] < 0.01
     ranks = found["sensitivity"]["y"]["ranks"]["a"]
     assert ranks["low"] <= share <= ranks["high"]
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert analyse_data(data) == found
-    assert "polynomial chaos" in analysis_text(found)
+    assert "Where the laws are known, give them" in analysis_text(found)
 
 
-def test_dependent_inputs_have_no_indices_of_a_polynomial_chaos(tmp_path: Path) -> None:
-    columns = runs()
-    columns["c"] = columns["b"] + np.random.default_rng(9).normal(0.0, 0.3, 300)
+def test_dependent_inputs_share_out_the_variance_by_shapley_effects(tmp_path: Path) -> None:
+    """y = a + b + c, correlation 0.7 of a and b: shares (1.7, 1.7, 1) of 4.4; Kucherenko's totals 0.51, 0.51, 1."""
+    x = np.random.default_rng(12).multivariate_normal(
+        [0.0] * 3, [[1.0, 0.7, 0.0], [0.7, 1.0, 0.0], [0.0, 0.0, 1.0]], 300
+    )
+    columns = {"a": x[:, 0], "b": np.exp(0.2 * x[:, 1]), "c": x[:, 2], "y": x.sum(axis=1)}
     found = analyse_data(read_data(written(tmp_path / "runs.csv", columns), ["a", "b", "c"], ["y"]))
-    assert [pair["of"] for pair in found["dependence"] if pair["dependent"]] == [["b", "c"]]
-    assert not found["sensitivity"]["y"]["chaos"]["usable"]
-    assert "depend on each other" in found["sensitivity"]["y"]["chaos"]["reason"]
+    assert [pair["of"] for pair in found["dependence"] if pair["dependent"]] == [["a", "b"]]
+    chaos = found["sensitivity"]["y"]["chaos"]
+    assert chaos["kind"] == "dependent"
+    assert "Sobol' indices would not share out" in chaos["notes"][0]
+    for order, truths in (("shapley", (1.7, 1.7, 1.0)), ("first", (2.89, 2.89, 1.0)), ("total", (0.51, 0.51, 1.0))):
+        for name, truth in zip("abc", truths, strict=True):
+            entry = chaos[order][name]["whole"]
+            assert entry["low"] <= truth / 4.4 <= entry["high"]
+            assert entry["high"] - entry["low"] < 0.2
+    assert "Shapley effect, by expansion" in analysis_text(found)
+
+
+def test_dependence_that_no_gaussian_copula_has_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    a = rng.normal(size=1200)
+    b = np.where(rng.random(1200) < 0.5, a, rng.normal(size=1200))
+    found = analyse_data(read_data(written(tmp_path / "r.csv", {"a": a, "b": b, "y": a + b}), ["a", "b"], ["y"]))
+    assert any("otherwise than the Gaussian copula" in note for note in found["sensitivity"]["y"]["chaos"]["notes"])
+
+
+def test_an_input_that_repeats_another_is_named(tmp_path: Path) -> None:
+    columns = runs(60)
+    columns["b"] = 2.0 * columns["a"]
+    found = analyse_data(read_data(written(tmp_path / "r.csv", columns), ["a", "b"], ["y"]))
+    assert found["sensitivity"]["y"]["chaos"]["reason"] == "b tells the same as a: leave one of them out"
+
+
+STUDY = """
+[inputs]
+b = { dist = "normal", mean = 5.0, sd = 0.5 }
+a = { dist = "lognormal", log_mean = 1.0, log_sd = 0.4 }
+[outputs]
+names = ["y"]
+"""
+
+
+def test_laws_that_are_known_leave_the_error_of_the_expansion_alone(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
+    data = read_data(written(tmp_path / "runs.csv", runs()), ["a", "b"], ["y"])
+    found = analyse_data(data, known=known_laws(tmp_path / "s.toml", data.inputs))
+    share = 1.44 / (1.44 + 0.25)
+    entry = found["sensitivity"]["y"]["chaos"]["first"]["a"]
+    assert entry["whole"] == entry["surrogate"]
+    assert entry["whole"]["value"] == pytest.approx(share, abs=1e-6)
+    assert found["outputs"]["y"]["expansion"]["mean"]["whole"]["value"] == pytest.approx(8.0, abs=2e-3)
+    assert found["inputs"]["a"]["reason"] is None
+    assert found["sensitivity"]["y"]["disagree"] == []
+    with pytest.raises(UsageError, match="no law of 'c'"):
+        known_laws(tmp_path / "s.toml", ["a", "c"])
+
+
+def test_runs_that_were_drawn_from_other_laws_are_told(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(STUDY.replace("log_sd = 0.4", "log_sd = 0.1"), encoding="utf-8")
+    data = read_data(written(tmp_path / "runs.csv", runs()), ["a", "b"], ["y"])
+    found = analyse_data(data, known=known_laws(tmp_path / "s.toml", data.inputs))
+    assert "do not look drawn from its law" in found["inputs"]["a"]["reason"]
+    told = found["sensitivity"]["y"]["disagree"]
+    assert any(text.startswith("sd:") for text in told)
+    assert any(text.startswith("first-order index of") for text in told)
+    assert "WARNING" in analysis_text(found)
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_outputs_of_any_size_have_the_same_shares(tmp_path: Path, size: float) -> None:
+    columns = runs(80)
+    found = []
+    for factor in (1.0, size):
+        path = written(tmp_path / "r.csv", columns | {"y": columns["y"] * factor})
+        found.append(analyse_data(read_data(path, ["a", "b"], ["y"])))
+    shares = [one["sensitivity"]["y"]["chaos"]["total"]["a"]["whole"]["value"] for one in found]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-6)
+    means = [one["outputs"]["y"]["expansion"]["mean"]["whole"]["value"] for one in found]
+    assert means[1] / size == pytest.approx(means[0], rel=1e-6)
+
+
+def test_inputs_and_outputs_that_do_not_vary_are_flagged(tmp_path: Path) -> None:
+    columns = runs(60)
+    columns["b"] = np.full(60, 2.0)
+    columns["z"] = np.full(60, 3.0)
+    columns["y"] = np.log(columns["a"])
+    found = analyse_data(read_data(written(tmp_path / "r.csv", columns), ["a", "b"], ["y", "z"]))
+    assert "no scatter" in found["inputs"]["b"]["reason"]
+    assert found["sensitivity"]["y"]["ranks"]["b"]["reason"] == "the input does not vary"
+    assert found["sensitivity"]["y"]["chaos"]["first"]["a"]["whole"]["value"] == pytest.approx(1.0)
+    assert found["sensitivity"]["z"]["chaos"]["reason"] == "the output does not vary"
+    assert found["outputs"]["z"]["sd"]["value"] == 0.0
+    assert "the input does not vary" in analysis_text(found)
+
+
+def test_coverage_is_counted_with_known_laws_and_fitted_ones() -> None:
+    """Two repetitions: that truth and answers belong together; what is covered, many repetitions have to say."""
+    told: list[str] = []
+    rows = given_rows(repetitions=2, models=("linear",), sizes=(100,), notice=told.append)
+    assert [text.split(": ")[1] for text in told] == ["expansion used 2 of 2, disagreement 0"] * 2
+    known = [row for row in rows if row.way == "laws known" and row.kind in ("first index", "total index", "mean")]
+    assert len(known) == 11
+    assert all(row.covered == 1.0 for row in known)
+    errors = {row.way: row.error for row in rows if row.kind == "first index" and row.answer == "x1"}
+    assert errors["laws known"] < 1e-9 < errors["laws fitted to the runs"] < 0.3
+
+
+def test_wide_laws_do_not_ask_the_expansion_where_no_run_lies(tmp_path: Path) -> None:
+    """An expansion of degree 13 from 60 runs says anything a little beyond them."""
+    rng = np.random.default_rng(1)
+    a = rng.normal(5.0, 1.0, 60)
+    found = analyse_data(read_data(written(tmp_path / "r.csv", {"a": a, "y": a * a}), ["a"], ["y"]))
+    entry = found["outputs"]["y"]["expansion"]["sd"]["whole"]
+    assert entry["high"] < 2.0 * entry["value"]
 
 
 def test_noise_is_not_explained(tmp_path: Path) -> None:

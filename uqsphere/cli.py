@@ -107,6 +107,9 @@ def build_parser() -> argparse.ArgumentParser:
     given.add_argument("data", metavar="DATA.csv", type=Path)
     given.add_argument("--inputs", required=True, metavar="A,B", help="columns that went in, divided by commas")
     given.add_argument("--outputs", required=True, metavar="Y,Z", help="columns that came out")
+    given.add_argument(
+        "--laws", type=Path, metavar="STUDY.toml", help="the laws that the runs were drawn from, if known"
+    )
     given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
     given.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 

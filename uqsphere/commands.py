@@ -270,13 +270,14 @@ def command_list(chosen: argparse.Namespace) -> int:
 
 def command_analyse(chosen: argparse.Namespace) -> int:
     """Analyse a table of runs."""
-    from uqsphere.given import analyse_data, analysis_text, read_data, study_text
+    from uqsphere.given import analyse_data, analysis_text, known_laws, read_data, study_text
 
     def names(text: str) -> list[str]:
         return [name.strip() for name in text.split(",") if name.strip()]
 
     data = read_data(chosen.data, names(chosen.inputs), names(chosen.outputs))
-    found = analyse_data(data)
+    known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
+    found = analyse_data(data, known=known)
     if chosen.out is not None:
         if chosen.out.exists() and any(chosen.out.iterdir()) and not (chosen.out / "analysis.json").is_file():
             raise FolderError(f"{chosen.out} is not empty and holds no analysis: choose another with --out")

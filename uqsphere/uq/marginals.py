@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.families import FAMILIES, Array
-from uqsphere.uq.ignorance import weibull_estimates
-from uqsphere.uq.laws import Law, LawError, make_law, pdf
+from uqsphere.uq.families import Array
+from uqsphere.uq.ignorance import possible_laws, weibull_estimates
+from uqsphere.uq.laws import Law, LawError, cdf, make_law, pdf
+from uqsphere.uq.sampling import random_generator
 
-__all__ = ["CANDIDATES", "Fit", "fit_marginal", "quantile_interval", "rank_correlations", "tied"]
+__all__ = [
+    "CANDIDATES",
+    "Fit",
+    "fit_marginal",
+    "plausible",
+    "plausible_laws",
+    "quantile_interval",
+    "rank_correlations",
+    "tied",
+]
 
 #: families that are tried, simplest first
-CANDIDATES: Final = ("exponential", "normal", "lognormal", "weibull", "gumbel", "gamma")
+CANDIDATES: Final = ("exponential", "normal", "lognormal", "weibull", "gumbel", "gamma", "uniform")
 #: parameters of each
 _PARAMETERS: Final = {"exponential": 1}
 #: samples of the fitted law that the distance is judged by
 _SAMPLES: Final = 999
 #: families whose distance has one distribution, whatever the parameters
-_STANDARD: Final = ("exponential", "normal", "lognormal", "weibull", "gumbel")
+_STANDARD: Final = ("exponential", "normal", "lognormal", "weibull", "gumbel", "uniform")
+#: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
+_STEPS: Final = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +46,8 @@ class Fit:
     Attributes
     ----------
     law : the fitted law
-    criterion : Akaike's criterion with the correction for few observations, smaller is better
+    criterion : Akaike's criterion with the correction for few observations, smaller is better; of a uniform law, whose
+        likelihood is not regular, that of the normal less twice the logarithm of the Bayes factor between the two
     distance : largest difference of the distribution functions (Kolmogorov)
     p_value : probability of a larger distance if the law were right, with the fit repeated on every sample
     """
@@ -51,13 +65,24 @@ def _distance(below: Array) -> Array:
     return np.asarray(np.maximum((below - step).max(axis=1), (step + 1.0 / n - below).max(axis=1)))
 
 
-def _simulated(kind: str, n: int, generator: np.random.Generator) -> Array:
-    """Distances of samples of the family from the law fitted to each: free of the parameters."""
-    from scipy.special import ndtr
+@lru_cache(maxsize=256)
+def _simulated(kind: str, n: int, shape: float = 1.0) -> Array:
+    """Distances of samples of the family from the law fitted to each: free of the parameters, but a gamma's shape."""
+    from scipy.special import gammainc, ndtr
 
+    generator = random_generator(seed=0, task=f"distances of {kind} {n} {shape!r}")
     if kind in ("normal", "lognormal"):
         x = np.sort(generator.standard_normal((_SAMPLES, n)), axis=1)
         return _distance(ndtr((x - x.mean(axis=1, keepdims=True)) / x.std(axis=1, keepdims=True)))
+    if kind == "uniform":
+        x = np.sort(generator.random((_SAMPLES, n)), axis=1)
+        low, high = _uniform_bounds(x)
+        return _distance((x - low[:, None]) / (high - low)[:, None])
+    if kind == "gamma":
+        # the samples keep the fitted shape, and each is fitted again
+        x = np.sort(generator.standard_gamma(shape, (_SAMPLES, n)), axis=1)
+        fitted = _gamma_shape(np.log(x.mean(axis=1)) - np.log(x).mean(axis=1))
+        return _distance(gammainc(fitted[:, None], x * (fitted / x.mean(axis=1))[:, None]))
     x = np.sort(generator.standard_exponential((_SAMPLES, n)), axis=1)
     if kind == "exponential":
         return _distance(-np.expm1(-x / x.mean(axis=1, keepdims=True)))
@@ -65,33 +90,77 @@ def _simulated(kind: str, n: int, generator: np.random.Generator) -> Array:
     return _distance(-np.expm1(-((x / scale[:, None]) ** modulus[:, None])))
 
 
-def _fitted(kind: str, values: Array, generator: np.random.Generator) -> Fit | None:
-    from scipy.special import gammainc
+def _uniform_bounds(ordered: Array) -> tuple[Array, Array]:
+    """Unbiased bounds (rows,) of uniform laws from ordered observations (rows, n)."""
+    beyond = (ordered[:, -1] - ordered[:, 0]) / (ordered.shape[1] - 1)
+    return ordered[:, 0] - beyond, ordered[:, -1] + beyond
+
+
+def _uniform_against_normal(values: Array) -> float:
+    """Logarithm of the Bayes factor of a uniform law against a normal one, ordered observations (n,).
+
+    Both with the prior dm ds/s of location and scale, for which the two marginal likelihoods are in closed form; their
+    ratio is the most powerful invariant test of one against the other (V. A. Uthoff, JASA 65, 1970, 1597).
+    """
+    from scipy.special import gammaln
 
     n = values.size
+    width = float(values[-1] - values[0])
+    squares = float((((values - values.mean()) / width) ** 2).sum())
+    uniform = -math.log(n * (n - 1.0))
+    normal = float(gammaln(0.5 * (n - 1.0))) - 0.5 * (n - 1.0) * math.log(math.pi * squares)
+    return uniform - (normal - 0.5 * math.log(n) - math.log(2.0))
+
+
+def _likeliest(kind: str, values: Array) -> Law:
+    """The law of a family with the largest likelihood, of ordered observations (n,); a uniform one unbiased."""
+    lower = upper = None
+    if kind == "uniform":
+        low, high = _uniform_bounds(values[None, :])
+        lower, upper = float(low[0]), float(high[0])
+    if kind not in ("weibull", "gumbel", "gamma"):
+        return make_law("empirical", {}, lower=lower, upper=upper, data=values.tolist(), fit=kind)
+    given: Mapping[str, float]
+    if kind == "gumbel":
+        # the negative of a largest value is the logarithm of a Weibull variable
+        unit, centre = float(values.std()), float(values.mean())
+        modulus, scale = weibull_estimates((centre - values[None, :]) / unit)
+        given = {"location": centre - unit * math.log(float(scale[0])), "scale": unit / float(modulus[0])}
+    elif not values[0] > 0.0:
+        raise LawError(f"{kind} needs positive observations, the smallest is {values[0]:g}", "fit")
+    elif kind == "weibull":
+        modulus, scale = weibull_estimates(np.log(values)[None, :])
+        given = {"modulus": float(modulus[0]), "scale": float(scale[0]), "threshold": 0.0}
+    else:
+        shape = float(_gamma_shape(np.log(values.mean(keepdims=True)) - np.log(values).mean(keepdims=True))[0])
+        given = {"shape": shape, "scale": float(values.mean()) / shape}
+    law = make_law(kind, given)
+    return Law(kind=kind, parameters=law.parameters, lower=law.lower, upper=law.upper, data=tuple(values.tolist()))
+
+
+def _fitted(kind: str, values: Array, normal: float) -> Fit | None:
+    """A family fitted to ordered observations; `normal` is the criterion of the normal law."""
+    n = values.size
     try:
-        law = make_law("empirical", {}, data=values.tolist(), fit=kind)
-        density = pdf(law, values)
-    except (LawError, ValueError, FloatingPointError):
+        with np.errstate(over="ignore", under="ignore"):
+            law = _likeliest(kind, values)
+            density = pdf(law, values)
+    except (LawError, ValueError, FloatingPointError, OverflowError):
         return None
     if not (density > 0.0).all():
         return None
     count = _PARAMETERS.get(kind, 2)
     correction = 2.0 * count * (count + 1) / (n - count - 1) if n > count + 1 else math.inf
     criterion = 2.0 * count - 2.0 * float(np.log(density).sum()) + correction
-    family = FAMILIES[kind]
-    location, scale, shapes = family.resolve(law.parameters, law.lower, law.upper)
-    place = np.log(values) if kind == "lognormal" else values
-    below = np.asarray(family.cdf((place - location) / scale, shapes))
-    distance = float(_distance(below[None, :])[0])
-    if kind in _STANDARD:
-        simulated = _simulated(kind, n, generator)
-    else:
-        # gamma: the samples keep the fitted shape, and each is fitted by moments of its logarithm, near the likelihood
-        x = np.sort(generator.standard_gamma(shapes[0], (_SAMPLES, n)), axis=1)
-        shape = _gamma_shape(np.log(x.mean(axis=1)) - np.log(x).mean(axis=1))
-        simulated = _distance(gammainc(shape[:, None], x * (shape / x.mean(axis=1))[:, None]))
-    p_value = float((1 + (simulated >= distance).sum()) / (_SAMPLES + 1))
+    if kind == "uniform":
+        criterion = normal - 2.0 * _uniform_against_normal(values)
+    if not math.isfinite(criterion):
+        return None
+    distance = float(_distance(cdf(law, values)[None, :])[0])
+    shape = 1.0
+    if kind == "gamma":
+        shape = math.exp(round(_STEPS * math.log(law.parameters["shape"])) / _STEPS)
+    p_value = float((1 + (_simulated(kind, n, shape) >= distance).sum()) / (_SAMPLES + 1))
     return Fit(law=law, criterion=criterion, distance=distance, p_value=p_value)
 
 
@@ -105,12 +174,12 @@ def _gamma_shape(gap: Array) -> Array:
     return np.asarray(k)
 
 
-def fit_marginal(values: Array, generator: np.random.Generator) -> list[Fit]:
-    """Every family that the observations (n,) can come from, the best by Akaike's criterion first.
+def fit_marginal(values: Array) -> list[Fit]:
+    """Every family that the observations (n,) can come from, the best by its criterion first.
 
     Raises ValueError for fewer than 5 observations, ones that are not finite, or ones without scatter.
 
-    >>> fits = fit_marginal(np.exp(np.linspace(-2.0, 2.0, 40)), np.random.default_rng(0))
+    >>> fits = fit_marginal(np.exp(np.linspace(-2.0, 2.0, 40) ** 3 / 4.0))
     >>> fits[0].law.kind
     'lognormal'
     """
@@ -119,10 +188,69 @@ def fit_marginal(values: Array, generator: np.random.Generator) -> list[Fit]:
         raise ValueError(f"a law is chosen from 5 observations or more, found {values.size}")
     if not np.isfinite(values).all():
         raise ValueError("the observations hold values that are not finite numbers")
-    if values[0] == values[-1]:
+    if not values[-1] - values[0] > 1e-12 * max(abs(values[0]), abs(values[-1])):
         raise ValueError("the observations are all equal: there is no scatter")
-    found = [_fitted(kind, values, generator) for kind in CANDIDATES]
-    return sorted((fit for fit in found if fit is not None), key=lambda fit: fit.criterion)
+    normal = _fitted("normal", values, 0.0)
+    if normal is None:
+        raise ValueError("the observations are beyond what floating point can fit a law to: change their unit")
+    others = [_fitted(kind, values, normal.criterion) for kind in CANDIDATES if kind != "normal"]
+    return sorted([normal, *(fit for fit in others if fit is not None)], key=lambda fit: fit.criterion)
+
+
+def plausible(fits: Sequence[Fit], least: float = 0.02) -> list[tuple[Fit, float]]:
+    """Families with their weights, exp(-Δ/2) of the criterion over their sum; those below `least` are left out.
+
+    Akaike weights (K. P. Burnham, D. R. Anderson, Model Selection and Multimodel Inference, 2002, 2.9).
+    """
+    weights = np.exp(-0.5 * (np.array([fit.criterion for fit in fits]) - fits[0].criterion))
+    weights = np.where(weights >= least * weights.sum(), weights, 0.0)
+    return [(fit, float(w)) for fit, w in zip(fits, weights / weights.sum(), strict=True) if w > 0.0]
+
+
+def plausible_laws(fits: Sequence[Fit], count: int, generator: np.random.Generator) -> list[Law]:
+    """`count` laws that the observations leave open: the family by its weight, its parameters by what they allow.
+
+    The bounds of a uniform law follow from pivots: the range of n observations over that of the law is Beta(n - 1, 2),
+    and what is left of it lies evenly on both sides.
+    """
+    kept = plausible(fits)
+    chosen = generator.multinomial(count, [weight for _, weight in kept])
+    laws: list[Law] = []
+    for (fit, _), times in zip(kept, chosen.tolist(), strict=True):
+        if times and fit.law.kind in _OWN:
+            laws += _OWN[fit.law.kind](fit.law, times, generator)
+        elif times:
+            laws += possible_laws(fit.law, times, generator)
+    return [laws[k] for k in generator.permutation(len(laws))]
+
+
+def _uniform_laws(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
+    first, last, n = law.data[0], law.data[-1], len(law.data)
+    part = generator.beta(n - 1.0, 2.0, count)
+    below = generator.random(count) * (1.0 - part)
+    width = (last - first) / part
+    lower = first - below * width
+    return [
+        Law(kind="uniform", parameters={}, lower=float(a), upper=float(a + w), data=law.data)
+        for a, w in zip(lower, width, strict=True)
+    ]
+
+
+def _gamma_laws(law: Law, count: int, generator: np.random.Generator) -> list[Law]:
+    """Gamma laws from samples of the fitted one: ratios of shape and mean to those of the sample serve as pivots."""
+    shape, scale, n = law.parameters["shape"], law.parameters["scale"], len(law.data)
+    x = generator.standard_gamma(shape, (count, n))
+    shapes = shape**2 / _gamma_shape(np.log(x.mean(axis=1)) - np.log(x).mean(axis=1))
+    scales = scale * shape**2 / x.mean(axis=1) / shapes
+    return [
+        Law(kind="gamma", parameters={"shape": float(k), "scale": float(s)}, lower=law.lower, upper=law.upper,
+            data=law.data)
+        for k, s in zip(shapes, scales, strict=True)
+    ]  # fmt: skip
+
+
+#: families whose laws are drawn here
+_OWN: Final = {"uniform": _uniform_laws, "gamma": _gamma_laws}
 
 
 def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:

@@ -48,6 +48,9 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
     drawn = np.array([generator.choice(n, size, replace=False) for _ in range(_SUBSAMPLES)])
     found = []
     for j in range(d):
+        if np.ptp(inputs[:, j]) == 0.0:
+            found.append(absent("the input does not vary", _METHOD, n))
+            continue
         # equal inputs in random order: an input of a few levels has neighbours by chance
         order = np.lexsort(np.stack([generator.random(n), inputs[:, j]]))
         z = outputs[order]

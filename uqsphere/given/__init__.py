@@ -1,0 +1,9 @@
+"""What a table of runs that were made already can tell: laws of the inputs, dependence, outputs, what drives them."""
+
+from __future__ import annotations
+
+from uqsphere.given.analysis import analyse_data, known_laws
+from uqsphere.given.table import Data, read_data
+from uqsphere.given.text import analysis_text, study_text
+
+__all__ = ["Data", "analyse_data", "analysis_text", "known_laws", "read_data", "study_text"]

@@ -1,0 +1,417 @@
+"""The analysis: marginal laws and what the runs leave open of them, dependence, outputs, and what drives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.errors import UsageError
+from uqsphere.given.table import Data
+from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.given import (
+    LAWS,
+    LeftOpen,
+    germs_of,
+    given_answers,
+    law_scores,
+    least_runs,
+    odd_pairs,
+    score_table,
+    trusted_from,
+)
+from uqsphere.uq.inputs import Inputs
+from uqsphere.uq.laws import Law, LawError
+
+__all__ = ["analyse_data", "known_laws"]
+
+Array = npt.NDArray[np.float64]
+
+SCHEMA_VERSION: Final = 2
+#: rows that an expansion is fitted to: beyond, it gains nothing
+_MOST_FITTED: Final = 2000
+#: a law that so few samples of its own would lie as far from is doubted
+_DOUBT: Final = 0.01
+_LAWS: Final = 400
+_QUANTILES: Final = (0.05, 0.5, 0.95)
+#: a rank correlation from which on two inputs tell the same
+_SAME: Final = 0.999
+#: standard errors by which ranks and expansion must differ to be told
+_APART: Final = 3.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Laws:
+    """The laws of the inputs that vary, by their columns, with what the runs leave open; why there are none."""
+
+    columns: tuple[int, ...]
+    inputs: Inputs | None
+    others: tuple[tuple[Law, ...], ...]
+    reason: str = ""
+
+
+def known_laws(path: Path, names: Sequence[str]) -> Inputs:
+    """Laws and dependence of the inputs that the runs were drawn from, out of a study.
+
+    Raises
+    ------
+    StudyError
+        For a file that is no study.
+    UsageError
+        For an input that has no law there.
+    """
+    from uqsphere.study import load_study
+    from uqsphere.uq.inputs import sub_inputs
+
+    study = load_study(path)
+    missing = [name for name in names if name not in study.random]
+    if missing:
+        raise UsageError(f"{path} has no law of {missing[0]!r}; random there: {', '.join(study.random) or 'nothing'}")
+    return sub_inputs(study.inputs(), tuple(names))
+
+
+def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> dict[str, Any]:
+    """Everything that the table tells, ready for JSON: marginal laws with their fit and what it leaves open, rank
+    correlations, distributions of the outputs, first-order indices by ranks, and what an expansion tells.
+
+    `known`: laws that the runs were drawn from, in the order of the inputs; they are fitted to the runs otherwise.
+    """
+    from threadpoolctl import threadpool_limits
+
+    # one thread of linear algebra: the same bytes on every machine, and no threads that wait for each other
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _analysed(data, known, seed)
+
+
+def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
+    from uqsphere.uq.marginals import rank_correlations, tied
+
+    marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
+    varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
+    pairs = rank_correlations(data.x[:, varying]) if len(varying) > 1 else []
+    pairs = [(varying[i], varying[j], e) for i, j, e in pairs]
+    clear = {(i, j) for i, j, _ in tied(pairs)}
+    dependence = [
+        {"of": [data.inputs[i], data.inputs[j]], "spearman": e.as_dict(), "dependent": (i, j) in clear}
+        for i, j, e in pairs
+    ]
+    ties = {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear}
+    if known is None:
+        laws = _tied(data, laws, ties)
+    outputs, sensitivity = {}, {}
+    for k, name in enumerate(data.outputs):
+        outputs[name], sensitivity[name] = _answered(data, k, laws, ties, seed)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "rows": len(data.x),
+        "laws": "fitted" if known is None else "known",
+        "inputs": marginals,
+        "dependence": dependence,
+        "outputs": outputs,
+        "sensitivity": sensitivity,
+    }
+
+
+# --- laws -----------------------------------------------------------------------------------------------------
+
+
+def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
+    """Laws fitted to the runs."""
+    from uqsphere.uq.sampling import random_generator
+
+    marginals: dict[str, Any] = {}
+    columns, laws, others, unknown = [], [], [], []
+    for k, name in enumerate(data.inputs):
+        values = data.x[:, k]
+        generator = random_generator(seed=seed, task=f"analyse {name}")
+        marginals[name], law, open_ = _marginal(values, generator)
+        if law is None:
+            if np.ptp(values) > 0.0:
+                unknown.append(name)
+            continue
+        columns.append(k)
+        laws.append(law)
+        others.append((law,) * LAWS if law.kind == "empirical" else tuple(open_[:LAWS]))
+    names = tuple(data.inputs[k] for k in columns)
+    reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
+    inputs = None if reason else Inputs(names=names, laws=tuple(laws))
+    return marginals, _Laws(columns=tuple(columns), inputs=inputs, others=tuple(others), reason=reason)
+
+
+def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Law]]:
+    """One input: every law that was tried, which is taken, and what the observations leave open of it."""
+    from uqsphere.uq.distribution import mean, sd
+    from uqsphere.uq.ignorance import possible_laws
+    from uqsphere.uq.laws import make_law
+    from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws
+
+    try:
+        fits = fit_marginal(values)
+    except ValueError as error:
+        return {"chosen": None, "reason": str(error), "fits": []}, None, []
+    best = fits[0]
+    entry: dict[str, Any] = {
+        "chosen": best.law.kind,
+        "parameters": _parameters(best.law),
+        "fits": [
+            {
+                "dist": f.law.kind,
+                "criterion": f.criterion - best.criterion,
+                "distance": f.distance,
+                "p_value": f.p_value,
+            }
+            for f in fits
+        ],
+        "weights": {fit.law.kind: weight for fit, weight in plausible(fits)},
+        "reason": None,
+    }
+    law = best.law
+    if best.p_value < _DOUBT:
+        law = make_law("empirical", {}, data=values[:5000].tolist(), fit="kde")
+        entry["chosen"] = "kde"
+        entry["parameters"] = dict(law.parameters)
+        entry["weights"] = {}
+        entry["reason"] = f"no family fits: even the best, {best.law.kind}, has a p-value of {best.p_value:.2g}"
+        others = possible_laws(law, 100, generator) if values.size <= 500 else []
+    else:
+        others = plausible_laws(fits, _LAWS, generator)
+    entry["mean"], entry["sd"] = mean(law), sd(law)
+    for what, of in (("mean", mean), ("sd", sd)):
+        found = np.array([of(other) for other in others])
+        found = found[np.isfinite(found)]
+        entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
+    return entry, law, others
+
+
+def _parameters(law: Law) -> dict[str, float]:
+    """The keys of the law in a study."""
+    bounds = {"lower": law.lower, "upper": law.upper} if law.kind == "uniform" else {}
+    return {**dict(law.parameters), **bounds}
+
+
+def _given(data: Data, known: Inputs) -> tuple[dict[str, Any], _Laws]:
+    """Laws that the runs were drawn from, and whether the runs look like it."""
+    from uqsphere.uq.distribution import cdf, mean, sd
+    from uqsphere.uq.empirical import kolmogorov_p_value
+
+    marginals: dict[str, Any] = {}
+    n = len(data.x)
+    for k, (name, law) in enumerate(zip(known.names, known.laws, strict=True)):
+        below = np.sort(cdf(law, data.x[:, k]))
+        distance = float(max((below - np.arange(n) / n).max(), ((np.arange(n) + 1.0) / n - below).max()))
+        p_value = kolmogorov_p_value(distance, n)
+        doubt = f"its runs do not look drawn from its law (p-value {p_value:.2g})" if p_value < _DOUBT else None
+        marginals[name] = {
+            "chosen": law.kind,
+            "parameters": _parameters(law),
+            "fits": [{"dist": law.kind, "criterion": 0.0, "distance": distance, "p_value": p_value}],
+            "weights": {},
+            "reason": doubt,
+            "mean": mean(law),
+            "sd": sd(law),
+            "mean_left_open": None,
+            "sd_left_open": None,
+        }
+    return marginals, _Laws(columns=tuple(range(len(known.names))), inputs=known, others=())
+
+
+def _tied(data: Data, laws: _Laws, ties: Mapping[tuple[int, int], float]) -> _Laws:
+    """The laws with a Gaussian copula of the pairs that depend on each other, or why there is none."""
+    from uqsphere.uq.inputs import correlation_from_spearman
+
+    if laws.inputs is None or not ties:
+        return laws
+    same = [(i, j) for (i, j), value in ties.items() if abs(value) > _SAME]
+    if same:
+        i, j = same[0]
+        reason = f"{data.inputs[j]} tells the same as {data.inputs[i]}: leave one of them out"
+        return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
+    groups = [((data.inputs[i], data.inputs[j]), value) for (i, j), value in ties.items()]
+    try:
+        correlation = correlation_from_spearman(laws.inputs.names, groups)
+        inputs = Inputs(names=laws.inputs.names, laws=laws.inputs.laws, correlation=correlation)
+    except LawError as error:
+        reason = f"the dependences of the inputs cannot be followed: {error}"
+        return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
+    return _Laws(columns=laws.columns, inputs=inputs, others=laws.others)
+
+
+def _left_open(
+    inputs: Inputs, others: Sequence[Sequence[Law]], scores: Array, n: int, generator: np.random.Generator
+) -> LeftOpen | None:
+    """Laws and correlations that n runs leave open, in the form that the answers are asked in."""
+    if not others:
+        return None
+    tables = np.stack([score_table(law, open_) for law, open_ in zip(inputs.laws, others, strict=True)], axis=1)
+    moved = []
+    for _ in range(len(tables)):
+        correlation = inputs.correlation
+        if correlation is not None:
+            off = np.triu(generator.standard_normal(correlation.shape), 1) * math.sqrt(1.06 / (n - 3))
+            shifted = np.tanh(
+                np.arctanh(np.clip(correlation - np.eye(len(correlation)), -0.9999, 0.9999)) + off + off.T
+            )
+            tied = np.where(correlation == 0.0, 0.0, shifted)
+            np.fill_diagonal(tied, 1.0)
+            correlation = tied if float(np.linalg.eigvalsh(tied)[0]) > 1e-6 else correlation
+        moved.append(Inputs(names=inputs.names, laws=inputs.laws, correlation=correlation))
+    return LeftOpen(tables=tables, inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0))
+
+
+# --- outputs ---------------------------------------------------------------------------------------------------
+
+
+def _answered(
+    data: Data, column: int, laws: _Laws, ties: Mapping[tuple[int, int], float], seed: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is known of one output: its distribution, and what drives it."""
+    from uqsphere.uq.ranks import rank_indices
+    from uqsphere.uq.sampling import random_generator
+
+    name = data.outputs[column]
+    y = data.y[:, column]
+    # a power of two loses no figures, and squares of what is divided by it stay finite
+    largest = float(np.abs(y).max())
+    unit = 2.0 ** min(max(math.frexp(largest)[1], -1000), 1000) if largest > 0.0 else 1.0
+    generator = random_generator(seed=seed, task=f"analyse ranks {name}")
+    output = _output(y / unit)
+    ranks = dict(zip(data.inputs, rank_indices(data.x, y / unit, generator), strict=True))
+    found, chaos = _expansion(data, y / unit, laws, ties, (seed, name))
+    told = None
+    if found is not None:
+        told = {
+            what: {
+                "whole": _scaled(entry["whole"], unit),
+                "surrogate": _scaled(entry["surrogate"], unit),
+                "left_open": entry["left_open"] * unit,
+            }
+            for what, entry in found.pop("statistics").items()
+        }
+        chaos |= found
+    scaled: dict[str, Any] = {
+        "mean": _scaled(output["mean"], unit),
+        "sd": _scaled(output["sd"], unit),
+        "quantiles": {p: _scaled(e, unit) for p, e in output["quantiles"].items()},
+        "expansion": told,
+    }
+    apart = _apart(ranks, chaos, scaled)
+    return scaled, {"ranks": {n: e.as_dict() for n, e in ranks.items()}, "chaos": chaos, "disagree": apart}
+
+
+def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
+    """An estimate in its own unit; one whose ends leave floating point is absent."""
+    numbers = {key: entry[key] for key in ("value", "low", "high", "std_error") if entry[key] is not None}
+    scaled = {key: float(value) * unit for key, value in numbers.items()}
+    if all(math.isfinite(value) for value in scaled.values()):
+        return {**entry, **scaled}
+    return absent(
+        "beyond what floating point can hold: change the unit", entry["method"], entry["evaluations"]
+    ).as_dict()
+
+
+def _output(values: Array) -> dict[str, Any]:
+    """Mean, standard deviation and quantiles of independent runs."""
+    from uqsphere.uq.estimates import student
+    from uqsphere.uq.marginals import quantile_interval
+
+    n = values.size
+    centre, spread = float(values.mean()), float(values.std(ddof=1))
+    half = student(n) * spread / math.sqrt(n)
+    kurtosis = float(((values - centre) ** 4).mean() / max(float(values.var()) ** 2, 1e-300))
+    error = math.sqrt(max(kurtosis - (n - 3.0) / (n - 1.0), 0.0) / n) / 2.0
+    quantiles = {}
+    for p in _QUANTILES:
+        found = quantile_interval(values, p)
+        reason = f"{n} runs are too few for an interval of the {p:g} quantile"
+        quantiles[f"{p:g}"] = (found or absent(reason, "order statistics", n)).as_dict()
+    return {
+        "mean": Estimate(value=centre, low=centre - half, high=centre + half, std_error=spread / math.sqrt(n),
+                         method="independent runs", evaluations=n).as_dict(),
+        "sd": Estimate(value=spread, low=spread * math.exp(-1.96 * error), high=spread * math.exp(1.96 * error),
+                       std_error=spread * error, method="independent runs", evaluations=n).as_dict(),
+        "quantiles": quantiles,
+    }  # fmt: skip
+
+
+# --- the expansion ---------------------------------------------------------------------------------------------
+
+
+def _expansion(
+    data: Data, y: Array, laws: _Laws, ties: Mapping[tuple[int, int], float], key: tuple[int, str]
+) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+    """What an expansion tells, where it passes its check, and what there is to say about it."""
+    from uqsphere.uq.sampling import random_generator
+
+    def refused(reason: str, error: float | None = None) -> tuple[None, dict[str, Any]]:
+        return None, {"usable": False, "error": error, "reason": reason}
+
+    if laws.inputs is None:
+        return refused(laws.reason)
+    seed, name = key
+    generator = random_generator(seed=seed, task=f"analyse expansion {name}")
+    rows = generator.permutation(len(y))[:_MOST_FITTED]
+    if np.ptp(y) <= 1e-14 * np.abs(y).max(initial=0.0):
+        return refused("the output does not vary")
+    if len(rows) < least_runs(len(laws.columns)):
+        needed = least_runs(len(laws.columns))
+        return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
+    scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
+    try:
+        trusted = trusted_from(scores, y[rows], germs_of(laws.inputs.laws))
+    except ValueError as error:
+        return refused(str(error))
+    if not trusted.usable:
+        return refused(trusted.reason, min(trusted.error, 1.0))
+    dependent = laws.inputs.correlation is not None or bool(laws.inputs.groups)
+    notes = []
+    if dependent:
+        tied = sorted({data.inputs[i] for pair in ties for i in pair}) or list(laws.inputs.names)
+        notes.append(
+            f"{', '.join(tied)} depend on each other: Sobol' indices would not share out the variance; Shapley effects "
+            "do, and first and total are Kucherenko's, whose total may lie below the first"
+        )
+        at = {column: k for k, column in enumerate(laws.columns)}
+        odd = odd_pairs(scores, [(at[i], at[j]) for i, j in ties])
+        notes += [f"{laws.inputs.names[i]} and {laws.inputs.names[j]} depend on each other otherwise than the Gaussian "
+                  "copula that is taken here: the shares are in doubt" for i, j in odd]  # fmt: skip
+    left_open = _left_open(laws.inputs, laws.others, scores, len(data.x), generator)
+    answers = given_answers(trusted, laws.inputs, left_open, quantiles=_QUANTILES, seed=seed, task=name)
+    found = {
+        order: {
+            label: {"whole": a.whole.as_dict(), "surrogate": a.surrogate.as_dict(), "left_open": a.left_open}
+            for label, a in rows_.items()
+        }
+        for order, rows_ in answers.items()
+    }
+    about = {
+        "usable": True, "error": trusted.error, "reason": trusted.reason, "notes": notes,
+        "kind": "dependent" if dependent else "sobol",
+    }  # fmt: skip
+    return found, about
+
+
+def _apart(ranks: Mapping[str, Estimate], chaos: Mapping[str, Any], output: Mapping[str, Any]) -> list[str]:
+    """Where the expansion and what needs none differ by more than chance."""
+    told = []
+    for name, estimate in ranks.items():
+        other = chaos.get("first", {}).get(name, {}).get("whole")
+        if other is None or other["value"] is None or estimate.value is None or estimate.std_error is None:
+            continue
+        error = math.hypot(estimate.std_error, other["std_error"])
+        if abs(estimate.value - other["value"]) > _APART * error:
+            told.append(
+                f"first-order index of {name}: {estimate.value:.2f} by ranks, {other['value']:.2f} by expansion"
+            )
+    if output["expansion"] is not None:
+        for what in ("mean", "sd"):
+            alone, other = output[what], output["expansion"][what]["whole"]
+            if alone["value"] is None or other["value"] is None:
+                continue
+            if abs(alone["value"] - other["value"]) > _APART * math.hypot(alone["std_error"], other["std_error"]):
+                told.append(f"{what}: {alone['value']:.4g} by the runs alone, {other['value']:.4g} by expansion")
+    return told

@@ -1,0 +1,167 @@
+"""The analysis for the terminal, and as the beginning of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from uqsphere.console import table
+from uqsphere.quantities import format_estimate
+
+__all__ = ["analysis_text", "study_text"]
+
+#: inputs from which on a table of all pairs, or of all fits, would say nothing to anybody
+_MANY: Final = 30
+#: what is called by which name
+_ORDERS: Final = {"shapley": "Shapley effect", "first": "first", "total": "total"}
+
+
+def _shown(estimate: Mapping[str, Any]) -> str:
+    if estimate["value"] is None:
+        reason = "too few runs" if "too few" in estimate["reason"] else estimate["reason"]
+        return f"- ({reason})"
+    return format_estimate(estimate["value"], estimate["low"], estimate["high"])
+
+
+def _share(estimate: Mapping[str, Any]) -> str:
+    """A share of 1: what is known beyond six decimals is of no use to anybody."""
+    if estimate["value"] is None or estimate["high"] - estimate["low"] > 2e-6:
+        return _shown(estimate)
+    return f"{estimate['value'] + 0.0:.6f}"
+
+
+def _range(ends: Sequence[float] | None) -> str:
+    return f"{ends[0]:.4g} to {ends[1]:.4g}" if ends else "-"
+
+
+def analysis_text(found: Mapping[str, Any]) -> str:
+    """The analysis for the terminal."""
+    parts = [f"{found['rows']:,} rows", "", *_inputs(found), "", _outputs(found), "", _drivers(found)]
+    for name, entry in found["sensitivity"].items():
+        chaos = entry["chaos"]
+        parts += (
+            ["", f"{name}: {_said(found, name)}"] if chaos["usable"] else ["", f"{name}: expansion: {chaos['reason']}"]
+        )
+        parts += [f"{name}: {note}" for note in chaos.get("notes", ())]
+        if entry["disagree"]:
+            parts.append(
+                f"{name}: WARNING: runs and expansion disagree by more than chance: {'; '.join(entry['disagree'])}. "
+                "The laws, or what is said of the dependence, are wrong, or the runs were not drawn independently; "
+                "believe neither before that is settled"
+            )
+    return "\n".join(parts)
+
+
+def _inputs(found: Mapping[str, Any]) -> list[str]:
+    rows: list[tuple[str, ...]] = []
+    for name, entry in found["inputs"].items():
+        if entry["chosen"] is None:
+            rows.append((name, "-", "", "", "", "", "", ""))
+            continue
+        others = [f"{kind} {weight:.0%}" for kind, weight in entry["weights"].items() if kind != entry["chosen"]]
+        opened = [_range(entry[f"{what}_left_open"]) for what in ("mean", "sd")]
+        judged = f"{entry['fits'][0]['p_value']:.2g}"
+        rows.append((name, entry["chosen"], judged, f"{entry['mean']:.5g}", opened[0], f"{entry['sd']:.4g}", opened[1],
+                     ", ".join(others[:3]) or "-"))  # fmt: skip
+    if found["laws"] == "known":
+        parts = [table(("input", "law", "fit (p)", "mean", "sd: scatter"), [(*r[:4], r[5]) for r in rows])]
+        parts += ["fit (p): how often runs drawn from the law would lie as far from it"]
+    else:
+        header = ("input", "law", "fit (p)", "mean", "left open (95 %)", "sd: scatter", "left open (95 %)", "or")
+        parts = [table(header, rows)]
+        parts += [
+            "fit (p): how often runs of the law itself would lie as far from it; below 0.01 it is refused",
+            f"left open: what {found['rows']:,} runs do not know of the law, its family included; more runs narrow it, "
+            "not the scatter",
+        ]
+    parts += [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
+    tied = [pair for pair in found["dependence"] if pair["dependent"]]
+    for pair in tied[:_MANY]:
+        parts.append(f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}")
+    if len(tied) > _MANY:
+        parts.append(f"and {len(tied) - _MANY} pairs more")
+    if not tied and found["dependence"]:
+        parts.append("no two inputs depend on each other beyond chance")
+    return parts
+
+
+def _outputs(found: Mapping[str, Any]) -> str:
+    """Statistics of every output, by the runs alone and by the expansion."""
+    rows: list[tuple[str, ...]] = []
+    for name, entry in found["outputs"].items():
+        told = entry["expansion"]
+        alone = [("mean", "mean", entry["mean"]), ("sd", "standard deviation", entry["sd"])]
+        alone += [(p, f"{100.0 * float(p):g} % quantile", e) for p, e in entry["quantiles"].items()]
+        for k, (key, label, estimate) in enumerate(alone):
+            row: tuple[str, ...] = (name if k == 0 else "", label, _shown(estimate))
+            if told is not None:
+                row += (_shown(told[key]["whole"]),)
+            rows.append(row + ("-",) * (4 - len(row)))
+    if any(entry["expansion"] is not None for entry in found["outputs"].values()):
+        return table(("output", "statistic", "by the runs alone (95 %)", "by the expansion (95 %)"), rows)
+    return table(("output", "statistic", "value (95 % interval)"), [row[:3] for row in rows])
+
+
+def _drivers(found: Mapping[str, Any]) -> str:
+    """Indices of every output, by ranks and by the expansion."""
+    kinds = {entry["chaos"].get("kind") for entry in found["sensitivity"].values()}
+    orders = ["shapley", "first", "total"] if "dependent" in kinds else ["first", "total"] if "sobol" in kinds else []
+    rows = []
+    for name, entry in found["sensitivity"].items():
+        chaos = entry["chaos"]
+        for k, (source, estimate) in enumerate(entry["ranks"].items()):
+            row = [name if k == 0 else "", source, _shown(estimate)]
+            for order in orders:
+                one = chaos.get(order, {}).get(source)
+                row.append("-" if one is None else _share(one["whole"]))
+            rows.append(tuple(row))
+    header = ("output", "input", "first, by ranks (95 %)", *(f"{_ORDERS[order]}, by expansion" for order in orders))
+    return table(header, rows)
+
+
+def _said(found: Mapping[str, Any], name: str) -> str:
+    """What the intervals of an expansion hold."""
+    chaos = found["sensitivity"][name]["chaos"]
+    entries = [e for order in _ORDERS for e in chaos.get(order, {}).values() if e["surrogate"]["value"] is not None]
+    text = f"expansion: {chaos['reason']}"
+    if not entries:
+        return text
+    own = max(0.5 * (e["surrogate"]["high"] - e["surrogate"]["low"]) for e in entries)
+    opened = max(e["left_open"] for e in entries)
+    if found["laws"] == "known":
+        return f"{text}; its own error moves no index by more than {own:.1g}"
+    return (
+        f"{text}; its own error moves no index by more than {own:.1g}, what the runs leave open of the laws by up to "
+        f"{opened:.1g}, and the intervals hold both. Where the laws are known, give them: --laws STUDY.toml"
+    )
+
+
+def study_text(found: Mapping[str, Any]) -> str:
+    """The inputs as a black-box study would have them, to go on with."""
+    lines = [
+        "# laws fitted to given data; a study with these inputs runs with --model FILE.py:FUNCTION",
+        "",
+        "[inputs]",
+    ]
+    for name, entry in found["inputs"].items():
+        if entry["chosen"] in (None, "kde", "empirical"):
+            lines.append(f"# {name}: {entry['reason']}; give it as an empirical law with its own CSV")
+            continue
+        keys = ", ".join(f"{key} = {value!r}" for key, value in entry["parameters"].items())
+        lines.append(f'{_key(name)} = {{ dist = "{entry["chosen"]}", {keys} }}')
+    for pair in found["dependence"]:
+        if pair["dependent"]:
+            names = ", ".join(_quoted(name) for name in pair["of"])
+            lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {pair['spearman']['value']:.4f}"]
+    lines += ["", "[outputs]", f"names = [{', '.join(_quoted(name) for name in found['outputs'])}]"]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(name: str) -> str:
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _key(name: str) -> str:
+    bare = name.replace("-", "_")
+    return name if bare.isascii() and bare.replace("_", "a").isalnum() else _quoted(name)
