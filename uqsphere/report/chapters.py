@@ -25,7 +25,13 @@ from uqsphere.report import (
 )
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
-from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
+from uqsphere.report.fragility_family import (
+    family_figure,
+    family_finding,
+    family_name,
+    family_table,
+    lognormal_remarks,
+)
 from uqsphere.report.margin_parts import parts_finding, parts_table
 from uqsphere.report.strength_plot import fitted_tests, probability_plot, tests_table
 from uqsphere.report.wording import begin, call, capital, limit_name, symbol
@@ -63,6 +69,7 @@ def _family(contents: Contents, name: str) -> list[Block]:
     return [
         Block(
             heading=f"Fragility of {limit_name(name)} over {family_name(contents, name)}",
+            finding=family_finding(contents, name),
             picture=family_figure(contents, name),
             table=family_table(contents, name),
         )

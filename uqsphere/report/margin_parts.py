@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from uqsphere.report.contents import Contents
-from uqsphere.report.sections import Table
+from uqsphere.report.tables import Table, cell
 from uqsphere.report.wording import input_name, limit_name, listed, plain_percent, probability_range, value_text
 
 __all__ = ["parts_finding", "parts_table"]
@@ -43,11 +43,14 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     if "medians" in factors:
         of = factors["fractiles_of"]
         rows += [
-            ("safety factor as planned: median strength over median demand", f"{factors['medians']:.3g}"),
+            (
+                "safety factor as planned: median strength over median demand",
+                _factor(contents, name, factors["medians"], 0.5),
+            ),
             (
                 f"safety factor as planned: {plain_percent(of['strength'])} fractile of the strength over "
                 f"{plain_percent(of['demand'])} fractile of the demand",
-                f"{factors['fractiles']:.3g}",
+                _factor(contents, name, factors["fractiles"], of["demand"]),
             ),
         ]
     for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
@@ -55,7 +58,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         own = quantity if strength else key
         what = "characteristic over design value" if strength else "design value over median"
         values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
-        text = f"{part['factor']:.4g} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        text = f"{part['factor']:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
         rows.append((f"partial factor of {input_name(key)}: {what}", text))
     split = entry.get("split", {})
     for key, words in (
@@ -78,4 +81,18 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     if standing.get("miss"):
         rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
     caption = f"Margin of {limit_name(name)} at a probability of exceeding of {plain_percent(entry['probability'])}"
-    return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None
+    note = (
+        "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
+        "deviations and what the tests leave open are uncertainties themselves."
+    )
+    return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
+
+
+def _factor(contents: Contents, name: str, factor: float, fractile: float) -> str:
+    """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
+    limit = contents.resolved["limits"][name]
+    demand = contents.results["quantities"].get(limit["quantity"], {}).get("quantiles", {}).get(f"{fractile:g}")
+    if limit["model_factor"] != 1.0 or not demand or not demand["value"] or not demand["low"] or not demand["high"]:
+        return f"{factor:.3g} (no interval: the demand has none of its own)"
+    low, high = sorted((factor * demand["value"] / demand["high"], factor * demand["value"] / demand["low"]))
+    return cell({"value": factor, "low": low, "high": high})

@@ -329,4 +329,5 @@ def waterfall_table(contents: Contents, name: str) -> Table | None:
         caption=f"From the median margin of {limit_name(name)} to its worst twentieth, by importance factors",
         header=("step", "change", "margin after it"),
         rows=tuple(rows),
+        note="No intervals: the way is shared out by the design point. Both ends have theirs in the table of limits.",
     )
