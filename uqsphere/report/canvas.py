@@ -223,10 +223,12 @@ def dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float, square: bool =
     places = np.repeat(np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=1), 2, axis=0)
     if not len(places):
         return
-    codes = np.tile([Path.MOVETO, Path.LINETO], len(places) // 2)
+    path = Path(places, np.tile([Path.MOVETO, Path.LINETO], len(places) // 2))
+    # what has no length would be left out
+    path.should_simplify = False
     axes.add_patch(
         PathPatch(
-            Path(places, codes), fill=False, edgecolor=colour, linewidth=size, alpha=alpha,
+            path, fill=False, edgecolor=colour, linewidth=size, alpha=alpha,
             capstyle="projecting" if square else "round",
         )
     )  # fmt: skip

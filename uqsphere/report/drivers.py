@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -179,6 +180,9 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
         return None
     probability = entry["of"] == "probability"
     rows: list[tuple[str, ...]] = []
+    # one power of ten for the whole column
+    largest = max((abs(row["sway"]["value"] or 0.0) for row in entry["rows"]), default=0.0) if probability else 0.0
+    power = math.floor(math.log10(largest)) if 0.0 < largest < 0.1 else 0
     for row in entry["rows"]:
         seen = row["observations"]
         tests = (thousands(row["tests"]) if row["tests"] else "none") + (
@@ -186,7 +190,12 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
         )
         if probability:
             rows.append(
-                (input_name(row["input"]), cell(row["sway"]), number_text(f"{100.0 * row['share']:.2g}") + " %", tests)
+                (
+                    input_name(row["input"]),
+                    cell(_scaled(row["sway"], 10.0**-power)),
+                    number_text(f"{100.0 * row['share']:.2g}") + " %",
+                    tests,
+                )
             )
         else:
             rows.append((input_name(row["input"]), index_cell(row["share"]), tests))
@@ -194,7 +203,8 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
     if probability:
         header: tuple[str, ...] = (
             "input",
-            "change of the probability per standard deviation",
+            "change of the probability per standard deviation"
+            + (number_text(f" [1e{power}]").replace("1 × ", "") if power else ""),
             "share in its uncertainty",
             f"tests until its error moves the probability by {wanted} of its value",
         )
@@ -206,6 +216,12 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
         else "Numbers of tests rise with the share, and have its relative interval."
     )
     return Table(caption=caption, header=header, rows=tuple(rows), note=note)
+
+
+def _scaled(estimate: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    """An estimate times a number."""
+    ends = {key: None if estimate[key] is None else factor * estimate[key] for key in ("value", "low", "high")}
+    return {**estimate, **ends}
 
 
 def measure_finding(entry: Mapping[str, Any] | None) -> str:

@@ -111,13 +111,18 @@ def family_table(contents: Contents, name: str) -> Table:
     """The values at the probabilities asked for, and the lognormal curve, of every member."""
     entry = contents.results["margins"][name]
     family, subject = entry["family"], contents.subject(entry["solve"])
-    keys = sorted({p for member in family["members"] for p in member["values"]}, key=float)
-    rows = []
-    for member in family["members"]:
-        fitted = member.get("lognormal") or {}
-        cells = [estimate_text(member["values"][p], subject) if p in member["values"] else "–" for p in keys]
-        dispersion = estimate_text(fitted["dispersion"]) if fitted.get("dispersion") else "–"
-        rows.append((value_text(member["value"], family["path"], 4), *cells, dispersion))
-    caption = f"{capital(input_name(entry['solve']))} at probabilities of exceeding {limit_name(name)}"
-    header = (family_name(contents, name), *(plain_percent(float(p)) for p in keys), "dispersion")
+    members = family["members"]
+    keys = sorted({p for member in members for p in member["values"]}, key=float)
+    rows = [
+        (
+            plain_percent(float(p)),
+            *(estimate_text(m["values"][p], subject) if p in m["values"] else "–" for m in members),
+        )
+        for p in keys
+    ]
+    fitted = [(member.get("lognormal") or {}).get("dispersion") for member in members]
+    rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
+    name_of = canvas.shorten(family_name(contents, name), 40)
+    caption = f"{capital(input_name(entry['solve']))} at which {limit_name(name)} is exceeded, by {name_of}"
+    header = ("probability", *(value_text(member["value"], family["path"], 4) for member in members))
     return Table(caption=caption, header=header, rows=tuple(rows))

@@ -201,6 +201,8 @@ def surface_finding(contents: Contents, limit: str) -> str:
     words = short_input(sides.name)
     if n == 0:
         return f"None of {len(sides.x):,} samples misses the aim.".replace(",", " ")
+    if n == len(sides.x):
+        return f"All of {len(sides.x):,} samples miss the aim.".replace(",", "\u202f")
     where = float((sides.x[sides.missed] > np.median(sides.x)).mean())
     half = "upper" if where >= 0.5 else "lower"
     share = max(where, 1.0 - where)

@@ -17,6 +17,7 @@ from uqsphere.report.wording import (
     listed,
     number_text,
     plain_percent,
+    powers,
     symbol,
     value_text,
 )
@@ -43,7 +44,7 @@ def checks_table(contents: Contents) -> Table:
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
         if check["worst"] is None and grade == "ok":
             grade = "not checked"
-        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", str(check["text"])))
+        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", powers(str(check["text"]))))
     return Table(
         caption="Assumptions of the model, checked on a pilot sample",
         rows=tuple(rows),
@@ -259,9 +260,9 @@ def plan_table(contents: Contents) -> Table | None:
     budget = contents.resolved["analysis"]["budget"]["evaluations"]
     rows = [
         ("way", f"{plan['way']}: {plan['why']}"),
-        ("forecast", f"{plan['sampling_evaluations']:,} evaluations by sampling, some "
-                     f"{plan['surrogate_evaluations']:,} by a surrogate"),
-        ("taken", f"{spent:,} evaluations of at most {int(budget):,}"),
+        ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
+                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate"),
+        ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
     cost = costs.get("cost_seconds_per_evaluation")
     if cost:

@@ -23,6 +23,7 @@ __all__ = [
     "limit_name",
     "listed",
     "number_text",
+    "powers",
     "probability_range",
     "probability_text",
     "rounded",
@@ -106,6 +107,15 @@ def short_input(name: str) -> str:
     """The same, without what one knows anyway, for bars and lists."""
     words = input_name(name)
     return re.sub(r"^(.*) \(.*\)$", r"\1", words)
+
+
+def powers(text: str) -> str:
+    """A text with powers of ten in place of exponents, ``2.6e-09``.
+
+    >>> powers("it leaves 2.6e-09 of the variance")
+    'it leaves 2.6 × 10⁻⁹ of the variance'
+    """
+    return _tens(re.sub(r"(?<![\w.-])(\d[\d.]*)e-0*(\d+)", r"\1e-\2", text))
 
 
 def _tens(text: str) -> str:
