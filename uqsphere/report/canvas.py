@@ -223,6 +223,9 @@ def dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float, square: bool =
     places = np.repeat(np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=1), 2, axis=0)
     if not len(places):
         return
+    if square:
+        # a square without length has no direction, and PDF leaves it out
+        places[1::2, 0] += 1e-4 * float(np.ptp(places[:, 0]) or 1.0)
     path = Path(places, np.tile([Path.MOVETO, Path.LINETO], len(places) // 2))
     # what has no length would be left out
     path.should_simplify = False

@@ -15,6 +15,7 @@ from uqsphere.report.wording import (
     input_name,
     limit_name,
     number_text,
+    powers,
     symbol,
     value_text,
 )
@@ -204,7 +205,7 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
         header: tuple[str, ...] = (
             "input",
             "change of the probability per standard deviation"
-            + (number_text(f" [1e{power}]").replace("1 × ", "") if power else ""),
+            + (f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""),
             "share in its uncertainty",
             f"tests until its error moves the probability by {wanted} of its value",
         )

@@ -115,7 +115,7 @@ def powers(text: str) -> str:
     >>> powers("it leaves 2.6e-09 of the variance")
     'it leaves 2.6 × 10⁻⁹ of the variance'
     """
-    return _tens(re.sub(r"(?<![\w.-])(\d[\d.]*)e-0*(\d+)", r"\1e-\2", text))
+    return re.sub(r"(?<![\w.-])(\d[\d.]*e[+-]?\d+)\b", lambda m: _tens(m[1]), text)
 
 
 def _tens(text: str) -> str:
