@@ -16,7 +16,7 @@ from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
 from uqsphere.planning.command import command_plan as command_plan
-from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value
+from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 from uqsphere.summary import summary_of
 
@@ -164,7 +164,7 @@ def command_run(chosen: argparse.Namespace) -> int:
 
 def command_history(chosen: argparse.Namespace) -> int:
     """One deterministic scene over time."""
-    from uqsphere.report.detail import write_history
+    from uqsphere.report.detail import units_of_history, write_history
     from uqsphere.runner.deterministic import history_of, history_summary
 
     study = load_study(chosen.study, chosen.overrides)
@@ -172,7 +172,8 @@ def command_history(chosen: argparse.Namespace) -> int:
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
     trace = history_of(study)
-    summary = history_summary(trace)
+    with reading_units(units_of_history(trace)):
+        summary = history_summary(trace)
     if chosen.out is not None:
         summary["written"] = [str(path) for path in write_history(trace, study, chosen.out)]
     if chosen.json:

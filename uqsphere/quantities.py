@@ -6,8 +6,11 @@ quantity has one name and one unit everywhere.  Inside the code every value is i
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,6 +27,8 @@ __all__ = [
     "format_value",
     "lookup",
     "parse_value",
+    "reading_units",
+    "unit_that_reads",
     "units_of",
 ]
 
@@ -51,6 +56,21 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "strain_rate": {"1/s": 1.0},
     "number": {"": 1.0},
 }
+
+#: units that numbers of a dimension are read in beside the one that is usual for their quantity: SI prefixes alone
+_LADDERS: Final[dict[str, tuple[str, ...]]] = {
+    "length": ("um", "mm", "m"),
+    "time": ("ns", "us", "ms", "s"),
+    "speed": ("um/s", "mm/s", "m/s"),
+    "pressure": ("Pa", "kPa", "MPa", "GPa"),
+    "force": ("mN", "N", "kN", "MN"),
+    "energy": ("uJ", "mJ", "J", "kJ"),
+    "specific_energy": ("mJ/kg", "J/kg", "kJ/kg"),
+    "loading_rate": ("N/s", "kN/s", "MN/s", "GN/s"),
+    "toughness": ("Pa.sqrt(m)", "kPa.sqrt(m)", "MPa.sqrt(m)"),
+}
+#: the units of the page or the table that is being written, by the name of the quantity
+_CHOSEN: Final[ContextVar[Mapping[str, str]]] = ContextVar("units_of_the_page")
 
 #: single underscores between digits, as TOML has them
 _NUMBER = re.compile(r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -312,8 +332,49 @@ def _finite(value: float, text: str) -> float:
 def display_unit(name: str) -> tuple[str, float]:
     """The unit people read for a quantity, and the factor that turns an SI value into it."""
     quantity = lookup(name)
-    unit = quantity.display or quantity.unit
+    unit = _CHOSEN.get({}).get(name) or quantity.display or quantity.unit
     return unit, 1.0 / UNITS[quantity.dimension].get(unit, 1.0)
+
+
+@contextlib.contextmanager
+def reading_units(units: Mapping[str, str]) -> Iterator[None]:
+    """Other units for people inside the block, by name of quantity: all that is written there then agrees.
+
+    >>> with reading_units({"P_max": "N"}):
+    ...     format_value(32.0, "P_max")
+    '32 N'
+    """
+    token = _CHOSEN.set({**_CHOSEN.get({}), **units})
+    try:
+        yield
+    finally:
+        _CHOSEN.reset(token)
+
+
+def unit_that_reads(name: str, values: Sequence[float]) -> str:
+    """The unit in which a group of values (SI) of one quantity has the fewest zeros and digits before its point.
+
+    The usual unit stays unless another SI prefix is better: 0.1 to 10 000 counts as readable.
+
+    >>> unit_that_reads("P_max", [32.0, 41.0]), unit_that_reads("P_max", [320.0]), unit_that_reads("p_max", [5e5])
+    ('N', 'kN', 'kPa')
+    """
+    quantity = lookup(name)
+    usual = quantity.display or quantity.unit
+    sizes = [abs(v) for v in values if v and math.isfinite(v)]
+    ladder = _LADDERS.get(quantity.dimension, ())
+    if not sizes or usual not in ladder:
+        return usual
+
+    def clumsy(unit: str) -> int:
+        exponents = [math.floor(math.log10(size / UNITS[quantity.dimension][unit]) + 1e-9) for size in sizes]
+        return sum(max(-1 - e, 0) + max(e - 3, 0) for e in exponents)
+
+    def tall(unit: str) -> float:
+        # of units that read alike the one with one to three digits before the point
+        return abs(math.log10(max(sizes) / UNITS[quantity.dimension][unit]) - 1.5)
+
+    return min(ladder, key=lambda unit: (clumsy(unit), unit != usual, tall(unit)))
 
 
 def format_value(value: float, name: str, digits: int = 4) -> str:
@@ -326,11 +387,11 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     return f"{value * factor:.{digits}g} {unit}".rstrip()
 
 
-def format_estimate(value: float, low: float, high: float, name: str = "") -> str:
+def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
-    The interval's half-width keeps two significant digits; the value is given to the same decimal.  A
-    number without uncertainty stands alone.
+    The interval's half-width keeps two significant digits; the value is given to the same decimal, and to at most
+    `most` digits.  A number without uncertainty stands alone.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
@@ -345,6 +406,7 @@ def format_estimate(value: float, low: float, high: float, name: str = "") -> st
     else:
         decimals = 5 - (math.floor(math.log10(abs(scaled[0]))) if scaled[0] else 0)
     largest = max(abs(number) for number in scaled)
+    decimals = min(decimals, most - 1 - math.floor(math.log10(largest)) if largest else decimals)
     if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
         digits = max(1, decimals + 1 + (math.floor(math.log10(largest)) if largest else 0))
         texts = [f"{number:.{digits - 1}e}" for number in scaled]

@@ -12,6 +12,7 @@ from uqsphere.mechanics.field import last_time
 from uqsphere.mechanics.field_view import shown_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, equilibrium, force_imbalance, gauge_strain
 from uqsphere.mechanics.waves import BARS, force_at, states_at
+from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, Picture
 
@@ -143,17 +144,18 @@ def draw_forces(history: History) -> Picture:
     end = found.end if found is not None else min(history.record_end, shown_time(history))
     times = np.linspace(0.0, end, 1500)
     exact = _contact_forces(history, times)
+    unit, scale = display_unit("P_max")
     balance = equilibrium(history, _LEVEL)
     with canvas.style():
         figure, (above, below) = canvas.new_figure(5.2, rows=2, sharex=True, height_ratios=[2, 1])
-        above.plot(times * 1e6, exact[:, 0] * 1e-3, color=GREY, linewidth=4.0, alpha=0.5, label="contact A")
-        above.plot(times * 1e6, exact[:, 1] * 1e-3, color=ORANGE, linewidth=4.0, alpha=0.4, label="contact B")
+        above.plot(times * 1e6, exact[:, 0] * scale, color=GREY, linewidth=4.0, alpha=0.5, label="contact A")
+        above.plot(times * 1e6, exact[:, 1] * scale, color=ORANGE, linewidth=4.0, alpha=0.4, label="contact B")
         if found is not None:
             for course, colour, line, name in ((found.two_wave, BLUE, "-", "two waves"),
                                                (found.one_wave, RED, "--", "one wave"),
                                                (found.three_wave, GREEN, ":", "three waves")):  # fmt: skip
-                above.plot(found.time * 1e6, course * 1e-3, color=colour, linestyle=line, linewidth=1.3, label=name)
-        above.set_ylabel("force [kN]")
+                above.plot(found.time * 1e6, course * scale, color=colour, linestyle=line, linewidth=1.3, label=name)
+        above.set_ylabel(f"force [{unit}]")
         above.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderpad=0.0, columnspacing=1.0,
                      handlelength=1.8)  # fmt: skip
         above.grid()

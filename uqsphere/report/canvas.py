@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
+from uqsphere.report.paths import slim
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -38,6 +40,7 @@ __all__ = [
     "SKY",
     "Picture",
     "clean",
+    "dots",
     "inline",
     "new_figure",
     "render",
@@ -66,8 +69,6 @@ MARKS: Final = "osD^vP"
 _THEME: Final = {INK: "ink", GREY: "soft", FAINT: "line", PAPER: "paper", BLUE: "blue"}
 _WIDTH: Final = 6.4
 _BIDI: Final = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
-#: a coordinate of a path with more digits than anybody sees: a hundredth of a point is kept
-_LONG: Final = re.compile(r"-?\d+\.\d{3,}")
 _SVG: Final = "{http://www.w3.org/2000/svg}"
 _XLINK: Final = "{http://www.w3.org/1999/xlink}"
 
@@ -211,6 +212,36 @@ def new_figure(height: float, rows: int = 1, **keywords: Any) -> tuple[Figure, l
     return figure, [row[0] for row in axes]
 
 
+def dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float, square: bool = False, alpha: float = 1.0) -> None:
+    """Many points as one path of strokes without length: an element of the page in place of one for each.
+
+    Parameters
+    ----------
+    x, y : (n,) in the units of the axes
+    size : diameter, or side of a square [pt]
+    """
+    import numpy as np
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    places = np.repeat(np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=1), 2, axis=0)
+    if not len(places):
+        return
+    if square:
+        # a square without length has no direction, and PDF leaves it out
+        places[1::2, 0] += 1e-4 * float(np.ptp(places[:, 0]) or 1.0)
+    path = Path(places, np.tile([Path.MOVETO, Path.LINETO], len(places) // 2))
+    # what has no length would be left out
+    path.should_simplify = False
+    axes.add_patch(
+        PathPatch(
+            path, fill=False, edgecolor=colour, linewidth=size, alpha=alpha,
+            capstyle="projecting" if square else "round",
+        )
+    )  # fmt: skip
+    axes.autoscale_view()
+
+
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
     """Positions as near as possible to those wanted, at least `gap` apart, between low and high if there is room.
 
@@ -258,7 +289,7 @@ def render(picture: Picture) -> str:
         if "font:" in found:
             element.set("style", found.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
         if "d" in element.attrib:
-            element.set("d", _LONG.sub(lambda number: f"{float(number[0]):.2f}", element.attrib["d"]))
+            element.set("d", slim(element.attrib["d"]))
     _describe(root, picture)
     ElementTree.register_namespace("", _SVG[1:-1])
     ElementTree.register_namespace("xlink", _XLINK[1:-1])

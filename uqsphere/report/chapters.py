@@ -25,10 +25,16 @@ from uqsphere.report import (
 )
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
-from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
+from uqsphere.report.fragility_family import (
+    family_figure,
+    family_finding,
+    family_name,
+    family_table,
+    lognormal_remarks,
+)
 from uqsphere.report.margin_parts import parts_finding, parts_table
 from uqsphere.report.strength_plot import fitted_tests, probability_plot, tests_table
-from uqsphere.report.wording import begin, call, capital, limit_name, symbol
+from uqsphere.report.wording import begin, call, capital, limit_name, powers, symbol
 
 __all__ = ["CHAPTERS", "build_chapters"]
 
@@ -63,6 +69,7 @@ def _family(contents: Contents, name: str) -> list[Block]:
     return [
         Block(
             heading=f"Fragility of {limit_name(name)} over {family_name(contents, name)}",
+            finding=family_finding(contents, name),
             picture=family_figure(contents, name),
             table=family_table(contents, name),
         )
@@ -178,7 +185,7 @@ def margins_chapter(contents: Contents) -> Chapter:
 def _indices(contents: Contents, name: str) -> Block:
     entry = contents.results["sensitivity"][name]
     picture = figures.sensitivity_figure(contents, name)
-    remarks = [str(entry.get("check", {}).get("text") or "")] if picture is not None else []
+    remarks = [powers(str(entry.get("check", {}).get("text") or ""))] if picture is not None else []
     hidden = len(figures.ranked(entry)) - figures.MOST_INPUTS
     if hidden > 0:
         remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
@@ -355,11 +362,12 @@ def computed_chapter(contents: Contents) -> Chapter:
             heading="What was asked, what was reached",
             finding=progress.progress_finding(contents),
             table=method.accuracy_table(contents),
-            remarks=tuple(f"Not reached: {text}" for text in missed),
+            remarks=tuple(f"Not reached: {powers(text)}" for text in missed),
             kind="brief",
         ),
         Block(
             heading="Error against evaluations",
+            finding=progress.course_finding(contents, 0),
             picture=steps,
             remarks=(
                 "Errors are half-widths of 95 % intervals over what the study asks for; for polynomial chaos the share "
@@ -371,9 +379,7 @@ def computed_chapter(contents: Contents) -> Chapter:
         ),
         Block(
             heading="Speed against error of each method",
-            finding="The same errors over the seconds since the start, the methods running one after the other."
-            if speed is not None
-            else "",
+            finding=progress.course_finding(contents, 1) if speed is not None else "",
             picture=speed,
             files=("tables/speed_error.csv", "manifest.json"),
         ),

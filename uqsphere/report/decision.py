@@ -241,6 +241,7 @@ def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array,
             va="top",
             ha="left" if rising else "right",
             fontsize=9.0,
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
         )
 
 

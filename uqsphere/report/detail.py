@@ -9,6 +9,7 @@ import numpy as np
 
 from uqsphere.mechanics.field_view import view_field
 from uqsphere.mechanics.stress.tables import outside
+from uqsphere.quantities import reading_units, unit_that_reads
 from uqsphere.report import bar_figures, canvas
 from uqsphere.report.field_figure import draw_field, field_rows
 from uqsphere.report.stress_figure import stress_figure
@@ -20,7 +21,7 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
 
-__all__ = ["write_history"]
+__all__ = ["units_of_history", "write_history"]
 
 #: columns of history.csv and the fields of History they come from
 _COLUMNS = {
@@ -45,6 +46,23 @@ def write_history(found: History, study: Study, folder: Path) -> list[Path]:
     history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
     gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
     """
+    with reading_units(units_of_history(found)):
+        return _write(found, study, folder)
+
+
+def units_of_history(found: History) -> dict[str, str]:
+    """The units in which forces, pressures and the tension in the core of one scene read well."""
+    pressure = found.hardest_contact[1]
+    peaks = [peak.force for peak in (found.first_peak, found.later_peak) if peak is not None]
+    return {
+        "P_max": unit_that_reads("P_max", peaks),
+        "p_max": unit_that_reads("p_max", [pressure]),
+        # of some twentieth of the pressure
+        "core_tension": unit_that_reads("core_tension", [0.05 * pressure]),
+    }
+
+
+def _write(found: History, study: Study, folder: Path) -> list[Path]:
     scene = found.solution.scene
     columns = [getattr(found, field) for field in _COLUMNS.values()]
     rows = np.stack(columns, axis=1).tolist()

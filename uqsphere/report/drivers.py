@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.report.contents import Contents
-from uqsphere.report.tables import Table, cell, thousands
+from uqsphere.report.tables import Table, cell, index_cell, thousands
 from uqsphere.report.wording import (
     ABSENT,
     absent_reason,
@@ -14,6 +15,7 @@ from uqsphere.report.wording import (
     input_name,
     limit_name,
     number_text,
+    powers,
     symbol,
     value_text,
 )
@@ -48,7 +50,12 @@ def _known(table: Mapping[str, Any] | None) -> list[str]:
 def _shared_rows(entry: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     both = entry["kucherenko"]
     return tuple(
-        (input_name(n), cell(entry["shapley"][n]), cell(both["first"].get(n)), cell(both["total"].get(n)))
+        (
+            input_name(n),
+            index_cell(entry["shapley"][n]),
+            index_cell(both["first"].get(n)),
+            index_cell(both["total"].get(n)),
+        )
         for n in _by_value(entry["shapley"])
     )
 
@@ -80,7 +87,7 @@ def distances_table(contents: Contents, quantity: str) -> Table | None:
     return Table(
         caption=f"How far an input moves the whole law of {symbol(quantity)}{idle}",
         header=("input", "Borgonovo’s δ", "PAWN"),
-        rows=tuple((input_name(n), cell(delta[n]), cell(pawn.get(n))) for n in names),
+        rows=tuple((input_name(n), index_cell(delta[n]), index_cell(pawn.get(n))) for n in names),
     )
 
 
@@ -91,7 +98,7 @@ def distances_finding(contents: Contents, quantity: str) -> str:
     if not names:
         return ""
     words = capital(input_name(names[0])) if names[0] != input_name(names[0]) else names[0]
-    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {cell(delta[names[0]])}."
+    return f"{words} moves the whole law of {symbol(quantity)} most: Borgonovo’s δ is {index_cell(delta[names[0]])}."
 
 
 # --- failure --------------------------------------------------------------------------------------------
@@ -108,7 +115,7 @@ def failure_table(contents: Contents, name: str) -> Table | None:
     names = _known(entry["total"])
     if not names:
         return None
-    rows = tuple((input_name(n), cell(entry["first"].get(n)), cell(entry["total"][n])) for n in names)
+    rows = tuple((input_name(n), index_cell(entry["first"].get(n)), index_cell(entry["total"][n])) for n in names)
     return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
 
 
@@ -121,7 +128,7 @@ def failure_finding(contents: Contents, name: str) -> str:
         reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
         return f"What drives missing the aim is not known: {reason}."
     kind = "Shapley effect" if entry.get("shapley") else "total index"
-    largest = f"{input_name(names[0])} ({kind} {cell(table[names[0]])})"
+    largest = f"{input_name(names[0])} ({kind} {index_cell(table[names[0]])})"
     whole = entry["of"] == "missing the aim"
     text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
     explained = (entry.get("explained") or {}).get("value")
@@ -140,13 +147,13 @@ def given_failure_table(contents: Contents, name: str) -> Table | None:
         if found["mean"]["value"] is None:
             continue
         subject = contents.subject(variable)
-        low, high = found["quantiles"]["0.05"]["value"], found["quantiles"]["0.95"]["value"]
         law = found["law"]
         rows.append(
             (
                 input_name(variable),
                 cell(found["mean"], subject),
-                _range(low, high, subject),
+                cell(found["quantiles"]["0.05"], subject),
+                cell(found["quantiles"]["0.95"], subject),
                 value_text(law["mean"], subject),
                 _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
             )
@@ -154,9 +161,10 @@ def given_failure_table(contents: Contents, name: str) -> Table | None:
     if not rows:
         return None
     return Table(
-        caption=f"The inputs where the aim of {limit_name(name)} is missed",
-        header=("input", "mean there", "5 to 95 % there", "mean of the law", "5 to 95 % of the law"),
+        caption=f"The inputs where the aim of {limit_name(name)} is missed, with 95 % intervals",
+        header=("input", "mean there", "5 % there", "95 % there", "mean of the law", "5 to 95 % of the law"),
         rows=tuple(rows),
+        note="What belongs to the law is exact.",
     )
 
 
@@ -173,26 +181,48 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
         return None
     probability = entry["of"] == "probability"
     rows: list[tuple[str, ...]] = []
+    # one power of ten for the whole column
+    largest = max((abs(row["sway"]["value"] or 0.0) for row in entry["rows"]), default=0.0) if probability else 0.0
+    power = math.floor(math.log10(largest)) if 0.0 < largest < 0.1 else 0
     for row in entry["rows"]:
         seen = row["observations"]
         tests = (thousands(row["tests"]) if row["tests"] else "none") + (
             "" if seen is None else f" (the law rests on {seen})"
         )
         if probability:
-            rows.append((input_name(row["input"]), cell(row["sway"]), f"{100.0 * row['share']:.3g} %", tests))
+            rows.append(
+                (
+                    input_name(row["input"]),
+                    cell(_scaled(row["sway"], 10.0**-power)),
+                    number_text(f"{100.0 * row['share']:.2g}") + " %",
+                    tests,
+                )
+            )
         else:
-            rows.append((input_name(row["input"]), cell(row["share"]), tests))
+            rows.append((input_name(row["input"]), index_cell(row["share"]), tests))
     wanted = f"{100.0 * entry['wanted']:g} %"
     if probability:
         header: tuple[str, ...] = (
             "input",
-            "change of the probability per standard deviation",
+            "change of the probability per standard deviation"
+            + (f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""),
             "share in its uncertainty",
             f"tests until its error moves the probability by {wanted} of its value",
         )
     else:
         header = ("input", "share of the variance", f"tests until {wanted} of today’s variance is left to it")
-    return Table(caption=caption, header=header, rows=tuple(rows))
+    note = (
+        "Shares and numbers of tests rise with the square of the change, and have twice its relative interval."
+        if probability
+        else "Numbers of tests rise with the share, and have its relative interval."
+    )
+    return Table(caption=caption, header=header, rows=tuple(rows), note=note)
+
+
+def _scaled(estimate: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    """An estimate times a number."""
+    ends = {key: None if estimate[key] is None else factor * estimate[key] for key in ("value", "low", "high")}
+    return {**estimate, **ends}
 
 
 def measure_finding(entry: Mapping[str, Any] | None) -> str:
@@ -220,12 +250,13 @@ def design_table(contents: Contents, name: str) -> Table | None:
         share = number_text(f"{100.0 * float(shares[key]):.2g}") + " %" if key in shares else ABSENT
         mean = contents.results["inputs"].get(key, {}).get("mean")
         subject = contents.subject(key)
-        usual = ABSENT if mean is None else value_text(mean, subject, 5)
-        rows.append((input_name(key), value_text(point[key], subject, 5), usual, share))
+        usual = ABSENT if mean is None else value_text(mean, subject)
+        rows.append((input_name(key), value_text(point[key], subject), usual, share))
     return Table(
         caption=f"Design point of {limit_name(name)}",
         header=("input", "value there", "mean", "importance factor"),
         rows=tuple(rows),
+        note="No intervals: the point is where a search ended, not an estimate from samples; the means are exact.",
     )
 
 

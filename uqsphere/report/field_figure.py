@@ -11,6 +11,7 @@ import numpy.typing as npt
 from uqsphere.mechanics.field import field_grid
 from uqsphere.mechanics.field_view import FieldView, extent
 from uqsphere.mechanics.waves import BARS
+from uqsphere.quantities import display_unit, reading_units, unit_that_reads
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, LIGHT, ON_LIGHT, PAPER, RED, Picture
 
@@ -34,7 +35,8 @@ def draw_field(view: FieldView) -> Picture:
     from matplotlib.colors import LinearSegmentedColormap
 
     (left, right), begin, last = view.reach, view.begin, view.last
-    stress = view.stress * 1e-6
+    unit, factor = _stress_unit(view)
+    stress = view.stress * factor
     top = max(float(np.abs(stress).max()), 1e-12)
     colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
     with canvas.style():
@@ -43,7 +45,7 @@ def draw_field(view: FieldView) -> Picture:
             stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, interpolation="nearest",
             extent=(-left, right, begin * 1e6, last * 1e6),
         )  # fmt: skip
-        figure.colorbar(image, ax=axes, label="axial stress [MPa], tension positive", pad=0.02)
+        figure.colorbar(image, ax=axes, label=f"axial stress [{unit}], tension positive", pad=0.02)
         _fronts(axes, view)
         axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=ON_LIGHT, linewidth=3.0)
         _names(axes, view)
@@ -55,6 +57,12 @@ def draw_field(view: FieldView) -> Picture:
         axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
     return Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
                    figure=figure)  # fmt: skip
+
+
+def _stress_unit(view: FieldView) -> tuple[str, float]:
+    """The unit in which the largest stress of either sign reads well, and its factor."""
+    with reading_units({"bars.yield_strength": unit_that_reads("bars.yield_strength", [np.abs(view.stress).max()])}):
+        return display_unit("bars.yield_strength")
 
 
 def _fronts(axes: Axes, view: FieldView) -> None:
@@ -105,8 +113,9 @@ def _tensions(axes: Axes, view: FieldView) -> None:
 
 
 def _field_finding(view: FieldView) -> str:
-    low, high = float(view.stress.min()) * 1e-6, float(view.stress.max()) * 1e-6
-    text = f"The bars carry between {low:.3g} and {high:.3g} MPa (tension positive).".replace("-", "−")
+    unit, factor = _stress_unit(view)
+    low, high = float(view.stress.min()) * factor, float(view.stress.max()) * factor
+    text = f"The bars carry between {low:.3g} and {high:.3g} {unit} (tension positive).".replace("-", "−")
     tensions = {one.bar: one for one in view.tensions}
     for bar in BARS:
         found = tensions.get(bar)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, INK, ORANGE, RED, Picture
 from uqsphere.report.contents import Contents
@@ -28,7 +29,7 @@ def force_band_figure(contents: Contents) -> Picture | None:
     seconds = np.array(courses["time"], dtype=float)
     unit, factor = ("ms", 1e3) if seconds[-1] >= 2e-3 else ("µs", 1e6)
     largest = max(max(courses["hardest"][face]) for face, _, _ in _FACES)
-    force_unit, scale = ("kN", 1e-3) if largest >= 500.0 else ("N", 1.0)
+    force_unit, scale = display_unit("P_max")
     with canvas.style():
         figure, axes = canvas.new_figure(5.0, rows=2, sharex=True, sharey=True)
         for place, (face, words, colour) in zip(axes, _FACES, strict=True):
@@ -96,4 +97,5 @@ def hardest_table(contents: Contents) -> Table | None:
         caption="Inputs of the hardest scene",
         header=("input", "in the hardest scene", "mean"),
         rows=tuple(rows),
+        note="Exact: one scene of those that were followed, and the means of the laws.",
     )

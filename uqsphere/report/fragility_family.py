@@ -12,16 +12,18 @@ from uqsphere.report.decision import probability_axis, score, x_scale
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
+    capital,
     estimate_text,
     input_name,
     limit_name,
     number_text,
     plain_percent,
+    rounded,
     symbol,
     value_text,
 )
 
-__all__ = ["family_figure", "family_name", "family_table", "lognormal_remarks"]
+__all__ = ["family_figure", "family_finding", "family_name", "family_table", "lognormal_remarks"]
 
 _COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
 
@@ -45,6 +47,28 @@ def lognormal_remarks(contents: Contents, name: str) -> tuple[str, ...]:
 def family_name(contents: Contents, name: str) -> str:
     """The number over which the curves form a family."""
     return input_name(contents.results["margins"][name]["family"]["path"])
+
+
+def family_finding(contents: Contents, name: str) -> str:
+    """How far the values at one half, or the nearest that is known of all, move over the family; else empty."""
+    entry = contents.results["margins"][name]
+    family, subject = entry["family"], contents.subject(entry["solve"])
+    members = sorted(family["members"], key=lambda member: float(member["value"]))
+    known = [p for p in members[0]["values"] if all(m["values"].get(p, {}).get("value") is not None for m in members)]
+    if len(members) < 2 or not known:
+        return ""
+    p = min(known, key=lambda p: abs(float(p) - 0.5))
+    first, last = members[0], members[-1]
+    ends = [m["values"][p] for m in (first, last)]
+    apart = ends[0]["high"] < ends[1]["low"] or ends[1]["high"] < ends[0]["low"]
+    change = 100.0 * (ends[1]["value"] / ends[0]["value"] - 1.0) if ends[0]["value"] else 0.0
+    verb = f"{'rises' if change > 0.0 else 'falls'} by {abs(change):.2g} %" if apart else "does not change visibly"
+    at_first, at_last = (value_text(member["value"], family["path"], 3) for member in (first, last))
+    return (
+        f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry['solve'])} at which "
+        f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(ends[0], subject)} to "
+        f"{rounded(ends[1], subject)}."
+    )
 
 
 def family_figure(contents: Contents, name: str) -> Picture | None:
@@ -78,19 +102,27 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
         )
         axes.legend(title=canvas.shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left")
     title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
-    return Picture(name=slug("fragility-family", name), title=title, finding="", figure=figure)
+    return Picture(
+        name=slug("fragility-family", name), title=title, finding=family_finding(contents, name), figure=figure
+    )
 
 
 def family_table(contents: Contents, name: str) -> Table:
     """The values at the probabilities asked for, and the lognormal curve, of every member."""
     entry = contents.results["margins"][name]
     family, subject = entry["family"], contents.subject(entry["solve"])
-    keys = sorted({p for member in family["members"] for p in member["values"]}, key=float)
-    rows = []
-    for member in family["members"]:
-        fitted = member.get("lognormal") or {}
-        cells = [estimate_text(member["values"][p], subject) if p in member["values"] else "–" for p in keys]
-        dispersion = estimate_text(fitted["dispersion"]) if fitted.get("dispersion") else "–"
-        rows.append((value_text(member["value"], family["path"], 4), *cells, dispersion))
-    header = (family_name(contents, name), *(plain_percent(float(p)) for p in keys), "dispersion")
-    return Table(caption=f"{input_name(entry['solve'])} at probabilities of exceeding", header=header, rows=tuple(rows))
+    members = family["members"]
+    keys = sorted({p for member in members for p in member["values"]}, key=float)
+    rows = [
+        (
+            plain_percent(float(p)),
+            *(estimate_text(m["values"][p], subject) if p in m["values"] else "–" for m in members),
+        )
+        for p in keys
+    ]
+    fitted = [(member.get("lognormal") or {}).get("dispersion") for member in members]
+    rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
+    name_of = canvas.shorten(family_name(contents, name), 40)
+    caption = f"{capital(input_name(entry['solve']))} at which {limit_name(name)} is exceeded, by {name_of}"
+    header = ("probability", *(value_text(member["value"], family["path"], 4) for member in members))
+    return Table(caption=caption, header=header, rows=tuple(rows))

@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from uqsphere.quantities import reading_units
 from uqsphere.report import canvas, method
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.canvas import Picture
@@ -17,6 +18,7 @@ from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.glance import glances
 from uqsphere.report.margin_verdict import margin_verdicts
 from uqsphere.report.tables import Table
+from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.runner.sums import write_sums
 from uqsphere.runner.tables import csv_text
@@ -58,6 +60,11 @@ def build_report(folder: Path) -> Path:
         When a file cannot be written.
     """
     contents = read_contents(folder)
+    with reading_units(units_of(contents.results, courses=contents.courses)):
+        return _build(folder, contents)
+
+
+def _build(folder: Path, contents: Contents) -> Path:
     chapters = _distinct(build_chapters(contents))
     written = []
     for block in _blocks(chapters):

@@ -144,8 +144,8 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
         figure, (axes,) = canvas.new_figure(3.9)
         kept = drawn & ~sides.missed
         lost = drawn & sides.missed
-        axes.plot(sides.x[kept] * across, y[kept] * up, ".", color=BLUE, markersize=3.0, alpha=0.55)
-        axes.plot(sides.x[lost] * across, y[lost] * up, "x", color=RED, markersize=5.0, markeredgewidth=1.2)
+        canvas.dots(axes, sides.x[kept] * across, y[kept] * up, colour=BLUE, size=2.4, alpha=0.55)
+        canvas.dots(axes, sides.x[lost] * across, y[lost] * up, colour=RED, size=3.8, square=True)
         middles, band = _slices(sides.x, sides.demand)
         if sides.random:
             axes.fill_between(middles * across, band[:, 0] * up, band[:, 2] * up, color=ORANGE, alpha=0.30, linewidth=0)
@@ -181,7 +181,7 @@ def _legend(axes: Axes, sides: Sides, quantity: str, lost: bool) -> None:
 
     handles: list[Any] = [Line2D([], [], color=BLUE, marker=".", linestyle="", label="sample that meets the aim")]
     if lost:
-        handles.append(Line2D([], [], color=RED, marker="x", linestyle="", label="sample that misses it"))
+        handles.append(Line2D([], [], color=RED, marker="s", markersize=4, linestyle="", label="sample that misses it"))
     if sides.random:
         handles += [
             Line2D([], [], color=INK, label=f"limit: median {symbol(quantity, 20)}"),
@@ -201,6 +201,8 @@ def surface_finding(contents: Contents, limit: str) -> str:
     words = short_input(sides.name)
     if n == 0:
         return f"None of {len(sides.x):,} samples misses the aim.".replace(",", " ")
+    if n == len(sides.x):
+        return f"All of {len(sides.x):,} samples miss the aim.".replace(",", "\u202f")
     where = float((sides.x[sides.missed] > np.median(sides.x)).mean())
     half = "upper" if where >= 0.5 else "lower"
     share = max(where, 1.0 - where)

@@ -5,8 +5,17 @@ from __future__ import annotations
 import math
 
 from uqsphere.report.contents import Contents
-from uqsphere.report.sections import Table
-from uqsphere.report.wording import input_name, limit_name, listed, plain_percent, probability_range, value_text
+from uqsphere.report.tables import Table, cell
+from uqsphere.report.wording import (
+    input_name,
+    limit_name,
+    listed,
+    number_text,
+    plain_percent,
+    probability_range,
+    rounded,
+    value_text,
+)
 
 __all__ = ["parts_finding", "parts_table"]
 
@@ -22,13 +31,13 @@ def parts_finding(contents: Contents, name: str) -> str:
     subject = contents.subject(entry["solve"])
     factor = middle / value["value"]
     lost = listed([
-        f"{math.exp(share * math.log(factor)):.3g} ({input_name(n)})"
+        f"{math.exp(share * math.log(factor)):.2f} ({input_name(n)})"
         for n, share in sorted(shares.items(), key=lambda item: -item[1])
-        if share >= 0.005
+        if abs(math.exp(share * math.log(factor)) - 1.0) >= 0.005
     ])  # fmt: skip
     return (
         f"Half of the specimens of {limit_name(name)} break at {value_text(middle, subject)}; between that and "
-        f"{value_text(value['value'], subject)} lies a factor of {factor:.3g}, made up of {lost}."
+        f"{value_text(value['value'], subject)} lies a factor of {factor:.2f}, made up of {lost}."
     )
 
 
@@ -43,11 +52,14 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     if "medians" in factors:
         of = factors["fractiles_of"]
         rows += [
-            ("safety factor as planned: median strength over median demand", f"{factors['medians']:.3g}"),
+            (
+                "safety factor as planned: median strength over median demand",
+                _factor(contents, name, factors["medians"], 0.5),
+            ),
             (
                 f"safety factor as planned: {plain_percent(of['strength'])} fractile of the strength over "
                 f"{plain_percent(of['demand'])} fractile of the demand",
-                f"{factors['fractiles']:.3g}",
+                _factor(contents, name, factors["fractiles"], of["demand"]),
             ),
         ]
     for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
@@ -55,7 +67,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         own = quantity if strength else key
         what = "characteristic over design value" if strength else "design value over median"
         values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
-        text = f"{part['factor']:.4g} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        text = f"{part['factor']:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
         rows.append((f"partial factor of {input_name(key)}: {what}", text))
     split = entry.get("split", {})
     for key, words in (
@@ -64,18 +76,35 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         ("numerical", "uncertainty of the value from computing"),
     ):
         if split.get(key) is not None:
-            rows.append((f"{words} (standard deviation of its logarithm)", f"{split[key]:.2g}"))
+            rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{split[key]:#.2g}")))
     opened = entry.get("ignorance") or {}
     if "laws" in opened:
-        ends = [value_text(opened[end], subject, 3) if opened[end] is not None else "beyond the range" for end in
+        ends = [_three(opened[end], subject) if opened[end] is not None else "beyond the range" for end in
                 ("low", "high")]  # fmt: skip
         rows.append(("the tests leave open (95 %)", " to ".join(ends)))
         if opened.get("mean_law") is not None:
-            rows.append(
-                ("with the mean over all laws that the tests allow", value_text(opened["mean_law"], subject, 3))
-            )
+            rows.append(("with the mean over all laws that the tests allow", _three(opened["mean_law"], subject)))
     standing = limit.get("ignorance") or {}
     if standing.get("miss"):
         rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
     caption = f"Margin of {limit_name(name)} at a probability of exceeding of {plain_percent(entry['probability'])}"
-    return Table(caption=caption, header=("", "value"), rows=tuple(rows)) if rows else None
+    note = (
+        "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
+        "deviations and what the tests leave open are uncertainties themselves."
+    )
+    return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
+
+
+def _three(value: float, subject: str) -> str:
+    """A value of which three digits count, with the zeros among them."""
+    return rounded({"value": value, "low": None, "high": None}, subject, 3)
+
+
+def _factor(contents: Contents, name: str, factor: float, fractile: float) -> str:
+    """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
+    limit = contents.resolved["limits"][name]
+    demand = contents.results["quantities"].get(limit["quantity"], {}).get("quantiles", {}).get(f"{fractile:g}")
+    if limit["model_factor"] != 1.0 or not demand or not demand["value"] or not demand["low"] or not demand["high"]:
+        return f"{factor:.3g} (no interval: the demand has none of its own)"
+    low, high = sorted((factor * demand["value"] / demand["high"], factor * demand["value"] / demand["low"]))
+    return cell({"value": factor, "low": low, "high": high})

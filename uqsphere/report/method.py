@@ -17,6 +17,7 @@ from uqsphere.report.wording import (
     listed,
     number_text,
     plain_percent,
+    powers,
     symbol,
     value_text,
 )
@@ -43,7 +44,7 @@ def checks_table(contents: Contents) -> Table:
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
         if check["worst"] is None and grade == "ok":
             grade = "not checked"
-        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", str(check["text"])))
+        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", powers(str(check["text"]))))
     return Table(
         caption="Assumptions of the model, checked on a pilot sample",
         rows=tuple(rows),
@@ -68,6 +69,7 @@ def paper_table(contents: Contents) -> Table | None:
         caption="At the means of the inputs",
         rows=tuple(rows),
         header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
+        note="No intervals: one scene, computed to the tolerance of the study.",
     )
 
 
@@ -152,7 +154,8 @@ def model_table(contents: Contents) -> Table:
     ):
         if key in model.get("numbers", {}):
             rows.append((label, value_text(model["numbers"][key], like)))
-    return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows))
+    note = "Errors are the largest on the pilot sample, numbers of the scene its medians: neither has an interval."
+    return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows), note=note)
 
 
 def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
@@ -257,9 +260,9 @@ def plan_table(contents: Contents) -> Table | None:
     budget = contents.resolved["analysis"]["budget"]["evaluations"]
     rows = [
         ("way", f"{plan['way']}: {plan['why']}"),
-        ("forecast", f"{plan['sampling_evaluations']:,} evaluations by sampling, some "
-                     f"{plan['surrogate_evaluations']:,} by a surrogate"),
-        ("taken", f"{spent:,} evaluations of at most {int(budget):,}"),
+        ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
+                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate"),
+        ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
     cost = costs.get("cost_seconds_per_evaluation")
     if cost:

@@ -23,6 +23,8 @@ def _law_text(contents: Contents, name: str) -> str:
     law = contents.resolved["random"][name]
     subject = contents.subject(name)
     given = law["given"] or law["parameters"]
+    # what was fitted to observations is known no better than they tell; the table of the tests has the intervals
+    digits = 3 if law["data"] else 6
     parts = []
     for key, value in given.items():
         if key == "rate":
@@ -30,7 +32,8 @@ def _law_text(contents: Contents, name: str) -> str:
             parts.append(f"rate {value:.6g}" + (f" per {unit}" if unit else ""))
         elif isinstance(value, (int, float)):
             parts.append(
-                f"{_WORDS.get(key, key)} " + (f"{value:.6g}" if key in _BARE else value_text(value, subject, 6))
+                f"{_WORDS.get(key, key)} "
+                + (f"{value:.{digits}g}" if key in _BARE else value_text(value, subject, digits))
             )
     bounded = law["dist"] in ("uniform", "loguniform", "triangular", "beta")
     for key, word in (
@@ -61,13 +64,16 @@ def inputs_table(contents: Contents) -> Table:
             (
                 f"{input_name(name)}",
                 _law_text(contents, name),
-                value_text(entry["mean"], subject, 5),
-                value_text(entry["sd"], subject, 4),
+                value_text(entry["mean"], subject),
+                value_text(entry["sd"], subject, 3),
                 _source(contents, name),
             )
         )
     return Table(
-        caption="Random inputs", header=("input", "law", "mean in force", "sd in force", "source"), rows=tuple(rows)
+        caption="Random inputs",
+        header=("input", "law", "mean in force", "sd in force", "source"),
+        rows=tuple(rows),
+        note="Exact: these laws are what the answers are computed for.",
     )
 
 
@@ -92,7 +98,8 @@ def fixed_table(contents: Contents) -> Table | None:
     ]
     if not rows:
         return None
-    return Table(caption="Fixed numbers", header=("input", "value", "source"), rows=tuple(rows))
+    note = "Exact: the numbers that the answers are computed for."
+    return Table(caption="Fixed numbers", header=("input", "value", "source"), rows=tuple(rows), note=note)
 
 
 def dependence_texts(contents: Contents) -> list[str]:

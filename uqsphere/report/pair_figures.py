@@ -12,7 +12,7 @@ from uqsphere.report.canvas import FAINT, INK, PAPER, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import ranked, slug
 from uqsphere.report.index_marks import draw_indices
-from uqsphere.report.tables import Table, cell
+from uqsphere.report.tables import Table, index_cell
 from uqsphere.report.wording import absent_reason, begin, capital, input_name, share_text, short_input, symbol
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def pair_table(contents: Contents, quantity: str) -> Table | None:
     return Table(
         caption=f"Second-order indices of {symbol(quantity)} with 95 % intervals",
         header=("input", "with", "share of the variance"),
-        rows=tuple((input_name(a), input_name(b), cell(e)) for (a, b), e in rows),
+        rows=tuple((input_name(a), input_name(b), index_cell(e)) for (a, b), e in rows),
     )
 
 
@@ -179,5 +179,7 @@ def group_table(contents: Contents, quantity: str) -> Table | None:
     return Table(
         caption=capital(f"indices of groups of inputs, {symbol(quantity)}, with 95 % intervals"),
         header=("group", "by themselves (closed)", "with interactions (total)"),
-        rows=tuple((canvas.shorten(n, 60), cell(groups["first"][n]), cell(groups["total"][n])) for n in names),
+        rows=tuple(
+            (canvas.shorten(n, 60), index_cell(groups["first"][n]), index_cell(groups["total"][n])) for n in names
+        ),
     )

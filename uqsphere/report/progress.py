@@ -15,7 +15,7 @@ from uqsphere.report.wording import limit_name, number_text, symbol
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Series", "convergence_figure", "error_series", "speed_figure"]
+__all__ = ["Series", "convergence_figure", "course_finding", "error_series", "speed_figure"]
 
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
 #: series with a label; the rest is drawn thin
@@ -196,6 +196,21 @@ def _times(ratio: float) -> str:
 def _question(series: Series) -> tuple[str, str]:
     """What is asked: two methods answer for the indices."""
     return series.quantity, "indices" if _short(series.kind) in ("index", "unexplained") else series.kind
+
+
+def course_finding(contents: Contents, column: int) -> str:
+    """From what to what the largest error fell, over evaluations (0) or seconds (1); where it has no course, empty."""
+    series = [s for s in error_series(contents) if len(s.points) > 1 and s.points[-1][column] > 0.0]
+    if not series:
+        return ""
+    worst = max(series, key=lambda s: s.points[-1][2])
+    (*first, begin), (*last, end) = worst.points[0], worst.points[-1]
+    verb = "fell" if end < begin else "went"
+    text = f"The largest error, {worst.label}, {verb} from {_times(begin)} to {_times(end)} times what was asked "
+    if column == 0:
+        return text + f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
+    seconds = max(p[1] for s in error_series(contents) for p in s.points if not math.isnan(p[1]))
+    return text + f"within {last[1]:.2g} s; all methods, one after the other, took {seconds:.2g} s."
 
 
 def convergence_figure(contents: Contents) -> Picture | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import ranked
-from uqsphere.report.tables import Table, cell
+from uqsphere.report.tables import Table, cell, index_cell
 from uqsphere.report.wording import (
     ABSENT,
     capital,
@@ -55,7 +55,7 @@ def index_table(contents: Contents, quantity: str) -> Table | None:
     names = ranked(entry)
     if not names or entry is None:
         return None
-    rows = [(input_name(n), cell(entry["first"][n]), cell(entry["total"][n])) for n in names]
+    rows = [(input_name(n), index_cell(entry["first"][n]), index_cell(entry["total"][n])) for n in names]
     return Table(
         caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
         header=("input", "first (alone)", "total (with interactions)"),

@@ -13,7 +13,7 @@ from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
-from uqsphere.report.wording import limit_name, symbol, value_text
+from uqsphere.report.wording import estimate_text, limit_name, symbol, value_text
 from uqsphere.uq.laws import Law
 from uqsphere.uq.weibull import KINDS, StrengthFit, StrengthTests, fit_strength, make_tests, pivots, plotting_positions
 
@@ -123,21 +123,19 @@ def tests_table(known: FittedTests) -> Table:
     shape = "modulus" if turned else "standard deviation of the logarithm"
     scale = "scale (63.2 %)" if turned else "median"
 
-    def pair(ends: tuple[float, float], own: str = "") -> str:
-        return " to ".join(value_text(end, own, 4) if own else f"{end:.3g}" for end in ends)
+    def text(value: float, ends: tuple[float, float], own: str = "") -> str:
+        return estimate_text({"value": value, "low": ends[0], "high": ends[1]}, own)
 
     rows = (
         ("tests, failures", f"{fitted.tests}, {fitted.failures}"),
-        (f"{shape}, largest likelihood", f"{fitted.shape:.4g}"),
-        (f"{shape}, bias taken out", f"{fitted.unbiased:.4g}"),
-        (f"{shape}, 95 %, profile likelihood", pair(fitted.shape_likelihood)),
-        (f"{shape}, 95 %, simulated series", pair(fitted.shape_interval)),
-        (scale, value_text(fitted.scale, quantity)),
-        (f"{scale}, 95 %, profile likelihood", pair(fitted.scale_likelihood, quantity)),
-        (f"{scale}, 95 %, simulated series", pair(fitted.scale_interval, quantity)),
+        (f"{shape}, largest likelihood (interval: profile likelihood)", text(fitted.shape, fitted.shape_likelihood)),
+        (f"{shape}, bias taken out (interval: simulated series)", text(fitted.unbiased, fitted.shape_interval)),
+        (f"{scale} (interval: profile likelihood)", text(fitted.scale, fitted.scale_likelihood, quantity)),
+        (f"{scale} (interval: simulated series)", text(fitted.scale, fitted.scale_interval, quantity)),
         (
             "largest distance from the tests, probability of a larger one",
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
         ),
     )
-    return Table(caption=f"{law.kind.capitalize()} law of the strength", header=("", "value"), rows=rows)
+    caption = f"{law.kind.capitalize()} law of the strength, with 95 % intervals"
+    return Table(caption=caption, header=("", "value"), rows=rows)

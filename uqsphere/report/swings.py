@@ -22,6 +22,7 @@ from uqsphere.report.wording import (
     input_name,
     limit_name,
     number_text,
+    rounded,
     short_input,
     symbol,
     value_text,
@@ -153,7 +154,7 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str)
     ends = sorted((swing.at_low, swing.at_high))
     for (value, low, high), side in zip(ends, ("right", "left"), strict=True):
         axes.annotate(
-            value_text(value, quantity, 4).split()[0],
+            rounded({"value": value, "low": low, "high": high}, quantity).rsplit(" ", 1)[0],
             ((low if side == "right" else high) * factor, row),
             xytext=(-4 if side == "right" else 4, 0),
             ha=side,
@@ -329,4 +330,5 @@ def waterfall_table(contents: Contents, name: str) -> Table | None:
         caption=f"From the median margin of {limit_name(name)} to its worst twentieth, by importance factors",
         header=("step", "change", "margin after it"),
         rows=tuple(rows),
+        note="No intervals: the way is shared out by the design point. Both ends have theirs in the table of limits.",
     )

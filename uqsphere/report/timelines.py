@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars
+from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PAPER, PURPLE, RED, Picture
 from uqsphere.report.wording import number_text
@@ -62,19 +63,20 @@ def _thinned(history: History) -> npt.NDArray[np.int64]:
 def draw_history(history: History) -> Picture:
     """The picture of `history_figure`."""
     unit, factor = _time_unit(history.horizon)
+    (force_unit, force), (pressure_unit, pressure) = display_unit("P_max"), display_unit("p_max")
     keep = _thinned(history)
     t = history.time[keep] * factor
     panels: list[tuple[str, list[tuple[str, Array, str, str]]]] = [
         (
-            "contact force [kN]",
+            f"contact force [{force_unit}]",
             [
-                ("incident face A", 1e-3 * history.force_a, BLUE, "-"),
-                ("receiving face B", 1e-3 * history.force_b, ORANGE, "--"),
+                ("incident face A", force * history.force_a, BLUE, "-"),
+                ("receiving face B", force * history.force_b, ORANGE, "--"),
             ],
         ),
         (
-            "contact pressure\n[GPa]",
-            [("A", 1e-9 * history.pressure_a, BLUE, "-"), ("B", 1e-9 * history.pressure_b, ORANGE, "--")],
+            f"contact pressure\n[{pressure_unit}]",
+            [("A", pressure * history.pressure_a, BLUE, "-"), ("B", pressure * history.pressure_b, ORANGE, "--")],
         ),
         ("sphere velocity\n[m/s]", [("sphere", history.velocity, GREEN, "-")]),
         (
@@ -133,14 +135,15 @@ def _record_label(figure: Figure, axes: Axes, history: History, factor: float, u
 def _peaks(axes: Axes, history: History, factor: float) -> None:
     """The largest pressures before and after the first loss of contact."""
     peaks = [peak for peak in (history.first_peak, history.later_peak) if peak is not None]
-    top = max((peak.pressure for peak in peaks), default=1.0) * 1e-9
+    scale = display_unit("p_max")[1]
+    top = max((peak.pressure for peak in peaks), default=1.0) * scale
     axes.set_ylim(top=1.3 * top)
     for peak in peaks:
-        x, y = peak.time * factor, peak.pressure * 1e-9
+        x, y = peak.time * factor, peak.pressure * scale
         axes.plot(x, y, marker="o", color=INK, markerfacecolor=PAPER, markersize=5)
         right = peak.time > 0.7 * history.horizon
         axes.annotate(
-            f"{y:.4g} GPa at {peak.face}",
+            f"{format_value(peak.pressure, 'p_max')} at {peak.face}",
             (x, y),
             xytext=(-6 if right else 6, 5),
             textcoords="offset points",
@@ -156,7 +159,7 @@ def history_finding(history: History) -> str:
         return "The sphere is never pressed."
     first = history.first_peak
     text = (
-        f"The contact pressure is largest at face {first.face}, {first.pressure * 1e-9:.4g} GPa after "
+        f"The contact pressure is largest at face {first.face}, {format_value(first.pressure, 'p_max')} after "
         f"{first.time * factor:.4g} {unit}."
     )
     lost = next((change for change in history.changes if change.kind == "lost"), None)
@@ -167,7 +170,7 @@ def history_finding(history: History) -> str:
     if history.later_peak is not None and history.later_peak_is_larger:
         later = history.later_peak
         text += (
-            f" The sphere is pressed harder later, {later.pressure * 1e-9:.4g} GPa at face {later.face} after "
+            f" The sphere is pressed harder later, {format_value(later.pressure, 'p_max')} at face {later.face} after "
             f"{later.time * factor:.4g} {unit}, which no quantity of the record sees."
         )
     return text

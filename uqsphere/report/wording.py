@@ -12,6 +12,7 @@ from uqsphere.report.canvas import clean, shorten
 
 __all__ = [
     "ABSENT",
+    "MOST_DIGITS",
     "Estimate",
     "absent_reason",
     "begin",
@@ -22,6 +23,7 @@ __all__ = [
     "limit_name",
     "listed",
     "number_text",
+    "powers",
     "probability_range",
     "probability_text",
     "rounded",
@@ -32,6 +34,8 @@ __all__ = [
     "value_text",
 ]
 
+#: digits of a number on the page that has an interval: more are known of some, and read by nobody
+MOST_DIGITS: Final = 5
 #: an EST of results.json
 Estimate = Mapping[str, Any]
 
@@ -105,23 +109,47 @@ def short_input(name: str) -> str:
     return re.sub(r"^(.*) \(.*\)$", r"\1", words)
 
 
+def powers(text: str) -> str:
+    """A text with powers of ten in place of exponents, ``2.6e-09``.
+
+    >>> powers("it leaves 2.6e-09 of the variance")
+    'it leaves 2.6 × 10⁻⁹ of the variance'
+    """
+    return re.sub(r"(?<![\w.-])(\d[\d.]*e[+-]?\d+)\b", lambda m: _tens(m[1]), text)
+
+
 def _tens(text: str) -> str:
     return _POWER.sub(lambda m: " × 10" + str(int(m[1])).translate(_SUPERSCRIPT), text)
 
 
-def estimate_text(estimate: Estimate, name: str = "") -> str:
-    """Value and interval with unit; a dash for an absent answer, whose reason `absent_reason` gives."""
+def estimate_text(estimate: Estimate, name: str = "", digits: int = MOST_DIGITS) -> str:
+    """Value and interval with unit; a dash for an absent answer, whose reason `absent_reason` gives.
+
+    What is known beyond `digits` digits stands alone: nobody reads what comes after.
+
+    >>> estimate_text({"value": 1.75143e9, "low": 1.75142e9, "high": 1.75144e9}, "p_max")
+    '1.7514 GPa'
+    """
     value, low, high = estimate["value"], estimate["low"], estimate["high"]
     if value is None:
         return ABSENT
     if low is None or high is None:
         return value_text(value, name)
     if not low < high:
-        return value_text(value, name, 6)
-    text = format_estimate(value, low, high, name)
+        return value_text(value, name, digits)
+    if high - low < _last_place(value, digits):
+        return rounded({"value": value, "low": None, "high": None}, name, digits)
+    text = format_estimate(value, low, high, name, digits)
+    if re.fullmatch(r"(\S+) \(\1 to \1\)( .*)?", text):
+        return rounded({"value": value, "low": None, "high": None}, name, digits)
     body, end, unit = text.rpartition(")")
     body = re.sub(r"(?<![\w.])-(?=\d)", "−", _tens(body + end))
     return f"{body} {unit_text(unit.strip())}".rstrip()
+
+
+def _last_place(value: float, digits: int) -> float:
+    """What one stands for in the last of so many digits of a value."""
+    return 10.0 ** (math.floor(math.log10(abs(value)) + _ROUND) + 1 - digits) if value else 0.0
 
 
 def absent_reason(estimate: Estimate) -> str:
@@ -152,7 +180,9 @@ def probability_text(estimate: Estimate) -> str:
         )
     if high < 1e-4:
         return estimate_text(estimate)
-    return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}) + " %"
+    # close to one the digits that count are those of what is missing
+    digits = MOST_DIGITS if not 0.99 < value < 1.0 else 3 - math.floor(math.log10(1.0 - value))
+    return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}, digits=digits) + " %"
 
 
 def _lost(value: float, low: float, high: float) -> bool:
