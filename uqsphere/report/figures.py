@@ -32,7 +32,7 @@ from uqsphere.uq.laws import Law, pdf, ppf
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "sensitivity_figure", "slug"]
+__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "overlap_remarks", "sensitivity_figure", "slug"]
 
 Array = npt.NDArray[np.float64]
 
@@ -178,6 +178,22 @@ def _strength_curve(
     axes.plot(x * factor, heights, color=RED, linestyle="--")
     axes.fill_between(x * factor, heights, color=RED, alpha=0.12, linewidth=0.0)
     return float(heights.max())
+
+
+def overlap_remarks(contents: Contents, quantity: str) -> tuple[str, ...]:
+    """That the curves of load and strength overlap more than both happen together, where they depend on each other."""
+    tied = []
+    for strength in _strengths(contents, quantity):
+        own = f"limits.{strength.name}.strength"
+        groups = [group["of"] for group in contents.resolved.get("dependence", ()) if own in group["of"]]
+        others = [short_input(name) for names in groups for name in names if name != own]
+        if strength.law is not None and others:
+            tied.append(
+                f"The strength of {limit_name(strength.name)} depends on {listed(others)}, and so does the load"
+            )
+    if not tied:
+        return ()
+    return tuple(f"{text}: how far the two curves overlap says little about the probability." for text in tied)
 
 
 def _marks(axes: Axes, entry: Mapping[str, Any], tallest: float, quantity: str) -> None:

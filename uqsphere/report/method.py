@@ -195,7 +195,7 @@ def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
     if total is not None:
         rows.append(("time", f"{total:.3g} s"))
     budget = contents.resolved["analysis"]["budget"]
-    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {budget['time']:g} s"))
+    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {thousands(budget['time'])} s"))
     return rows
 
 
