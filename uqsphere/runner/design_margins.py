@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.bars import pulse_stress, section
 from uqsphere.mechanics.contact import sphere_mass
+from uqsphere.runner.assumed import MOST_TESTS, few_rows, fewest_tests, is_decided
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import law_curves
 from uqsphere.runner.limits import state_of
@@ -44,8 +45,6 @@ FEW: Final = 32
 VALUES: Final = 25
 #: confidence with which a value is sure
 SURE: Final = 0.95
-#: more tests than this are not asked of anybody
-MOST_TESTS: Final = 5000
 #: half-width of the 95 % range, relative, within which a value counts as known
 KNOWN: Final = 0.05
 
@@ -269,38 +268,22 @@ def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignor
     limit = where.limit
     if limit.target is None:
         return found
-    state = state_of(work, limit, sampled.points, sampled.sample)
-    keep = slice(0, FEW)
-    few = replace(
-        state, demands=state.demands[:, keep], shift=None if state.shift is None else state.shift[:, keep],
-        tie=None if state.tie is None else replace(state.tie, given=state.tie.given[:, keep]),
-        censored=None if state.censored is None else state.censored[:, keep],
-        failed=None if state.failed is None else state.failed[:, keep],
-    )  # fmt: skip
+    few = few_rows(state_of(work, limit, sampled.points, sampled.sample))
 
     def decided(laws: Sequence[Law]) -> bool:
-        p = law_curves([few], laws)[:, 0]
-        missed = p if limit.aim == "survive" else 1.0 - p
-        low, high = np.quantile(missed, [0.025, 0.975])
-        assert limit.target is not None
-        return bool(high < limit.target or low > limit.target)
+        return is_decided(law_curves([few], laws)[:, 0], limit)
 
-    def simulated(count: int) -> list[Law]:
+    def simulated(count: int) -> bool:
         generator = random_generator(seed=work.study.seed, task=f"more tests {limit.name} {count}")
-        return laws_of_more_tests(strength, count, LAWS, generator)
+        return decided(laws_of_more_tests(strength, count, LAWS, generator))
 
     generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{limit.name}.strength")
     if decided(possible_laws(strength, LAWS, generator)):
         return {**found, "to_settle": 0}
-    low, high = tests, max(2 * tests, 6)
-    while not decided(simulated(high)):
-        low, high = high, 2 * high
-        if high > MOST_TESTS:
-            return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
-    while high - low > max(1, low // 20):
-        middle = (low + high) // 2
-        low, high = (low, middle) if decided(simulated(middle)) else (middle, high)
-    return {**found, "to_settle": high - tests}
+    in_all = fewest_tests(simulated, tests)
+    if in_all is None:
+        return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
+    return {**found, "to_settle": in_all - tests}
 
 
 # --- bars that must stay elastic -----------------------------------------------------------------------
