@@ -33,12 +33,14 @@ from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["YIELD_FACTOR", "Where", "describe_margin"]
+__all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
 
 Array = npt.NDArray[np.float64]
 
 #: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
 YIELD_FACTOR: Final = 1.6
+#: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit
+BARS_SHARE: Final = 0.01
 #: laws that are tried in place of a fitted one, points of each replicate, and values of the free scalar
 LAWS: Final = 200
 FEW: Final = 32
@@ -93,7 +95,8 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
         except LawError as error:
             about["ignorance"] = {"reason": str(error)}
     about["split"] = _split(where, about.get("ignorance"))
-    if work.study.margins is not None and work.study.margins.bars_elastic:
+    asked = work.study.margins is not None and work.study.margins.bars_elastic
+    if asked or _tells_of_bars(work, where):
         about["bars"] = _bars(work, where)
     return about
 
@@ -126,7 +129,7 @@ def _strength_at(strength: Law | float, p: float) -> float:
     return float(ppf(strength, np.array([p]))[0]) if isinstance(strength, Law) else strength
 
 
-def _study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
+def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
     """The work and the limit with the free scalar at a value, for a search of its own."""
     assert work.study.margins is not None
     solve, study = work.study.margins.solve, work.study
@@ -150,7 +153,7 @@ def _study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | st
 def _lost_to(work: Work, where: Where) -> dict[str, Any]:
     """Importance factors of the design point at the value, and the partial factors there."""
     assert where.value.value is not None
-    placed = _study_at(work, where.limit, where.value.value)
+    placed = study_at(work, where.limit, where.value.value)
     if isinstance(placed, str):
         return {"reason": placed}
     moved, limit = placed
@@ -289,9 +292,24 @@ def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignor
 # --- bars that must stay elastic -----------------------------------------------------------------------
 
 
-def _bars(work: Work, where: Where) -> dict[str, Any]:
-    """The values at which the bars yield: in the pulse, and under the contact with the same probability.
+def _tells_of_bars(work: Work, where: Where) -> bool:
+    """Whether the curve has the contact pressure anyhow, along a scalar that moves it, for bars that may yield."""
+    study = work.study
+    return (
+        not study.black_box
+        and study.margins is not None
+        and strength_solved(study.margins.solve) is None
+        and study.at_means().get("bars.yield_strength", 0.0) > 0.0
+        and "p_max" in work.quantities
+        and where.rows is not None
+        and where.rows.knows("p_max")
+    )
 
+
+def _bars(work: Work, where: Where) -> dict[str, Any]:
+    """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
+
+    `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
     The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield 1.6 times the yield strength.
     """
     study = work.study
@@ -305,7 +323,7 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
         "pulse_elastic": stress < strength,
         "pulse_value": means["striker.speed"] * strength / stress if study.margins.solve == "striker.speed" else None,
     }
-    rows, accepted = where.rows, min(where.probability, 1.0 - where.probability)
+    rows, accepted = where.rows, BARS_SHARE
     if rows is None or strength_solved(study.margins.solve) is not None or not rows.knows("p_max"):
         return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
     names = work.drawn.names
@@ -319,6 +337,13 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     answered = fragility(values, share, (accepted,), samples=rows.samples, evaluations=0).values[accepted]
     found["contact_probability"] = accepted
     found["contact"] = answered.as_dict()
+    shares = share.mean(axis=1)
+    told = {**where.values, where.probability: where.value}
+    found["yields_at"] = {
+        f"{p:.15g}": float(np.clip(np.interp(e.value, values, shares), 0.0, 1.0))
+        for p, e in told.items()
+        if e.value is not None and values[0] <= e.value <= values[-1]
+    }
     if answered.value is None:
         p = share.mean(axis=1)
         always, never = bool((p > accepted).all()), bool((p < accepted).all())

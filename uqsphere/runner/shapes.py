@@ -310,7 +310,9 @@ _RESULTS: Final = table(
         "margins": named(
             table(
                 {"solve": text, "unit": text, "values": named(ESTIMATE, names=_is_share),
-                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)}
+                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)},
+                {"validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
+                 "bars": table({}, {"yields_at": named(share, names=_is_share)})},
             ),
             200,
         ),
