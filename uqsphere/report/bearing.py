@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from uqsphere.mechanics.validity import RULES
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, listed, plain_percent
 
@@ -66,7 +67,14 @@ def breach(check: Mapping[str, Any], grade: str) -> str:
     # at fracture the check is of those that break, which its text says
     whom = "the specimens that break" if "specimens that break" in str(check["text"]) else "the samples"
     words = _FOUND.get(check["check"], check_name(check["check"]))
-    return f"{words} ({plain_percent(check[f'share_{grade}'])} of {whom})"
+    text = plain_percent(check[f"share_{grade}"])
+    rule = next((r for r in RULES if r.name == check["check"]), None)
+    milder = check.get("share_information", 0.0)
+    if rule is not None and rule.information is not None and grade == "warning" and milder > 0.0:
+        # the check's own text counts both grades
+        both = plain_percent(float(f"{milder + check['share_warning']:.3g}"))
+        return f"{words} (beyond {rule.warning:g} in {text} of {whom}, beyond {rule.information:g} in {both})"
+    return f"{words} ({text} of {whom})"
 
 
 def bearing(contents: Contents, check: str) -> str:

@@ -14,6 +14,7 @@ from uqsphere.report import (
     figures,
     force_band,
     fracture,
+    granted,
     hardest_scene,
     limit_surface,
     method,
@@ -105,6 +106,8 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [_distribution(contents, name) for name in _decided(contents)]
+    heading, table = "What the verdict takes for granted", granted.granted_table(contents)
+    blocks.append(Block(heading=heading, table=table, files=("tables/limits.csv",) if table else ()))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -115,7 +118,9 @@ def margins_chapter(contents: Contents) -> Chapter:
         blocks.append(
             Block(
                 heading="Strength over demand",
-                finding=" ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items()),
+                finding=" ".join(
+                    decision.margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()
+                ),
                 picture=decision.margin_figure(contents),
                 table=sections.limits_table(contents),
                 appendix=True,

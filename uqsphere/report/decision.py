@@ -23,6 +23,8 @@ __all__ = [
     "fragility_finding",
     "margin_figure",
     "margin_finding",
+    "margin_findings",
+    "margin_word",
     "probability_axis",
     "score",
     "x_scale",
@@ -64,7 +66,7 @@ def margin_figure(contents: Contents) -> Picture | None:
                 textcoords="offset points",
                 fontsize=9.0,
             )
-    finding = " ".join(margin_finding(name, limit["margin"]) for name, limit in limits.items())
+    finding = margin_findings(limits)
     return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
 
 
@@ -109,8 +111,28 @@ def _known(margin: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     }
 
 
-def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
-    """The margin of a limit in a sentence, or why there is none."""
+def margin_findings(limits: Mapping[str, Any]) -> str:
+    """The margins of all limits in sentences."""
+    return " ".join(margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items())
+
+
+def margin_word(limit: Mapping[str, Any]) -> str:
+    """Margin, or shortfall where a demand is to reach a strength and in the median does not."""
+    median = limit["margin"]["median"]["value"]
+    return "Shortfall" if limit["aim"] == "break" and median is not None and median > 1.0 else "Margin"
+
+
+def margin_finding(name: str, margin: Mapping[str, Any], aim: str = "survive") -> str:
+    """The margin of a limit in a sentence, or why there is none; a shortfall where the aim is to break."""
+    text = _margin_finding(name, margin)
+    median = (margin.get("median") or {}).get("value")
+    if aim != "break" or median is None or median <= 1.0:
+        return text
+    text = text.replace(": the strength is ", ": short of it, the strength is still ", 1)
+    return text + " The load would have to be that many times as large to break it."
+
+
+def _margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     known = {key: rounded(e, digits=3) for key, e in _known(margin).items()}
     absent = next((e for e in margin.values() if e["value"] is None), None)
     reason = "" if absent is None else str(absent.get("reason") or "the strength is zero")

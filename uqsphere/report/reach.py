@@ -1,0 +1,189 @@
+"""How far an answer reaches: where its bars yield, where the tests end, and for which scene it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from uqsphere.quantities import OUTPUTS
+from uqsphere.report.bearing import bearing, check_name
+from uqsphere.report.contents import Contents, law_of
+from uqsphere.report.event import of_limit
+from uqsphere.report.wording import call, capital, input_name, limit_name, listed, plain_percent, rounded, value_text
+from uqsphere.uq.laws import ppf
+
+__all__ = [
+    "answer_breaches",
+    "beyond_bars",
+    "extrapolation_cautions",
+    "judged_cautions",
+    "reach_cautions",
+    "reach_note",
+    "yields_at",
+]
+
+#: what a broken check says of a scene
+_FOUND = {
+    "bar_yield_contact": "the bars yield under the sphere",
+    "bar_yield_pulse": "the pulse makes the bars yield",
+    "small_contact": "the contact is not small against the sphere",
+    "contact_on_bar_end": "the contact is not small against the bar’s end",
+    "quasi_static_sphere": "waves cross the sphere too few times while the force rises",
+}
+
+
+def yields_at(entry: Mapping[str, Any], p: str) -> float | None:
+    """Share of the cases in which the bars yield under the contact at the value of a probability asked for."""
+    found = (entry.get("bars") or {}).get("yields_at") or {}
+    share = found.get(p)
+    return None if share is None else float(share)
+
+
+def _rising(entry: Mapping[str, Any]) -> bool:
+    return bool(entry["curve"][-1][1] >= entry["curve"][0][1])
+
+
+def beyond_bars(entry: Mapping[str, Any], subject: str) -> str:
+    """What is to be said of a value at which the bars are no longer elastic, in a clause; empty where they are."""
+    bars = entry.get("bars") or {}
+    value = (entry.get("value") or {}).get("value")
+    contact = bars.get("contact") or {}
+    if value is None:
+        return ""
+    if bars.get("contact_everywhere") == "yields":
+        return "the bars yield under the sphere there, as on the whole curve"
+    ends = [e for e in (contact.get("value"), bars.get("pulse_value")) if e is not None]
+    passed = [e for e in ends if (value > e) == _rising(entry) and value != e]
+    if not passed:
+        return ""
+    first = min(passed) if _rising(entry) else max(passed)
+    share = yields_at(entry, format(entry["probability"], ".15g"))
+    does = _share(share) if first == contact.get("value") else "the pulse makes them yield"
+    return f"that lies beyond what these bars stand ({value_text(first, subject, 3)}): there {does}"
+
+
+def _share(share: float | None) -> str:
+    whom = "" if share is None else f" in {plain_percent(float(f'{share:.2g}'))} of the cases"
+    return f"they yield under the sphere{whom}"
+
+
+def answer_breaches(contents: Contents) -> list[tuple[str, float, list[Mapping[str, Any]]]]:
+    """Limit, value and the checks that are broken at the answer of its inverse question."""
+    found = []
+    for name, entry in contents.results["margins"].items():
+        told = entry.get("validity") or {}
+        broken = [c for c in told.get("checks", ()) if c.get("share_failure", 0.0) + c.get("share_warning", 0.0) > 0.0]
+        if broken:
+            found.append((name, float(told["value"]), broken))
+    return found
+
+
+def breach_text(check: Mapping[str, Any]) -> str:
+    """A broken check at an answer, with the share of the scenes."""
+    share = check.get("share_failure", 0.0) + check.get("share_warning", 0.0)
+    return f"{_FOUND.get(check['check'], check_name(check['check']))} ({plain_percent(share)} of the scenes)"
+
+
+def reach_cautions(contents: Contents) -> list[str]:
+    """Where the model does not hold at the answer of an inverse question, and what that does to it."""
+    found = []
+    for name, value, broken in answer_breaches(contents):
+        entry = contents.results["margins"][name]
+        at = value_text(value, contents.subject(entry["solve"]), 3)
+        which = f"{input_name(entry['solve'])} {at}{of_limit(contents.results, name)}"
+        text = f"At the answer, {which}: {listed([breach_text(c) for c in broken])}."
+        yielding = next((c["check"] for c in broken if c["check"].startswith("bar_yield")), None)
+        if yielding:
+            text += f" {capital(bearing(contents, yielding))}."
+        found.append(text)
+    return found
+
+
+# --- strengths beyond the tests ------------------------------------------------------------------------
+
+
+def extrapolation_cautions(contents: Contents) -> list[str]:
+    """Limits whose verdict or answer rests on strengths outside of what was tested."""
+    found = []
+    for name, limit in contents.results["limits"].items():
+        key = f"limits.{name}.strength"
+        data = (contents.resolved["random"].get(key) or {}).get("data") or []
+        if not data:
+            continue
+        quantity = limit["quantity"]
+        weakest, strongest = min(data), max(data)
+        parts = []
+        margin = contents.results["margins"].get(name) or {}
+        design = ((margin.get("lost_to") or {}).get("partial") or {}).get(key, {}).get("design")
+        value = (margin.get("value") or {}).get("value")
+        if design is not None and value is not None and not weakest <= design <= strongest:
+            at = value_text(value, contents.subject(margin["solve"]), 3)
+            parts.append(f"the answer {at} on strengths about {value_text(design, quantity, 3)}")
+        given = ((limit.get("drivers") or {}).get("given_failure") or {}).get(key) or {}
+        mean = (given.get("mean") or {}).get("value")
+        if mean is not None and limit["aim"] == "survive" and mean < weakest:
+            parts.append(f"the verdict as planned on strengths about {value_text(mean, quantity, 3)}")
+        if parts:
+            ends = f"{value_text(weakest, quantity, 3)} to {value_text(strongest, quantity, 3)}"
+            found.append(
+                f"Beyond the tests of {limit_name(name)}: the {len(data)} specimens that broke did so at {ends}; "
+                f"{' and '.join(parts)} rests. There the fitted law is extrapolated."
+            )
+    return found
+
+
+# --- what is judged, and for which scene ---------------------------------------------------------------
+
+
+def judged_cautions(contents: Contents) -> list[str]:
+    """That only what has a limit is judged."""
+    if contents.black_box or not (contents.results.get("fracture") or {}).get("limits"):
+        return []
+    judged = list(
+        dict.fromkeys(contents.results["limits"][n]["quantity"] for n in contents.results["fracture"]["limits"])
+    )
+    names = listed([call(n) if n in OUTPUTS else n for n in judged])
+    return [
+        f"Fracture is judged by {names} alone. Whether the sphere chips at the rim of a contact, or splits from its "
+        "core, first is not judged unless a limit says at which stress it does."
+    ]
+
+
+def reach_note(contents: Contents) -> str:
+    """For which scene the answers hold: sizes and speeds that were sampled, and whether strength knows of size."""
+    if contents.black_box:
+        return ""
+    text = "The speed is that of the striker of this rig, not that of a sphere that falls or is thrown." * any(
+        entry["solve"] == "striker.speed" for entry in contents.results["margins"].values()
+    )
+    radius = _span(contents, "sphere.radius")
+    if radius:
+        text += (
+            f" The answers hold for a sphere of radius {radius}, between these bars, with this pulse: another size, "
+        )
+        text += "bar or pulse needs a run of its own."
+    if _size_free(contents):
+        text += " The strength does not change with the size of the sphere in this study."
+    return text.strip()
+
+
+def _span(contents: Contents, name: str) -> str:
+    law = law_of(contents.resolved, name)
+    if law is None:
+        fixed = contents.resolved["fixed"].get(name)
+        return "" if fixed is None else value_text(float(fixed), name, 4)
+    low, high = (float(x) for x in ppf(law, np.array([0.001, 0.999])))
+    ends = [rounded({"value": v, "low": None, "high": None}, name, 3) for v in (low, high)]
+    return " to ".join(ends)
+
+
+def _size_free(contents: Contents) -> bool:
+    """Whether no strength is tied to the sphere's size, by a dependence or by a criterion that counts flaws."""
+    limits = contents.results["limits"]
+    if not any(f"limits.{name}.strength" in contents.resolved["random"] for name in limits):
+        return False
+    tied = any("sphere.radius" in group["of"] for group in contents.resolved.get("dependence", []))
+    plain = all(limit["quantity"] in OUTPUTS and "weakest" not in limit["quantity"] for limit in limits.values())
+    return not tied and plain
