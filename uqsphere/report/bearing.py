@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from uqsphere.mechanics.validity import RULES
+from uqsphere.report import event
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, listed, plain_percent
 
@@ -77,20 +78,30 @@ def breach(check: Mapping[str, Any], grade: str) -> str:
     return f"{words} ({text} of {whom})"
 
 
-def bearing(contents: Contents, check: str) -> str:
+def _probability(contents: Contents, name: str) -> str:
+    """What the probability of a limit is of, with its name where there are several."""
+    results = contents.results
+    if not event.breaks(results, name):
+        return f"of missing {limit_name(name, 30)}"
+    own = f" ({limit_name(name, 30)})" if len(results["limits"]) > 1 else ""
+    return f"that {event.missing(results, name)}{own}"
+
+
+def bearing(contents: Contents, check: str, only: str = "") -> str:
     """Whether a broken check moves the probabilities of the limits, and in which direction, in a sentence.
 
     Parameters
     ----------
     contents : the run
     check : name of a rule of `uqsphere.mechanics.validity`
+    only : the one limit that is of interest; all if empty
 
     Returns
     -------
     str
         Without a full stop at its end; of the quantities where there is no limit.
     """
-    limits = contents.results["limits"]
+    limits = {n: limit for n, limit in contents.results["limits"].items() if only in ("", n)}
     followed = contents.results["model"]["chosen"] != "massless"
     lower, why = _LOWER.get(check, (frozenset(), ""))
     said: dict[str, list[str]] = {}
@@ -101,8 +112,8 @@ def bearing(contents: Contents, check: str) -> str:
             text = "does not move: the model follows both faces"
         else:
             text = "may move, in which direction is not known"
-        said.setdefault(text, []).append(limit_name(name, 30))
-    parts = [f"the probability of missing {listed(names)} {text}" for text, names in said.items()]
+        said.setdefault(text, []).append(_probability(contents, name))
+    parts = [f"the probability {listed(names)} {text}" for text, names in said.items()]
     if any(limit["quantity"] in lower for limit in limits.values()):
         return f"{why}: {'; '.join(parts)}, by how much is not known"
     if limits:

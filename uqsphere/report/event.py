@@ -8,9 +8,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.quantities import display_unit
+from uqsphere.report.contents import Contents
 from uqsphere.report.wording import capital, input_name, limit_name, rounded
 
-__all__ = ["breaks", "event", "missing", "of_limit", "safe_side", "solved_name"]
+__all__ = ["answer_text", "at_most", "breaks", "event", "missing", "of_limit", "safe_side", "solved_name"]
+
+
+def at_most(entry: Mapping[str, Any], aim: str) -> bool:
+    """Whether the aim is reached below the value (at most) or above it (at least)."""
+    curve = entry["curve"]
+    rising = bool(curve[-1][1] >= curve[0][1])
+    return rising == (aim == "survive")
+
+
+def answer_text(contents: Contents, name: str) -> str:
+    """The answer of a limit's inverse question as it is given everywhere: rounded to the safe side."""
+    entry = contents.results["margins"][name]
+    most = at_most(entry, contents.results["limits"][name]["aim"])
+    return safe_side(entry["value"], contents.subject(entry["solve"]), at_most=most)
 
 
 def breaks(results: Mapping[str, Any], name: str) -> bool:

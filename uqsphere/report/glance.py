@@ -99,9 +99,11 @@ def allowed_value(contents: Contents, name: str) -> str:
     if opened.get("sure") is not None and p == entry.get("probability"):
         # what is known of the tests comes first: the interval above holds the error of the computation alone
         word = "at most" if at_most(entry, limit["aim"]) else "at least"
+        most = at_most(entry, limit["aim"])
+        sure = event.safe_side({"value": opened["sure"], "low": None, "high": None}, subject, at_most=most, digits=3)
         ends = [value_text(opened[end], subject, 3) if opened[end] is not None else "beyond" for end in ("low", "high")]
         text = (
-            f"{capital(word)} {value_text(opened['sure'], subject, 3)} to be {plain_percent(opened['confidence'])} "
+            f"{capital(word)} {sure} to be {plain_percent(opened['confidence'])} "
             f"sure; the {opened['tests']} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
         )
     else:
@@ -152,9 +154,10 @@ def _valid(contents: Contents) -> str:
     """Whether an assumption of the model is broken, as planned and at the answers, and which."""
     planned = _valid_as_planned(contents)
     parts = []
-    for name, value, broken in reach.answer_breaches(contents):
-        subject = contents.subject(contents.results["margins"][name]["solve"])
-        parts.append(f"at {value_text(value, subject, 3)} {listed([reach.breach_text(c) for c in broken])}")
+    for name, broken in reach.answer_breaches(contents):
+        parts.append(
+            f"at {event.answer_text(contents, name)} {listed([reach.breach_text(contents, name, c) for c in broken])}"
+        )
     if not parts:
         return planned
     return f"{planned} At the answers: {'; '.join(parts)}."

@@ -10,6 +10,7 @@ from typing import Any
 from uqsphere.quantities import format_value
 from uqsphere.report import canvas, event, reach
 from uqsphere.report.contents import Contents
+from uqsphere.report.event import at_most
 from uqsphere.report.verdict import Verdict
 from uqsphere.report.wording import input_name, limit_name, listed, number_text, plain_percent, value_text
 
@@ -24,13 +25,6 @@ __all__ = [
     "subject_of",
     "tests_text",
 ]
-
-
-def at_most(entry: Mapping[str, Any], aim: str) -> bool:
-    """Whether the aim is reached below the value (at most) or above it (at least)."""
-    curve = entry["curve"]
-    rising = bool(curve[-1][1] >= curve[0][1])
-    return rising == (aim == "survive")
 
 
 def subject_of(results: Mapping[str, Any], solve: str) -> str:
@@ -61,17 +55,30 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
     word = "at most" if most else "at least"
     opened = entry.get("ignorance") or {}
     known = event.safe_side(value, subject, at_most=most)
-    fitted = f" by the law fitted to {_tests(opened)}" if "laws" in opened else ""
-    text = f"{event.solved_name(results, solve)}: {word} {known}{fitted}, so that {aim}{own}"
+    what = event.solved_name(results, solve)
     if opened.get("sure") is not None:
+        # what the tests leave open comes first: the value by their fitted law is exact in nothing but the computation
         exact = {"value": opened["sure"], "low": None, "high": None}
         sure = event.safe_side(exact, subject, at_most=most, digits=3)
-        confidence = plain_percent(opened["confidence"])
-        text += f"; {word} {sure} to be {confidence} sure of it (one-sided), which is the value to keep to"
-    elif opened and "reason" not in opened:
-        text += f"; these are too few to be {plain_percent(opened['confidence'])} sure of any value looked at"
+        text = (
+            f"{what}: {word} {sure} to be {plain_percent(opened['confidence'])} sure (one-sided) that {aim}{own}, the "
+            f"value to keep to; {word} {known} by the law fitted to the {_tests(opened)}{_open_range(opened, subject)}"
+        )
+    else:
+        text = f"{what}: {word} {known}, so that {aim}{own}"
+        if opened and "reason" not in opened:
+            confidence = plain_percent(opened["confidence"])
+            text += f"; {_tests(opened)} are too few to be {confidence} sure of any value looked at"
     beyond = reach.beyond_bars(entry, subject)
     return f"{text}. {known} is the answer for elastic bars: {beyond}." if beyond else f"{text}."
+
+
+def _open_range(opened: Mapping[str, Any], subject: str) -> str:
+    """Between which values the tests leave the answer, two-sided."""
+    if opened.get("low") is None or opened.get("high") is None:
+        return ""
+    low, high = (value_text(opened[end], subject, 3) for end in ("low", "high"))
+    return f", which leave open {low} to {high} (95 %)"
 
 
 def _tests(opened: Mapping[str, Any]) -> str:
@@ -111,8 +118,7 @@ def no_common_value(contents: Contents) -> str:
     if not most or not least:
         return ""
     top, bottom = min(most), max(least)
-    subject = contents.subject(next(iter(contents.results["margins"].values()))["solve"])
-    ends = [value_text(value, subject, 3) for value, _ in (top, bottom)]
+    ends = [event.answer_text(contents, name) for _, name in (top, bottom)]
     what = input_name(next(iter(contents.results["margins"].values()))["solve"])
     names = limit_name(top[1]), limit_name(bottom[1])
     if bottom[0] <= top[0]:
@@ -217,7 +223,7 @@ def tests_text(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Con
     if tests.get("to_know_the_value"):
         text += (
             f"To know the {input_name(entry['solve'])} itself to {plain_percent(tests['known_to'])} (95 % half-width) "
-            f"would take about {tests['to_know_the_value']} more. "
+            f"would take about {tests['to_know_the_value']} more tests. "
         )
     return text or settling_text(contents, limit, planned)
 
@@ -240,25 +246,23 @@ def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Conte
     """Where the bars stop being elastic, what comes first said first."""
     subject = contents.subject(entry["solve"])
     strength = number_text(format_value(bars["yield_strength"], "bars.yield_strength"))
-    parts = []
-    contact = bars.get("contact")
+    contact, value = bars.get("contact"), None
+    rising = entry["curve"][-1][1] >= entry["curve"][0][1]
+    chance = plain_percent(bars.get("contact_probability", 0.0))
     if contact and contact["value"] is not None:
-        rising = entry["curve"][-1][1] >= entry["curve"][0][1]
-        word = "up to" if rising else "from"
-        chance = plain_percent(1.0 - bars["contact_probability"])
         value = event.safe_side(contact, subject, at_most=rising, digits=3)
-        parts.append(f"under the sphere {word} {value} (in {chance} of the cases)")
+        text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
+        text += f"{'from' if rising else 'below'} {value}"
+        text += " on: harder or thicker bars are due" if reach.beyond_bars(entry, subject) else " on"
+    elif bars.get("contact_everywhere") == "yields":
+        text = (
+            f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "
+        )
+        text += "whole curve: harder or thicker bars are due"
     elif bars.get("contact_everywhere") == "elastic":
-        parts.append("under the sphere over the whole curve")
+        text = f"The bars (yield strength {strength}) stay elastic under the sphere over the whole curve"
+    else:
+        text = f"Whether the bars (yield strength {strength}) yield under the sphere is not known"
     if bars.get("pulse_value") is not None:
-        parts.append(f"in the pulse up to {number_text(format_value(bars['pulse_value'], subject, 3))}")
-    elif bars["pulse_elastic"]:
-        parts.append("in the pulse as planned")
-    if not parts:
-        return f"The bars (yield strength {strength}) yield over the whole curve."
-    text = f"The bars (yield strength {strength}) stay elastic {' and '.join(parts)}"
-    if bars.get("contact_everywhere") == "yields":
-        text += ", and yield locally under the sphere over the whole curve"
-    if reach.beyond_bars(entry, subject):
-        text += ", which is reached before the value above: harder or thicker bars are due"
-    return text + "."
+        return f"{text}; the pulse alone leaves them elastic up to {value_text(bars['pulse_value'], subject, 3)}."
+    return f"{text}; the pulse as planned {'leaves them elastic' if bars['pulse_elastic'] else 'makes them yield'}."

@@ -10,7 +10,7 @@ import numpy as np
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report.bearing import bearing, check_name
 from uqsphere.report.contents import Contents, law_of
-from uqsphere.report.event import of_limit
+from uqsphere.report.event import answer_text, of_limit
 from uqsphere.report.wording import call, capital, input_name, limit_name, listed, plain_percent, rounded, value_text
 from uqsphere.uq.laws import ppf
 
@@ -30,8 +30,12 @@ _FOUND = {
     "bar_yield_pulse": "the pulse makes the bars yield",
     "small_contact": "the contact is not small against the sphere",
     "contact_on_bar_end": "the contact is not small against the bar’s end",
+    "force_balance": "the two contact forces differ",
     "quasi_static_sphere": "waves cross the sphere too few times while the force rises",
 }
+#: demands at the rim of a contact, and inside the sphere
+_RIM = frozenset({"edge_tension", "ring_crack_toughness"})
+_CORE = frozenset({"core_tension", "centre_tension", "equatorial_tension", "hiramatsu_oka_tension"})
 
 
 def yields_at(entry: Mapping[str, Any], p: str) -> float | None:
@@ -53,51 +57,57 @@ def beyond_bars(entry: Mapping[str, Any], subject: str) -> str:
     if value is None:
         return ""
     if bars.get("contact_everywhere") == "yields":
-        return "the bars yield under the sphere there, as on the whole curve"
+        share = yields_at(entry, format(entry["probability"], ".15g"))
+        return f"the bars yield under the sphere there{_cases(share)}"
     ends = [e for e in (contact.get("value"), bars.get("pulse_value")) if e is not None]
     passed = [e for e in ends if (value > e) == _rising(entry) and value != e]
     if not passed:
         return ""
     first = min(passed) if _rising(entry) else max(passed)
     share = yields_at(entry, format(entry["probability"], ".15g"))
-    does = _share(share) if first == contact.get("value") else "the pulse makes them yield"
+    does = (
+        f"they yield under the sphere{_cases(share)}" if first == contact.get("value") else "the pulse makes them yield"
+    )
     return f"that lies beyond what these bars stand ({value_text(first, subject, 3)}): there {does}"
 
 
-def _share(share: float | None) -> str:
-    whom = "" if share is None else f" in {plain_percent(float(f'{share:.2g}'))} of the cases"
-    return f"they yield under the sphere{whom}"
+def _cases(share: float | None) -> str:
+    return "" if share is None else f" in {plain_percent(float(f'{share:.2g}'))} of the cases"
 
 
-def answer_breaches(contents: Contents) -> list[tuple[str, float, list[Mapping[str, Any]]]]:
-    """Limit, value and the checks that are broken at the answer of its inverse question."""
+def answer_breaches(contents: Contents) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Limit and the checks that are broken at the answer of its inverse question."""
     found = []
     for name, entry in contents.results["margins"].items():
         told = entry.get("validity") or {}
         broken = [c for c in told.get("checks", ()) if c.get("share_failure", 0.0) + c.get("share_warning", 0.0) > 0.0]
         if broken:
-            found.append((name, float(told["value"]), broken))
+            found.append((name, broken))
     return found
 
 
-def breach_text(check: Mapping[str, Any]) -> str:
-    """A broken check at an answer, with the share of the scenes."""
+def breach_text(contents: Contents, name: str, check: Mapping[str, Any]) -> str:
+    """A broken check at the answer of a limit, with its share: of the curve's own cases where it is known of them."""
+    entry = contents.results["margins"][name]
     share = check.get("share_failure", 0.0) + check.get("share_warning", 0.0)
-    return f"{_FOUND.get(check['check'], check_name(check['check']))} ({plain_percent(share)} of the scenes)"
+    if check["check"] == "bar_yield_contact":
+        known = yields_at(entry, format(entry["probability"], ".15g"))
+        share = share if known is None else known
+    words = _FOUND.get(check["check"], check_name(check["check"]))
+    return f"{words} (in {plain_percent(float(f'{share:.2g}'))} of the cases)"
 
 
 def reach_cautions(contents: Contents) -> list[str]:
     """Where the model does not hold at the answer of an inverse question, and what that does to it."""
     found = []
-    for name, value, broken in answer_breaches(contents):
+    for name, broken in answer_breaches(contents):
         entry = contents.results["margins"][name]
-        at = value_text(value, contents.subject(entry["solve"]), 3)
-        which = f"{input_name(entry['solve'])} {at}{of_limit(contents.results, name)}"
-        text = f"At the answer, {which}: {listed([breach_text(c) for c in broken])}."
-        yielding = next((c["check"] for c in broken if c["check"].startswith("bar_yield")), None)
-        if yielding:
-            text += f" {capital(bearing(contents, yielding))}."
-        found.append(text)
+        which = f"{input_name(entry['solve'])} {answer_text(contents, name)}{of_limit(contents.results, name)}"
+        said: dict[str, list[str]] = {}
+        for check in broken:
+            said.setdefault(bearing(contents, check["check"], only=name), []).append(breach_text(contents, name, check))
+        whole = " ".join(f"{capital(listed(texts))}. {capital(does)}." for does, texts in said.items())
+        found.append(f"At the answer, {which}: {whole[:1].lower()}{whole[1:]}")
     return found
 
 
@@ -119,17 +129,17 @@ def extrapolation_cautions(contents: Contents) -> list[str]:
         design = ((margin.get("lost_to") or {}).get("partial") or {}).get(key, {}).get("design")
         value = (margin.get("value") or {}).get("value")
         if design is not None and value is not None and not weakest <= design <= strongest:
-            at = value_text(value, contents.subject(margin["solve"]), 3)
-            parts.append(f"the answer {at} on strengths about {value_text(design, quantity, 3)}")
+            at = answer_text(contents, name)
+            parts.append(f"the answer {at} rests on strengths about {value_text(design, quantity, 3)}")
         given = ((limit.get("drivers") or {}).get("given_failure") or {}).get(key) or {}
         mean = (given.get("mean") or {}).get("value")
         if mean is not None and limit["aim"] == "survive" and mean < weakest:
-            parts.append(f"the verdict as planned on strengths about {value_text(mean, quantity, 3)}")
+            parts.append(f"the verdict as planned rests on strengths about {value_text(mean, quantity, 3)}")
         if parts:
             ends = f"{value_text(weakest, quantity, 3)} to {value_text(strongest, quantity, 3)}"
             found.append(
                 f"Beyond the tests of {limit_name(name)}: the {len(data)} specimens that broke did so at {ends}; "
-                f"{' and '.join(parts)} rests. There the fitted law is extrapolated."
+                f"{', '.join(parts)}. There the fitted law is extrapolated."
             )
     return found
 
@@ -144,10 +154,16 @@ def judged_cautions(contents: Contents) -> list[str]:
     judged = list(
         dict.fromkeys(contents.results["limits"][n]["quantity"] for n in contents.results["fracture"]["limits"])
     )
-    names = listed([call(n) if n in OUTPUTS else n for n in judged])
+    names = listed([f"the {call(n)}" if n in OUTPUTS else n for n in judged])
+    others = [
+        *(() if set(judged) & _RIM else ("chips at the rim of a contact",)),
+        *(() if set(judged) & _CORE else ("splits from its core",)),
+    ]
+    if not others:
+        return []
     return [
-        f"Fracture is judged by {names} alone. Whether the sphere chips at the rim of a contact, or splits from its "
-        "core, first is not judged unless a limit says at which stress it does."
+        f"Fracture is judged by {names} alone. Whether the sphere {' or '.join(others)} before that is not judged: no "
+        "limit of the study says at which stress it does."
     ]
 
 

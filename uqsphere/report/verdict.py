@@ -70,8 +70,8 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     what = f"Probability of missing {limit_name(name)}" if breaks else f"Probability of {limit_name(name)}"
     fracture = event.breaks(contents.results, name)
     if fracture:
-        what = f"Probability that {event.missing(contents.results, name)}{_as_planned(contents, name)}"
-    answer = f"{what}: {_headline(limit['miss'])}"
+        what = capital(f"{_as_planned(contents, name)}{event.missing(contents.results, name)} with a probability of")
+    answer = f"{what}{' ' if fracture else ': '}{_headline(limit['miss'])}"
     if not contents.resolved["random"] and limit["exceedance"]["value"] is not None:
         kept = "" if limit["exceedance"]["value"] > 0.5 else "not "
         answer = f"Limit {limit_name(name)} is {kept}exceeded in the one scene of a study without scatter"
@@ -112,7 +112,7 @@ def _as_planned(contents: Contents, name: str) -> str:
     here = None if entry is None else contents.at_mean(entry["solve"])
     if entry is None or here is None:
         return ""
-    return f" as planned, at {value_text(here, contents.subject(entry['solve']))}"
+    return f"as planned, at {value_text(here, contents.subject(entry['solve']))}, "
 
 
 def _by_reflections(contents: Contents, name: str) -> str:
