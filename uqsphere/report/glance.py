@@ -81,8 +81,9 @@ def allowed_value(contents: Contents, name: str) -> str:
     # on the safe side of what is accepted; without a target the safest that was asked for
     safe = {p: e for p, e in known.items() if accepted is not None and (p <= accepted if survive else p >= accepted)}
     p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
-    text = f"{estimate_text(known[p], entry['solve'])}: there {event.event(contents.results, name)} with a probability "
-    text += f"of {plain_percent(p)}"
+    alone = "" if known[p]["low"] is None else " (interval of the computation alone)"
+    text = f"{estimate_text(known[p], entry['solve'])}{alone}: there {event.event(contents.results, name)} "
+    text += f"with a probability of {plain_percent(p)}"
     if accepted is not None and not safe and any((q <= accepted) if survive else (q >= accepted) for q in absent):
         text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
         text += f"({plain_percent(accepted)}); where that is reached is not known"
@@ -106,8 +107,6 @@ def allowed_value(contents: Contents, name: str) -> str:
             f"{capital(word)} {sure} to be {plain_percent(opened['confidence'])} "
             f"sure; the {opened['tests']} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
         )
-    else:
-        text += " (the interval is that of the computation alone)" if known[p]["low"] is not None else ""
     beyond = reach.beyond_bars({**entry, "value": known[p], "probability": p}, subject)
     return f"{text}; {beyond}." if beyond else f"{text}."
 

@@ -10,7 +10,7 @@ import numpy as np
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report.bearing import bearing, check_name
 from uqsphere.report.contents import Contents, law_of
-from uqsphere.report.event import answer_text, of_limit
+from uqsphere.report.event import answer_text, of_limit, safe_side
 from uqsphere.report.wording import call, capital, input_name, limit_name, listed, plain_percent, rounded, value_text
 from uqsphere.uq.laws import ppf
 
@@ -65,10 +65,11 @@ def beyond_bars(entry: Mapping[str, Any], subject: str) -> str:
         return ""
     first = min(passed) if _rising(entry) else max(passed)
     share = yields_at(entry, format(entry["probability"], ".15g"))
-    does = (
-        f"they yield under the sphere{_cases(share)}" if first == contact.get("value") else "the pulse makes them yield"
-    )
-    return f"that lies beyond what these bars stand ({value_text(first, subject, 3)}): there {does}"
+    contacts = first == contact.get("value")
+    does = f"they yield under the sphere{_cases(share)}" if contacts else "the pulse makes them yield"
+    told = contact if contacts else {"value": first, "low": None, "high": None}
+    stand = safe_side(told, subject, at_most=_rising(entry), digits=3)
+    return f"that lies beyond what these bars stand ({stand}): there {does}"
 
 
 def _cases(share: float | None) -> str:
