@@ -10,6 +10,7 @@ from typing import Final
 
 from uqsphere.report import (
     decision,
+    directions,
     drivers,
     figures,
     force_band,
@@ -257,9 +258,13 @@ def drivers_chapter(contents: Contents) -> Chapter:
         heading="What drives it",
         short="What drives it",
         blocks=tuple(blocks),
-        remark="The first index is the share of the variance that an input causes alone, the total one includes its "
-        "interactions. A violin shows where an index is likely to lie, the whisker its 95 % interval.",
+        remark=directions.drivers_remark(contents),
     )
+
+
+def _tied(contents: Contents, name: str, kind: str) -> tuple[str, ...]:
+    found = directions.measure_remark(contents, name) if kind == "limits" else ""
+    return (found,) if found else ()
 
 
 def measure_chapter(contents: Contents) -> Chapter:
@@ -281,7 +286,7 @@ def measure_chapter(contents: Contents) -> Chapter:
                         heading=f"What to measure first for {words}",
                         finding=drivers.measure_finding(first),
                         table=table,
-                        remarks=(str(first["method"]),),
+                        remarks=(str(first["method"]), *_tied(contents, name, kind)),
                         files=("tables/drivers.csv",),
                     )
                 )
@@ -341,6 +346,14 @@ def computed_chapter(contents: Contents) -> Chapter:
             table=method.checks_table(contents) if contents.results["validity"] else None,
             kind="checks notes",
             files=("tables/validity.csv",),
+        ),
+        *(
+            Block(
+                heading=f"Validity of the model at the answer for {limit_name(name)}",
+                table=method.answer_checks_table(contents, name),
+                kind="checks notes",
+            )
+            for name in contents.results["margins"]
         ),
         Block(
             heading="The paper’s formulas as printed, and corrected",

@@ -382,7 +382,13 @@ def fragility_finding(contents: Contents, name: str) -> str:
         reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
         return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
     subject = contents.subject(entry["solve"])
-    parts = [f"{plain_percent(float(p))} at {rounded(e, subject)}" for p, e in known.items()]
+    own, most = entry.get("probability"), event.at_most(entry, contents.results["limits"][name]["aim"])
+    parts = [
+        f"{plain_percent(float(p))} at "
+        # the answer to the question is rounded to the safe side, here as everywhere
+        + (event.safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject))
+        for p, e in known.items()
+    ]
     here = contents.at_mean(entry["solve"])
     what = event.event(contents.results, name) + event.of_limit(contents.results, name)
     text = f"Over {input_name(entry['solve'])}, the probability that {what} is {', '.join(parts)}"
