@@ -6,17 +6,23 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from report_folders import estimate, limit, write_folder
+from scipy.special import ndtr
 
 from uqsphere.report.bearing import bearing, breach
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.decision import margin_finding
+from uqsphere.report.decision import lognormal_scores, margin_finding
+from uqsphere.report.directions import drivers_remark, measure_remarks, opposed
 from uqsphere.report.event import answer_text, breaks, missing, safe_side
 from uqsphere.report.glance import glances
 from uqsphere.report.granted import granted_cautions, granted_line, granted_table
+from uqsphere.report.limit_surface import Sides
 from uqsphere.report.margin_verdict import margin_answer, margin_verdicts, no_common_value, reserve
+from uqsphere.report.method import answer_checks_table
 from uqsphere.report.reach import beyond_bars
+from uqsphere.report.sections import margins_table
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.summary import summary_of
 
@@ -215,3 +221,39 @@ def test_a_check_of_two_grades_names_both_thresholds(contents: Contents) -> None
         "the two contact forces differ (beyond 0.1 in 22.4 % of the specimens that break, beyond 0.05 in 58.6 %)"
     )
     assert "the probability that the sphere breaks is smaller" in bearing(contents, "bar_yield_contact")
+
+
+def test_the_lognormal_curve_is_not_drawn_where_it_would_mislead() -> None:
+    x = np.array([0.5, 0.7, 1.0, 1.4])
+    z = np.log(x) / 0.25
+    curve = np.stack([x, ndtr(z)], axis=1)
+    entry = {"lognormal": {"median": estimate(1.0), "dispersion": estimate(0.25), "rising": True}}
+    assert np.isfinite(lognormal_scores(entry, curve)).all()
+    curve[0, 1] *= 50.0
+    assert np.isnan(lognormal_scores(entry, curve)).tolist() == [True, False, False, False]
+
+
+def test_misses_at_the_end_with_the_smaller_load_are_explained(contents: Contents) -> None:
+    n = 2000
+    x = np.linspace(40e9, 60e9, n)
+    sides = Sides(
+        name="sphere.E", x=x, demand=x / 20.0, strength=np.full(n, 2.5e9), missed=x < 45e9, random=True
+    )  # fmt: skip
+    assert "the study takes the strength to rise with it (rank correlation 0.6)" in opposed(contents, "x", sides, 0.1)
+    assert opposed(contents, "x", sides, 0.9) == ""
+    (remark,) = measure_remarks(contents, "x", "limits")
+    assert "with the strength of every specimen left where it was" in remark
+    assert "three different questions" in drivers_remark(contents)
+
+
+def test_the_table_of_margins_says_where_the_bars_yield(two: Contents) -> None:
+    table = margins_table(two, "y")
+    assert table.header == (
+        "probability", "what the tests leave open (95 %)", "value (95 % interval of the computation alone)",
+        "bars yield under the sphere",
+    )  # fmt: skip
+    assert table.rows[0][1] == "1.68 m/s to 1.96 m/s"
+    assert table.rows[0][3] == "in 56 % of the cases"
+    checks = answer_checks_table(two, "y")
+    assert checks is not None
+    assert "at the answer for “y”, 1.79 m/s, on 128 scenes" in checks.caption

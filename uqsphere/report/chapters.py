@@ -107,8 +107,7 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [_distribution(contents, name) for name in _decided(contents)]
-    heading, table = "What the verdict takes for granted", granted.granted_table(contents)
-    blocks.append(Block(heading=heading, table=table, files=("tables/limits.csv",) if table else ()))
+    blocks.append(granted.granted_block(contents))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -262,11 +261,6 @@ def drivers_chapter(contents: Contents) -> Chapter:
     )
 
 
-def _tied(contents: Contents, name: str, kind: str) -> tuple[str, ...]:
-    found = directions.measure_remark(contents, name) if kind == "limits" else ""
-    return (found,) if found else ()
-
-
 def measure_chapter(contents: Contents) -> Chapter:
     """What to measure next, for every limit and every quantity."""
     blocks = []
@@ -286,7 +280,7 @@ def measure_chapter(contents: Contents) -> Chapter:
                         heading=f"What to measure first for {words}",
                         finding=drivers.measure_finding(first),
                         table=table,
-                        remarks=(str(first["method"]), *_tied(contents, name, kind)),
+                        remarks=(str(first["method"]), *directions.measure_remarks(contents, name, kind)),
                         files=("tables/drivers.csv",),
                     )
                 )
@@ -318,7 +312,11 @@ def quantities_chapter(contents: Contents) -> Chapter:
     )
     bars, inside = hardest_scene.bars_figure(contents), hardest_scene.stress_inside_figure(contents)
     blocks.append(
-        Block(heading="What the bars see of the hardest scene", finding=bars.finding if bars else "", picture=bars)
+        Block(
+            heading="What the bars see of the hardest scene that was followed",
+            finding=bars.finding if bars else "",
+            picture=bars,
+        )
     )
     blocks.append(
         Block(

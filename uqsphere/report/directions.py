@@ -12,7 +12,7 @@ from uqsphere.report.wording import input_name, limit_name, listed, short_input,
 if TYPE_CHECKING:
     from uqsphere.report.limit_surface import Sides
 
-__all__ = ["drivers_remark", "measure_remark", "opposed", "tied_inputs"]
+__all__ = ["drivers_remark", "measure_remarks", "opposed", "tied_inputs"]
 
 
 def tied_inputs(contents: Contents, limit: str) -> list[tuple[str, float | None]]:
@@ -44,23 +44,24 @@ def opposed(contents: Contents, limit: str, sides: Sides, where: float) -> str:
     )
 
 
-def measure_remark(contents: Contents, limit: str) -> str:
-    """That a change of an input is told with the strength left where it was; empty where they are independent."""
-    names = [name for name, _ in tied_inputs(contents, limit)]
+def measure_remarks(contents: Contents, name: str, kind: str) -> tuple[str, ...]:
+    """That a change of an input is told with the strength left where it was; none where they are independent."""
+    names = [n for n, _ in tied_inputs(contents, name)] if kind == "limits" else []
     if not names:
-        return ""
+        return ()
     return (
         f"The change owed to {listed([input_name(n) for n in names])} is that of a mean known better, with the "
         "strength of every specimen left where it was: it shows the way of the load. That the strength goes with it "
-        "from specimen to specimen, which decides at which end of it the spheres break, is not in that number."
+        "from specimen to specimen, which decides at which end of it the spheres break, is not in that number.",
     )
 
 
 def drivers_remark(contents: Contents) -> str:
     """How to read the chapter of what drives it."""
     return (
-        f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the total "
-        "one includes its interactions. A violin shows where an index is likely to lie, the whisker its 95 % interval."
+        f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the "
+        "total one includes its interactions. A violin shows where an index is likely to lie, the whisker its 95 % "
+        "interval."
     ).strip()
 
 

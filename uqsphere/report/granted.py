@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from uqsphere.report.blocks import Block
 from uqsphere.report.contents import Contents
 from uqsphere.report.event import missing
 from uqsphere.report.sections import Table
@@ -20,7 +21,15 @@ from uqsphere.report.wording import (
     rounded,
 )
 
-__all__ = ["granted_cautions", "granted_line", "granted_table", "instead_text", "short_probability", "verdict_word"]
+__all__ = [
+    "granted_block",
+    "granted_cautions",
+    "granted_line",
+    "granted_table",
+    "instead_text",
+    "short_probability",
+    "verdict_word",
+]
 
 _LAWS = {"weibull": "Weibull", "student_t": "Student’s t", "gumbel": "Gumbel", "frechet": "Fréchet"}
 
@@ -135,6 +144,13 @@ def granted_table(contents: Contents) -> Table | None:
         return None
     header = (*(("limit",) if several else ()), "what is assumed", "probability of missing the aim", "target")
     return Table(caption="What the verdict takes for granted of the strength", header=header, rows=tuple(rows))
+
+
+def granted_block(contents: Contents) -> Block:
+    """The table under its heading; empty where nothing is assumed of a strength."""
+    table = granted_table(contents)
+    files = ("tables/limits.csv",) if table else ()
+    return Block(heading="What the verdict takes for granted", table=table, files=files)
 
 
 def _word(limit: Mapping[str, Any], met: bool | None) -> str:
