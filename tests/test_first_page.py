@@ -130,6 +130,8 @@ def test_the_headline_says_where_the_bars_yield(contents: Contents) -> None:
         "lies beyond what these bars stand (0.300 m/s): there they yield under the sphere in 56 % of the cases"
         in answer
     )
+    head = margin_verdicts(contents)[0].lines[0]
+    assert head.endswith("; that lies beyond what these bars stand (0.300 m/s).")
     valid = next(g.answer for g in glances(contents) if g.question == "Model valid?")
     assert "At the answers: at 0.658 m/s the bars yield under the sphere (in 56 % of the cases)" in valid
     assert any(

@@ -313,7 +313,7 @@ def quantities_chapter(contents: Contents) -> Chapter:
     bars, inside = hardest_scene.bars_figure(contents), hardest_scene.stress_inside_figure(contents)
     blocks.append(
         Block(
-            heading="What the bars see of the hardest scene that was followed",
+            heading="What the bars see of the hardest scene followed",
             finding=bars.finding if bars else "",
             picture=bars,
         )

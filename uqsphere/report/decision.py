@@ -383,12 +383,12 @@ def fragility_finding(contents: Contents, name: str) -> str:
         return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
     subject = contents.subject(entry["solve"])
     own, most = entry.get("probability"), event.at_most(entry, contents.results["limits"][name]["aim"])
-    parts = [
-        f"{plain_percent(float(p))} at "
-        # the answer to the question is rounded to the safe side, here as everywhere
-        + (event.safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject))
+    # the answer to the question is rounded to the safe side, here as everywhere
+    told = {
+        p: event.safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject)
         for p, e in known.items()
-    ]
+    }
+    parts = [f"{plain_percent(float(p))} at {text}" for p, text in told.items()]
     here = contents.at_mean(entry["solve"])
     what = event.event(contents.results, name) + event.of_limit(contents.results, name)
     text = f"Over {input_name(entry['solve'])}, the probability that {what} is {', '.join(parts)}"
@@ -396,6 +396,6 @@ def fragility_finding(contents: Contents, name: str) -> str:
         text += f"; the study stands at {value_text(here, subject)}"
     yielding = [p for p in known if (reach.yields_at(entry, p) or 0.0) > 0.5]
     if yielding:
-        at = [rounded(known[p], subject) for p in yielding]
+        at = [told[p] for p in yielding]
         text += f"; at {listed(at)} the bars yield under the sphere in most cases, so that these hold for elastic bars"
     return text + "."

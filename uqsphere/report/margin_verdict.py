@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ from uqsphere.report import canvas, event, reach
 from uqsphere.report.contents import Contents
 from uqsphere.report.event import at_most
 from uqsphere.report.verdict import Verdict
-from uqsphere.report.wording import input_name, limit_name, listed, number_text, plain_percent, value_text
+from uqsphere.report.wording import capital, input_name, limit_name, listed, number_text, plain_percent, value_text
 
 __all__ = [
     "at_most",
@@ -94,7 +95,12 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
         if not answer:
             continue
         entry, limit = contents.results["margins"][name], contents.results["limits"][name]
-        lines = (answer, _reserve(contents, entry, limit), _lost(contents, entry, limit), _next(entry, limit, contents))
+        lines = (
+            *_headed(answer, entry, contents),
+            _reserve(contents, entry, limit),
+            _lost(contents, entry, limit),
+            _next(entry, limit, contents),
+        )
         found.append(
             Verdict(
                 word="answer",
@@ -105,6 +111,19 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
     if found:
         found[-1] = replace(found[-1], note=reach.reach_note(contents))
     return found
+
+
+def _headed(answer: str, entry: Mapping[str, Any], contents: Contents) -> tuple[str, str]:
+    """The answer in its first clause, with what the bars stand if that lies below it, and the rest of it."""
+    first, *rest = re.split(r"; |\. ", answer, maxsplit=1)
+    sure = (entry.get("ignorance") or {}).get("sure")
+    told = entry["value"] if sure is None else {**entry["value"], "value": sure}
+    beyond = reach.beyond_bars({**entry, "value": told}, contents.subject(entry["solve"])).partition(": there")[0]
+    head = first.rstrip(".") + (f"; {beyond}" if beyond else "")
+    if rest and beyond and sure is None:
+        # the head has it already
+        return f"{head}.", f"{rest[0].partition(': ')[0]}."
+    return f"{head}.", capital(rest[0]) if rest else ""
 
 
 def no_common_value(contents: Contents) -> str:
