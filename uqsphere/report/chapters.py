@@ -318,13 +318,8 @@ def quantities_chapter(contents: Contents) -> Chapter:
             picture=bars,
         )
     )
-    blocks.append(
-        Block(
-            heading="Stress inside the sphere in the hardest scene",
-            finding=inside.finding if inside else "",
-            picture=inside,
-        )
-    )
+    heading = "Stress inside the sphere in the hardest scene"
+    blocks.append(Block(heading=heading, finding=inside.finding if inside else "", picture=inside))
     return Chapter(
         anchor="quantities",
         heading="The quantities in full",
