@@ -6,6 +6,7 @@ from typing import Any
 
 from uqsphere.console import bar, plain, table
 from uqsphere.quantities import format_estimate
+from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 
@@ -71,10 +72,17 @@ def _assumed(results: dict[str, Any]) -> list[str]:
     return found
 
 
+def _answer(results: dict[str, Any], name: str) -> str:
+    """The answer of an inverse question, rounded to the safe side as everywhere."""
+    entry = results["margins"][name]
+    most = at_most(entry, results["limits"][name]["aim"])
+    return safe_side(entry["value"], subject_of(results, entry["solve"]), at_most=most)
+
+
 def _answer_checks(results: dict[str, Any]) -> list[str]:
     """Where the model does not hold at the answers of inverse questions."""
     return [
-        f"at the answer for {plain(name)}, {entry['solve']} {told['value']:.3g}: {plain(check['text'])}"
+        f"at the answer for {plain(name)}, {entry['solve']} {_answer(results, name)}: {plain(check['text'])}"
         for name, entry in results["margins"].items()
         for told in [entry.get("validity") or {}]
         for check in told.get("checks", ())
