@@ -67,7 +67,7 @@ def _assumed(results: dict[str, Any]) -> list[str]:
                 word = f": target {verdict_word(row['met'])}" if limit["target"] is not None else ""
                 found.append(
                     f"limit {plain(name)}: {plain(instead_text(row))} the probability of missing it would be "
-                    f"{_share(row['miss']['value'])}{word}"
+                    f"{row['miss']['value']:.3g}{word}"
                 )
     return found
 
