@@ -6,6 +6,8 @@ from typing import Any
 
 from uqsphere.console import bar, plain, table
 from uqsphere.quantities import format_estimate
+from uqsphere.report.event import at_most, safe_side
+from uqsphere.report.granted import instead_text, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 
 __all__ = ["summary_of"]
@@ -46,10 +48,46 @@ def _cautions(results: dict[str, Any]) -> list[str]:
                 f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
                 f"between {_share(low)} and {_share(high)}{also}"
             )
+    found += [*_assumed(results), *_answer_checks(results)]
     missed = results["accuracy"]["missed"]
     if missed:
         found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")
     return found
+
+
+def _assumed(results: dict[str, Any]) -> list[str]:
+    """What the probability of each limit would be without what is assumed of its strength."""
+    found = []
+    for name, limit in results["limits"].items():
+        for row in limit.get("assumed") or ():
+            if row["miss"]["value"] is None:
+                continue
+            turned = limit["target"] is not None and row["met"] != limit["met"]
+            if row["assumption"] == "dependence" or (turned and row["assumption"] != "law"):
+                word = f": target {verdict_word(row['met'])}" if limit["target"] is not None else ""
+                found.append(
+                    f"limit {plain(name)}: {plain(instead_text(row))} the probability of missing it would be "
+                    f"{row['miss']['value']:.3g}{word}"
+                )
+    return found
+
+
+def _answer(results: dict[str, Any], name: str) -> str:
+    """The answer of an inverse question, rounded to the safe side as everywhere."""
+    entry = results["margins"][name]
+    most = at_most(entry, results["limits"][name]["aim"])
+    return safe_side(entry["value"], subject_of(results, entry["solve"]), at_most=most)
+
+
+def _answer_checks(results: dict[str, Any]) -> list[str]:
+    """Where the model does not hold at the answers of inverse questions."""
+    return [
+        f"at the answer for {plain(name)}, {entry['solve']} {_answer(results, name)}: {plain(check['text'])}"
+        for name, entry in results["margins"].items()
+        for told in [entry.get("validity") or {}]
+        for check in told.get("checks", ())
+        if check["check"].startswith("bar_yield") and check["share"] > 0.0
+    ]
 
 
 def _share(probability: float) -> str:

@@ -10,8 +10,10 @@ from typing import Final
 
 from uqsphere.report import (
     decision,
+    directions,
     drivers,
     fracture,
+    granted,
     limit_surface,
     sections,
     swings,
@@ -90,6 +92,7 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [distribution_block(contents, name) for name in decided(contents)]
+    blocks.append(granted.granted_block(contents))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -107,7 +110,9 @@ def margins_chapter(contents: Contents) -> Chapter:
         blocks.append(
             Block(
                 heading="Strength over demand",
-                finding=" ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items()),
+                finding=" ".join(
+                    decision.margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()
+                ),
                 picture=decision.margin_figure(contents),
                 table=sections.limits_table(contents),
                 appendix=True,
@@ -184,8 +189,7 @@ def drivers_chapter(contents: Contents) -> Chapter:
         heading="What drives it",
         short="What drives it",
         blocks=tuple(blocks),
-        remark="The first index is the share of the variance that an input causes alone, the total one includes its "
-        "interactions. A violin shows where an index is likely to lie, the whisker its 95 % interval.",
+        remark=directions.drivers_remark(contents),
     )
 
 

@@ -14,7 +14,7 @@ from uqsphere.report.subjects import (
     measure_block,
     of_limits,
 )
-from uqsphere.report.wording import powers
+from uqsphere.report.wording import limit_name, powers
 
 __all__ = ["computed_chapter", "inputs_chapter", "methods_chapter", "others_chapter", "quantities_chapter"]
 
@@ -42,9 +42,8 @@ def quantities_chapter(contents: Contents) -> Chapter:
         )
     )
     bars, inside = hardest_scene.bars_figure(contents), hardest_scene.stress_inside_figure(contents)
-    blocks.append(
-        Block(heading="What the bars see of the hardest scene", finding=bars.finding if bars else "", picture=bars)
-    )
+    heading_bars = "What the bars see of the hardest scene"
+    blocks.append(Block(heading=heading_bars, finding=bars.finding if bars else "", picture=bars))
     blocks.append(
         Block(
             heading="Stress inside the sphere in the hardest scene",
@@ -70,6 +69,14 @@ def computed_chapter(contents: Contents) -> Chapter:
             table=method.checks_table(contents) if contents.results["validity"] else None,
             kind="checks notes",
             files=("tables/validity.csv",),
+        ),
+        *(
+            Block(
+                heading=f"Validity of the model at the answer for {limit_name(name)}",
+                table=method.answer_checks_table(contents, name),
+                kind="checks notes",
+            )
+            for name in contents.results["margins"]
         ),
         Block(
             heading="The paper’s formulas as printed, and corrected",

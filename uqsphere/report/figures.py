@@ -27,7 +27,7 @@ from uqsphere.report.wording import (
     unit_text,
     value_text,
 )
-from uqsphere.uq.laws import Law, pdf, ppf
+from uqsphere.uq.laws import Law, cdf, pdf, ppf
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,6 +127,7 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
         title=f"Distribution of {symbol(quantity)}",
         finding=distribution_finding(contents, quantity),
         figure=figure,
+        **_drawn_densities(samples, strengths, (low, high), logarithmic),
     )
 
 
@@ -143,9 +144,7 @@ def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmi
     total = len(samples.values)
     scale = np.log if logarithmic else np.asarray
     whole = float(scale(np.array(ends[1])) - scale(np.array(ends[0])))
-    low, high = np.quantile(samples.values, [0.0005, 0.9995])
-    bins = 40 if total >= 4000 else 25
-    edges = np.geomspace(low, high, bins + 1) if logarithmic else np.linspace(low, high, bins + 1)
+    edges = _edges(samples, logarithmic)
     seen = samples.values[~samples.censored]
     counts, _ = np.histogram(seen, bins=edges)
     # per width of the axis as drawn, so that areas compare on a logarithmic axis too
@@ -162,6 +161,37 @@ def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmi
     height = len(late) / total * whole / (2.0 * half)
     axes.bar(left, height, right - left, align="edge", facecolor="none", edgecolor=RED, hatch="///", linewidth=1.0)
     return max(float(heights.max()), height)
+
+
+def _edges(samples: Samples, logarithmic: bool) -> Array:
+    """Ends of the bars of a histogram."""
+    low, high = np.quantile(samples.values, [0.0005, 0.9995])
+    bins = 40 if len(samples.values) >= 4000 else 25
+    return np.asarray(np.geomspace(low, high, bins + 1) if logarithmic else np.linspace(low, high, bins + 1))
+
+
+def _drawn_densities(
+    samples: Samples, strengths: list[_Strength], ends: tuple[float, float], logarithmic: bool
+) -> dict[str, Any]:
+    """Header and rows of the bars and of the laws of the strengths beside them, in SI."""
+    edges = _edges(samples, logarithmic)
+    counts, _ = np.histogram(samples.values[~samples.censored], bins=edges)
+    rows: list[tuple[Any, ...]] = [
+        ("samples", float(a), float(b), float(c) / len(samples.values))
+        for a, b, c in zip(edges[:-1], edges[1:], counts, strict=True)
+    ]
+    late = samples.values[samples.censored]
+    if len(late):
+        rows.append(("outlasts the record", float(late.min()), float(late.max()), len(late) / len(samples.values)))
+    cuts = np.geomspace(*ends, 61) if logarithmic else np.linspace(*ends, 61)
+    for strength in strengths:
+        name = f"strength of {strength.name}"
+        if strength.law is None:
+            rows.append((name, strength.value, strength.value, 1.0))
+        else:
+            shares = np.diff(cdf(strength.law, cuts))
+            rows += [(name, *map(float, row)) for row in zip(cuts[:-1], cuts[1:], shares, strict=True)]
+    return {"header": ("what", "from", "to", "share"), "rows": tuple(rows)}
 
 
 def _strength_curve(

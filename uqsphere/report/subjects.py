@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uqsphere.report import drivers, figures, pair_figures, sections, swings
+from uqsphere.report import directions, drivers, figures, pair_figures, sections, swings
 from uqsphere.report.blocks import Block
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import begin, call, capital, limit_name, powers, symbol
@@ -125,6 +125,6 @@ def measure_block(contents: Contents, kind: str, name: str) -> Block:
         heading=heading,
         finding=drivers.measure_finding(first),
         table=table,
-        remarks=(str(first["method"]),),
+        remarks=(str(first["method"]), *directions.measure_remarks(contents, name, kind)),
         files=("tables/drivers.csv",),
     )

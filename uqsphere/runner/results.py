@@ -5,12 +5,14 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.assumed import find_assumed
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
@@ -207,6 +209,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
     """The content of results.json."""
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
+    assumed = find_assumed(work, found.sampled)
     missed = list(found.sampled.missed)
     for quantity, indices in found.sensitivity.items():
         missed += [f"{quantity}: {text}" for text in indices.missed]
@@ -226,6 +229,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             name: {
                 **_limit(limit),
                 "ignorance": limits_open.get(name),
+                **assumed.get(name, {}),
                 **found.drivers.limits.get(name, {}),
             }
             for name, limit in found.sampled.limits.items()
@@ -320,5 +324,6 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "stopped_by_time": ledger.stopped_by_time,
         "interrupted": ledger.interrupted,
         "executor": work.engine.record(),
+        "finished": f"{datetime.now(UTC):%Y-%m-%d}",
         "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
     }
