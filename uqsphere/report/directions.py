@@ -65,12 +65,7 @@ def drivers_remark(contents: Contents) -> str:
     violin = " A violin shows where an index is likely to lie, the whisker its 95 % interval."
     return (
         f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the "
-        "total one includes its interactions."
-        + (
-            " A violin shows where an index is likely to lie, the whisker its 95 % interval."
-            if _bulges(contents)
-            else ""
-        )
+        "total one includes its interactions." + (violin if _bulges(contents) else "")
     ).strip()
 
 

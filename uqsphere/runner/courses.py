@@ -38,10 +38,10 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the hardest scene of all
-        samples by a quantity that the run computed, else the one of those followed with the largest force, with `by`
-        what and `among` how many, its `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0 [Pa], at the
-        largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
+        `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the hardest scene of all samples by a
+        quantity that the run computed, else the one of those followed with the largest force: `by` what and `among`
+        how many, its `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0
+        [Pa], at the largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
     """
     from uqsphere.mechanics.field_view import view_field
     from uqsphere.mechanics.history import force_courses, trace
@@ -75,7 +75,8 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     for face, name in enumerate(("force_a", "force_b")):
         content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
     followed = (rows[int(np.argmax(forces.max(axis=(1, 2))))], len(rows), "the largest force")
-    for row, among, by in (_hardest_of_all(work, sampled) or followed, followed):
+    for candidate in (_hardest_of_all(work, sampled) or followed, followed):
+        row = candidate[0]
         single = scene_of(work.study, {name: row[k : k + 1] for k, name in enumerate(names)}, 1)
         try:
             pair = force_courses(single, times, **kept)[0]  # type: ignore[arg-type]
@@ -94,8 +95,8 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
         "force_b": pair[1].tolist(),
         "contact": {"ratio": ratio, "nu": float(single.columns["sphere.nu"][0]), "pressure": pressure},
         "bars": view_field(course, places=_PLACES, times=_TIMES).as_document(),
-        "among": among,
-        "by": by,
+        "among": candidate[1],
+        "by": candidate[2],
     }
     return content
 
