@@ -157,5 +157,5 @@ def tests_table(known: FittedTests) -> Table:
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
         ),
     )
-    caption = f"{law.kind.capitalize()} law of the strength, with 95 % intervals"
+    caption = f"{law.kind.capitalize()} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
     return Table(caption=caption, header=("", "value"), rows=rows)
