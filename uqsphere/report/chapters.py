@@ -96,6 +96,13 @@ def decision_chapter(contents: Contents) -> Chapter:
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
+def _same_tests(contents: Contents, one: str, other: str) -> bool:
+    """Whether two limits rest on the same law, fitted to the same tests."""
+    laws = [contents.resolved["random"].get(f"limits.{name}.strength") for name in (one, other)]
+    units = [contents.results["limits"][name]["quantity"] for name in (one, other)]
+    return laws[0] == laws[1] and units[0] == units[1]
+
+
 def _sides(contents: Contents, name: str) -> Block:
     """The samples on both sides of a limit; left out where too few lie on one of them for a picture."""
     picture = limit_surface.surface_figure(contents, name)
@@ -160,6 +167,11 @@ def margins_chapter(contents: Contents) -> Chapter:
         ]
         known = fitted_tests(contents, name)
         if known is not None:
+            twin = next((n for n in limits if _same_tests(contents, n, name)), name)
+            if twin != name:
+                heading = f"The tests behind the strength of {limit_name(name)}"
+                blocks.append(Block(heading=heading, finding=f"The tests and the law are those of {limit_name(twin)}."))
+                continue
             heading, picture = f"The tests behind the strength of {limit_name(name)}", probability_plot(known)
             blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests_table(known)))
     return Chapter(anchor="margins", heading="Margins", short="Margins", blocks=tuple(blocks))
