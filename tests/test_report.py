@@ -84,8 +84,10 @@ def test_sections_stand_in_the_order_of_a_decision(page: str) -> None:
         "drivers",
         "computed",
         "inputs",
+        "methods",
         "appendix",
         "repeat",
+        "words",
     ]
     assert reader.open == []
 
@@ -300,9 +302,9 @@ def test_anchors_and_references_find_their_element_once(tmp_path: Path) -> None:
 def test_every_figure_has_words(page: str) -> None:
     reader = Reader(page)
     drawings = [attributes for tag, attributes in reader.tags if tag == "svg"]
-    assert len(drawings) == 9
+    assert len(drawings) == 8
     assert all(a["role"] == "img" and a["aria-labelledby"] for a in drawings)
-    assert [tag for tag, _ in reader.tags].count("desc") == 9
+    assert [tag for tag, _ in reader.tags].count("desc") == 8
 
 
 def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> None:
@@ -315,7 +317,7 @@ def test_same_folder_gives_the_same_bytes(standard: Path, tmp_path: Path) -> Non
         for folder in (standard, tmp_path / "again")
     )
     assert first == second
-    assert len(first) == 13  # nine drawings, the numbers of three of them, the page
+    assert len(first) == 12  # eight drawings, the numbers of three of them, the page
 
 
 def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> None:
@@ -334,8 +336,8 @@ def test_figures_beyond_the_room_of_the_page_stay_files(
     folder = Path(shutil.copytree(standard, tmp_path / "again"))
     reader = Reader(page_of(folder))
     drawings = [tag for tag, _ in reader.tags].count("svg")
-    assert 0 < drawings < 9
-    assert reader.text.count("The figure is in figures/") == 9 - drawings
+    assert 0 < drawings < 8
+    assert reader.text.count("The figure is in figures/") == 8 - drawings
 
 
 @pytest.mark.parametrize("name", ["results.json", "study.resolved.json", "samples.npy", "manifest.json"])

@@ -16,6 +16,7 @@ from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import read_contents
 from uqsphere.report.html import new_environment
 from uqsphere.report.sections import Table
+from uqsphere.report.sheet import margin_boxes
 from uqsphere.report.wording import (
     ABSENT,
     begin,
@@ -178,12 +179,12 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
                                ("version", "uqsphere"), ("model", "model"), ("evaluations", "evaluations"))
         ),
     )  # fmt: skip
+    titles = list(dict.fromkeys(str(found[side]["title"]) for side in ("before", "after")))
     return (
         template.render(
             version="",
-            title=f"{found['before']['title']} / {found['after']['title']}"
-            if found["before"]["title"] != found["after"]["title"]
-            else found["before"]["title"],
+            title=" / ".join(titles),
+            margin_boxes=Markup(margin_boxes(" / ".join(titles), {})),
             headline=headline(found),
             boxes=_limits(found),
             causes=causes,

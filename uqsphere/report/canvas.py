@@ -148,6 +148,10 @@ class Picture:
 _NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 
 
+#: spaces that a line may break at; those within numbers stay as they are
+_SPACES: Final = re.compile(r"[^\S\u00a0\u202f]+")
+
+
 def clean(text: str) -> str:
     """A text of a study as it may stand in a figure: no control characters, on one line.
 
@@ -159,7 +163,7 @@ def clean(text: str) -> str:
         for c in text
         if c in "\t\n\r" or (unicodedata.category(c) not in ("Cc", "Cs", "Cn", "Co") and c not in _BIDI)
     )
-    return " ".join(kept.split())
+    return _SPACES.sub(" ", kept).strip()
 
 
 def shorten(text: str, length: int) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from uqsphere.report.wording import input_name, limit_name, listed, short_input,
 
 if TYPE_CHECKING:
     from uqsphere.report.limit_surface import Sides
+
+#: an interval of an index that is narrower shows as a line
+_VISIBLE: Final = 0.004
 
 __all__ = ["drivers_remark", "measure_remarks", "opposed", "tied_inputs"]
 
@@ -58,11 +62,24 @@ def measure_remarks(contents: Contents, name: str, kind: str) -> tuple[str, ...]
 
 def drivers_remark(contents: Contents) -> str:
     """How to read the chapter of what drives it."""
+    violin = " A violin shows where an index is likely to lie, the whisker its 95 % interval."
     return (
         f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the "
-        "total one includes its interactions. A violin shows where an index is likely to lie, the whisker its 95 % "
-        "interval."
+        "total one includes its interactions." + (violin if _bulges(contents) else "")
     ).strip()
+
+
+def _bulges(contents: Contents) -> bool:
+    """Whether a figure of indices has a violin that can be seen."""
+    return any(
+        not entry.get("shapley") and any(_wide(e) for e in (*entry["first"].values(), *entry["total"].values()))
+        for entry in contents.results["sensitivity"].values()
+    )
+
+
+def _wide(estimate: Mapping[str, Any]) -> bool:
+    low, high = estimate["low"], estimate["high"]
+    return estimate["value"] is not None and None not in (low, high) and high - low > _VISIBLE
 
 
 def _three_questions(contents: Contents) -> str:

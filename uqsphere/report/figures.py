@@ -27,12 +27,12 @@ from uqsphere.report.wording import (
     unit_text,
     value_text,
 )
-from uqsphere.uq.laws import Law, pdf, ppf
+from uqsphere.uq.laws import Law, cdf, pdf, ppf
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "sensitivity_figure", "slug"]
+__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "overlap_remarks", "sensitivity_figure", "slug"]
 
 Array = npt.NDArray[np.float64]
 
@@ -127,6 +127,7 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
         title=f"Distribution of {symbol(quantity)}",
         finding=distribution_finding(contents, quantity),
         figure=figure,
+        **_drawn_densities(samples, strengths, (low, high), logarithmic),
     )
 
 
@@ -143,9 +144,7 @@ def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmi
     total = len(samples.values)
     scale = np.log if logarithmic else np.asarray
     whole = float(scale(np.array(ends[1])) - scale(np.array(ends[0])))
-    low, high = np.quantile(samples.values, [0.0005, 0.9995])
-    bins = 40 if total >= 4000 else 25
-    edges = np.geomspace(low, high, bins + 1) if logarithmic else np.linspace(low, high, bins + 1)
+    edges = _edges(samples, logarithmic)
     seen = samples.values[~samples.censored]
     counts, _ = np.histogram(seen, bins=edges)
     # per width of the axis as drawn, so that areas compare on a logarithmic axis too
@@ -164,6 +163,37 @@ def _density(axes: Axes, samples: Samples, ends: tuple[float, float], logarithmi
     return max(float(heights.max()), height)
 
 
+def _edges(samples: Samples, logarithmic: bool) -> Array:
+    """Ends of the bars of a histogram."""
+    low, high = np.quantile(samples.values, [0.0005, 0.9995])
+    bins = 40 if len(samples.values) >= 4000 else 25
+    return np.asarray(np.geomspace(low, high, bins + 1) if logarithmic else np.linspace(low, high, bins + 1))
+
+
+def _drawn_densities(
+    samples: Samples, strengths: list[_Strength], ends: tuple[float, float], logarithmic: bool
+) -> dict[str, Any]:
+    """Header and rows of the bars and of the laws of the strengths beside them, in SI."""
+    edges = _edges(samples, logarithmic)
+    counts, _ = np.histogram(samples.values[~samples.censored], bins=edges)
+    rows: list[tuple[Any, ...]] = [
+        ("samples", float(a), float(b), float(c) / len(samples.values))
+        for a, b, c in zip(edges[:-1], edges[1:], counts, strict=True)
+    ]
+    late = samples.values[samples.censored]
+    if len(late):
+        rows.append(("outlasts the record", float(late.min()), float(late.max()), len(late) / len(samples.values)))
+    cuts = np.geomspace(*ends, 61) if logarithmic else np.linspace(*ends, 61)
+    for strength in strengths:
+        name = f"strength of {strength.name}"
+        if strength.law is None:
+            rows.append((name, strength.value, strength.value, 1.0))
+        else:
+            shares = np.diff(cdf(strength.law, cuts))
+            rows += [(name, *map(float, row)) for row in zip(cuts[:-1], cuts[1:], shares, strict=True)]
+    return {"header": ("what", "from", "to", "share"), "rows": tuple(rows)}
+
+
 def _strength_curve(
     axes: Axes, strength: _Strength, ends: tuple[float, float], logarithmic: bool, factor: float
 ) -> float:
@@ -178,6 +208,22 @@ def _strength_curve(
     axes.plot(x * factor, heights, color=RED, linestyle="--")
     axes.fill_between(x * factor, heights, color=RED, alpha=0.12, linewidth=0.0)
     return float(heights.max())
+
+
+def overlap_remarks(contents: Contents, quantity: str) -> tuple[str, ...]:
+    """That the curves of load and strength overlap more than both happen together, where they depend on each other."""
+    tied = []
+    for strength in _strengths(contents, quantity):
+        own = f"limits.{strength.name}.strength"
+        groups = [group["of"] for group in contents.resolved.get("dependence", ()) if own in group["of"]]
+        others = [short_input(name) for names in groups for name in names if name != own]
+        if strength.law is not None and others:
+            tied.append(
+                f"The strength of {limit_name(strength.name)} depends on {listed(others)}, and so does the load"
+            )
+    if not tied:
+        return ()
+    return tuple(f"{text}: how far the two curves overlap says little about the probability." for text in tied)
 
 
 def _marks(axes: Axes, entry: Mapping[str, Any], tallest: float, quantity: str) -> None:

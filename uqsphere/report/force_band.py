@@ -6,18 +6,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, INK, ORANGE, RED, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.tables import Table
+from uqsphere.report.tables import Table, thousands
 from uqsphere.report.wording import input_name, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["force_band_figure", "force_band_finding", "hardest_table"]
+__all__ = ["force_band_figure", "force_band_finding", "hardest_table", "hardest_words"]
 
+#: contact pressure over the yield strength of the bars at which they yield
+YIELD_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
 _FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving face B", ORANGE))
 
 
@@ -80,8 +83,31 @@ def force_band_finding(contents: Contents) -> str:
     return (
         f"The median force is largest at face {letter}, {value_text(float(medians[face][k]), 'P_max', 4)} after "
         f"{value_text(float(seconds[k]), 'contact_time', 4)}; nine in ten scenes lie between "
-        f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. The hardest of "
-        f"{courses['scenes']} scenes reaches {value_text(hardest, 'P_max', 4)}."
+        f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. {hardest_words(contents)} "
+        f"reaches {value_text(hardest, 'P_max', 4)}.{beyond_yield(contents)}"
+    )
+
+
+def hardest_words(contents: Contents) -> str:
+    """Which scene is called the hardest."""
+    courses = contents.courses
+    assert courses is not None
+    among, by = courses["hardest"].get("among"), courses["hardest"].get("by")
+    if not among or by == "the largest force":
+        return f"The hardest of the {courses['scenes']} scenes that were followed over time, not of all samples,"
+    return f"The hardest of all {thousands(among)} samples, by {by},"
+
+
+def beyond_yield(contents: Contents) -> str:
+    """That the bars yield under the sphere in the hardest scene, where they do."""
+    contact = (contents.courses or {}).get("hardest", {}).get("contact")
+    strength = contents.at_mean("bars.yield_strength")
+    if contact is None or strength is None or contact["pressure"] <= YIELD_ONSET * strength:
+        return ""
+    return (
+        f" There the contact pressure of {value_text(contact['pressure'], 'p_max', 3)} is "
+        f"{contact['pressure'] / strength:.2f} times the yield strength of the bars, which yield from {YIELD_ONSET:g} "
+        "times on: what is shown of this scene is that of bars that stay elastic."
     )
 
 
@@ -97,5 +123,5 @@ def hardest_table(contents: Contents) -> Table | None:
         caption="Inputs of the hardest scene",
         header=("input", "in the hardest scene", "mean"),
         rows=tuple(rows),
-        note="Exact: one scene of those that were followed, and the means of the laws.",
+        note="Exact: one scene, and the means of the laws.",
     )

@@ -121,7 +121,12 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
         axes.legend(title=canvas.shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left")
     title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
     return Picture(
-        name=slug("fragility-family", name), title=title, finding=family_finding(contents, name), figure=figure
+        name=slug("fragility-family", name),
+        title=title,
+        finding=family_finding(contents, name),
+        figure=figure,
+        header=(family["path"], entry["solve"], "probability", "low", "high"),
+        rows=tuple((float(m["value"]), *map(float, point)) for m in members for point in m["curve"]),
     )
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -16,7 +15,9 @@ from uqsphere.report.canvas import Picture
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.glance import glances
+from uqsphere.report.glossary import words_used
 from uqsphere.report.margin_verdict import margin_verdicts
+from uqsphere.report.sheet import margin_boxes, unbroken
 from uqsphere.report.tables import Table
 from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, verdicts
@@ -35,9 +36,6 @@ MOST_BYTES: Final = 3_000_000
 MOST_INLINED: Final = 2_200_000
 #: characters of one text on the page; a study may hold megabytes
 LONGEST: Final = 1500
-
-
-_UNIT: Final = re.compile(r"(?<=\d) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 
 
 def build_report(folder: Path) -> Path:
@@ -114,8 +112,7 @@ def _plain(value: Any) -> Any:
     """What a template sets: no control characters, and not endless; drawings pass as they are."""
     if type(value) is not str:
         return value
-    # a number stays with its unit at the end of a line
-    return _UNIT.sub("\u00a0", canvas.shorten(value, LONGEST))
+    return unbroken(canvas.shorten(value, LONGEST))
 
 
 def new_environment() -> Environment:
@@ -137,7 +134,7 @@ def _own_text(name: str) -> str:
 
 def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[str, str]) -> str:
     """The text of the page; the figures that it has no room for stay files."""
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
 
     room = MOST_INLINED
 
@@ -159,25 +156,37 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
             numbers[k] = len(appendix)
         if block.picture is not None:
             figure_numbers[block.picture.name] = len(figure_numbers) + 1
-    order = iter(range(sum(1 for _ in _blocks(chapters))))
-    environment = new_environment()
-    environment.filters["drawn"] = drawn
-    template = environment.get_template("template.html")
-    return (
-        template.render(
-            title=canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study",
-            verdicts=[*margin_verdicts(contents), *verdicts(contents)],
-            glances=glances(contents),
-            cautions=cautions(contents),
-            chapters=chapters,
-            appendix=appendix,
-            numbers=numbers,
-            figure_numbers=figure_numbers,
-            next_block=lambda: next(order),
-            repeat=method.repeat_rows(contents),
-            commands=method.commands(contents),
-            version=contents.results["versions"].get("uqsphere", ""),
-            black_box=contents.black_box,
-        )
-        + "\n"
-    )
+    title = canvas.shorten(str(contents.results["study"]["title"]), 300) or "Untitled study"
+    shown = {
+        "title": title,
+        "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
+        "numbers_of": _numbers_of,
+        "verdicts": [*margin_verdicts(contents), *verdicts(contents)],
+        "glances": glances(contents),
+        "cautions": cautions(contents),
+        "chapters": chapters,
+        "appendix": appendix,
+        "numbers": numbers,
+        "figure_numbers": figure_numbers,
+        "repeat": method.repeat_rows(contents),
+        "commands": [Markup(escape(canvas.shorten(line, LONGEST))) for line in method.commands(contents)],
+        "version": contents.results["versions"].get("uqsphere", ""),
+        "black_box": contents.black_box,
+    }
+
+    def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
+        order = iter(range(sum(1 for _ in _blocks(chapters))))
+        environment = new_environment()
+        environment.filters["drawn"] = draw
+        template = environment.get_template("template.html")
+        return template.render(shown, words=words, next_block=lambda: next(order))
+
+    # set first without figures, to see which words are used
+    plain = set_page(lambda picture: f"{picture.title} {picture.finding}", ())
+    return set_page(drawn, words_used(plain)) + "\n"
+
+
+def _numbers_of(block: Block) -> tuple[str, ...]:
+    """The files that hold the numbers of the picture of a block."""
+    assert block.picture is not None
+    return (f"figures/{block.picture.name}.csv",) if block.picture.header else block.files

@@ -13,6 +13,7 @@ from uqsphere.report import canvas, directions
 from uqsphere.report.canvas import BLUE, INK, ORANGE, RED, Picture
 from uqsphere.report.contents import Contents, law_of
 from uqsphere.report.figures import axis_label, slug
+from uqsphere.report.tables import thousands
 from uqsphere.report.wording import limit_name, plain_percent, short_input, symbol
 from uqsphere.uq.laws import ppf
 
@@ -26,6 +27,9 @@ Array = npt.NDArray[np.float64]
 #: points that are drawn, and slices in which the demand is described
 _DRAWN: Final = 900
 _SLICES: Final = 12
+#: misses, and what is not, of which a picture says something; misses that are drawn one and all where fewer are chosen
+_TELLING: Final = 10
+_SPARSE: Final = 60
 #: points that a slice must hold
 _FEWEST: Final = 20
 #: fraction of the golden section: its multiples fill (0, 1) evenly, in the order of the samples
@@ -134,11 +138,11 @@ def _slices(x: Array, y: Array) -> tuple[Array, Array]:
 def surface_figure(contents: Contents, limit: str) -> Picture | None:
     """Samples over the governing input: strengths against the demand that they must withstand."""
     sides = sides_of(contents, limit)
-    if sides is None:
+    if sides is None or not _telling(sides):
         return None
     quantity = contents.results["limits"][limit]["quantity"]
     across, up = display_unit(sides.name)[1], display_unit(quantity)[1]
-    drawn = _chosen(sides)
+    drawn, whole = _chosen(sides)
     y = sides.strength if sides.random else sides.demand
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.9)
@@ -146,7 +150,7 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
         lost = drawn & sides.missed
         canvas.dots(axes, sides.x[kept] * across, y[kept] * up, colour=BLUE, size=2.4, alpha=0.55)
         canvas.dots(axes, sides.x[lost] * across, y[lost] * up, colour=RED, size=3.8, square=True)
-        middles, band = _slices(sides.x, sides.demand)
+        middles, band = _to_the_ends(*_slices(sides.x, sides.demand), sides.x[drawn])
         if sides.random:
             axes.fill_between(middles * across, band[:, 0] * up, band[:, 2] * up, color=ORANGE, alpha=0.30, linewidth=0)
             axes.plot(middles * across, band[:, 1] * up, color=INK)
@@ -155,7 +159,7 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
         axes.set_xlabel(axis_label(sides.name, canvas.shorten(short_input(sides.name), 50)))
         axes.set_ylabel(axis_label(quantity, "strength" if sides.random else symbol(quantity, 24)))
         axes.grid()
-        _legend(axes, sides, quantity, bool(lost.any()))
+        _legend(axes, sides, quantity, whole)
     columns = np.stack([sides.x[drawn], sides.demand[drawn], sides.strength[drawn], sides.missed[drawn]], axis=1)
     return Picture(
         name=slug("surface", limit),
@@ -167,25 +171,49 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
     )
 
 
-def _chosen(sides: Sides) -> npt.NDArray[np.bool_]:
-    """An even choice of the samples, so that the shares of both sides are seen as they are."""
+def _telling(sides: Sides) -> bool:
+    """Whether enough samples lie on either side."""
+    missed = int(sides.missed.sum())
+    return min(missed, len(sides.missed) - missed) >= _TELLING
+
+
+def _chosen(sides: Sides) -> tuple[npt.NDArray[np.bool_], bool]:
+    """An even choice of the samples, and whether it holds every miss, which it does where the choice has few."""
     n = len(sides.x)
     drawn = np.zeros(n, dtype=bool)
     drawn[:: max(1, -(-n // _DRAWN))] = True
-    return drawn
+    sparse = int((drawn & sides.missed).sum()) < _SPARSE
+    if sparse:
+        drawn[np.flatnonzero(sides.missed)[:_DRAWN]] = True
+    return drawn, sparse and int(sides.missed.sum()) <= _DRAWN
 
 
-def _legend(axes: Axes, sides: Sides, quantity: str, lost: bool) -> None:
+def _to_the_ends(middles: Array, band: Array, x: Array) -> tuple[Array, Array]:
+    """Slices drawn on, along straight lines, to the first and the last point of the picture."""
+    ends = []
+    for place, near, far in ((float(x.min()), 0, 1), (float(x.max()), -1, -2)):
+        width = middles[near] - middles[far]
+        slope = (band[near] - band[far]) / width if width else np.zeros(3)
+        ends.append((place, band[near] + slope * (place - middles[near])))
+    (low, first), (high, last) = ends
+    return np.concatenate([[low], middles, [high]]), np.concatenate([first[None], band, last[None]])
+
+
+def _legend(axes: Axes, sides: Sides, quantity: str, whole: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [Line2D([], [], color=BLUE, marker=".", linestyle="", label="sample that meets the aim")]
-    if lost:
-        handles.append(Line2D([], [], color=RED, marker="s", markersize=4, linestyle="", label="sample that misses it"))
+    label = f"one of all {int(sides.missed.sum())} that miss it" if whole else "sample that misses it"
+    thinned = -(-len(sides.x) // _DRAWN)
+    met = f"one in {thinned} of those that meet the aim" if whole and thinned > 1 else "sample that meets the aim"
+    handles: list[Any] = [
+        Line2D([], [], color=BLUE, marker=".", linestyle="", label=met),
+        Line2D([], [], color=RED, marker="s", markersize=4, linestyle="", label=label),
+    ]
     if sides.random:
         handles += [
             Line2D([], [], color=INK, label=f"limit: median {symbol(quantity, 20)}"),
-            Patch(facecolor=ORANGE, alpha=0.30, label="its 5 to 95 %"),
+            Patch(facecolor=ORANGE, alpha=0.30, label=f"5 to 95 % of {symbol(quantity, 20)}"),
         ]
     else:
         handles.append(Line2D([], [], color=INK, linestyle="--", label="limit: the strength"))
@@ -200,9 +228,9 @@ def surface_finding(contents: Contents, limit: str) -> str:
     n = int(sides.missed.sum())
     words = short_input(sides.name)
     if n == 0:
-        return f"None of {len(sides.x):,} samples misses the aim.".replace(",", " ")
+        return f"None of {thousands(len(sides.x))} samples misses the aim."
     if n == len(sides.x):
-        return f"All of {len(sides.x):,} samples miss the aim.".replace(",", "\u202f")
+        return f"All of {thousands(len(sides.x))} samples miss the aim."
     where = float((sides.x[sides.missed] > np.median(sides.x)).mean())
     half = "upper" if where >= 0.5 else "lower"
     share = max(where, 1.0 - where)

@@ -191,7 +191,8 @@ def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
         if ties:
             text += f"; correlation with it at least {min(ties):.4g}"
         rows.append((f"considered: {name}", text))
-    return rows + savings(model)
+    # what was not tried for want of promise tells nobody anything
+    return rows + [row for row in savings(model) if "considered and not tried" not in row[1]]
 
 
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
@@ -216,7 +217,7 @@ def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
     if total is not None:
         rows.append(("time", f"{total:.3g} s"))
     budget = contents.resolved["analysis"]["budget"]
-    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {budget['time']:g} s"))
+    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {thousands(budget['time'])} s"))
     return rows
 
 
@@ -279,8 +280,11 @@ def plan_table(contents: Contents) -> Table | None:
     costs = contents.manifest.get("plan") or {}
     spent = sum(contents.results["model"]["evaluations"].values())
     budget = contents.resolved["analysis"]["budget"]["evaluations"]
+    surrogates = any("surrogate" in str(name) or "polynomial" in str(name) for name, _ in _named(contents))
+    helped = "; surrogates, where methods name them, narrow its intervals or check it" if surrogates else ""
+    helped = helped if plan["way"] == "sampling" else ""
     rows = [
-        ("way", f"{plan['way']}: {plan['why']}"),
+        ("way", f"{plan['way']}: {plan['why']}{helped}"),
         ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
                      f"{thousands(plan['surrogate_evaluations'])} by a surrogate"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),

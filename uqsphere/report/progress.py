@@ -211,7 +211,7 @@ def course_finding(contents: Contents, column: int) -> str:
     if column == 0:
         return text + f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
     seconds = max(p[1] for s in error_series(contents) for p in s.points if not math.isnan(p[1]))
-    return text + f"within {last[1]:.2g} s; all methods, one after the other, took {seconds:.2g} s."
+    return text + f"within {_times(last[1])} s; all methods, one after the other, took {_times(seconds)} s."
 
 
 def convergence_figure(contents: Contents) -> Picture | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -102,7 +103,26 @@ def probability_plot(known: FittedTests) -> Picture:
     return Picture(
         name=slug("strength", known.limit), title=f"Strength tests: {limit_name(known.limit)}",
         finding=_finding(fitted, law, quantity), figure=figure,
+        header=("what", "strength", "share that has failed", "least (95 %)", "largest (95 %)"),
+        rows=_drawn(known, heights, band),
     )  # fmt: skip
+
+
+def _drawn(known: FittedTests, heights: Array, band: Array) -> tuple[tuple[Any, ...], ...]:
+    """The tests, and the law with its band, in SI: at a share the strength and its ends."""
+    tests, kind = known.tests, known.law.kind
+    from scipy.special import ndtr
+
+    shares = plotting_positions(tests.failed)
+    rows: list[tuple[Any, ...]] = [
+        ("test", float(value), float(share), "", "")
+        for value, share in zip(np.sort(tests.values[tests.failed]), np.sort(shares), strict=True)
+    ]
+    rows += [("stopped", float(value), "", "", "") for value in tests.values[~tests.failed]]
+    strengths = _line(kind, dict(known.law.parameters), heights)
+    share = -np.expm1(-np.exp(heights)) if kind == "weibull" else ndtr(heights)
+    rows += [("law", *map(float, row)) for row in zip(strengths, share, band[0], band[1], strict=True)]
+    return tuple(rows)
 
 
 def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
@@ -137,5 +157,5 @@ def tests_table(known: FittedTests) -> Table:
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
         ),
     )
-    caption = f"{law.kind.capitalize()} law of the strength, with 95 % intervals"
+    caption = f"{law.kind.capitalize()} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
     return Table(caption=caption, header=("", "value"), rows=rows)

@@ -14,6 +14,8 @@ from uqsphere.store import Store, write_atomically, write_json
 
 __all__ = ["force_band", "save_courses"]
 
+Array = npt.NDArray[np.float64]
+
 #: scenes that are followed over time, and instants of their courses
 SCENES, INSTANTS = 64, 240
 #: instants of the first look, and its length over the median time scale of Hertz contact
@@ -22,6 +24,8 @@ _TRIAL, _LONGEST = 3000, 120.0
 _OVER = 0.01
 #: places and instants of the stored stress in the bars
 _PLACES, _TIMES = 150, 190
+#: quantities by which the hardest of all samples is known, the best first
+_HARDNESS = ("P_max", "p_max", "core_tension", "energy")
 LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -34,9 +38,10 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the scene with the largest force, its
-        `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0 [Pa], at the
-        largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
+        `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the hardest scene of all samples by a
+        quantity that the run computed, else the one of those followed with the largest force: `by` what and `among`
+        how many, its `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0
+        [Pa], at the largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
     """
     from uqsphere.mechanics.field_view import view_field
     from uqsphere.mechanics.history import force_courses, trace
@@ -66,20 +71,47 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     times, forces = times[whole], forces[:, :, whole]
     if len(times) < 20 or not forces.max() > 0.0:
         return None
-    hardest = int(np.argmax(forces.max(axis=(1, 2))))
     content: dict[str, Any] = {"time": times.tolist(), "scenes": len(rows), "fidelity": work.fidelity}
     for face, name in enumerate(("force_a", "force_b")):
         content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
-    course = trace(scene, hardest, points=2, **kept)  # type: ignore[arg-type]
+    followed = (rows[int(np.argmax(forces.max(axis=(1, 2))))], len(rows), "the largest force")
+    for candidate in (_hardest_of_all(work, sampled) or followed, followed):
+        row = candidate[0]
+        single = scene_of(work.study, {name: row[k : k + 1] for k, name in enumerate(names)}, 1)
+        try:
+            pair = force_courses(single, times, **kept)[0]  # type: ignore[arg-type]
+        except ValueError:
+            continue
+        # a record that ends before those of the others is none to show beside them
+        if np.isfinite(pair).all():
+            break
+    else:
+        return None
+    course = trace(single, 0, points=2, **kept)  # type: ignore[arg-type]
     ratio, pressure = course.hardest_contact
     content["hardest"] = {
-        "inputs": {name: float(rows[hardest, k]) for k, name in enumerate(names)},
-        "force_a": forces[hardest, 0].tolist(),
-        "force_b": forces[hardest, 1].tolist(),
-        "contact": {"ratio": ratio, "nu": float(scene.columns["sphere.nu"][hardest]), "pressure": pressure},
+        "inputs": {name: float(row[k]) for k, name in enumerate(names)},
+        "force_a": pair[0].tolist(),
+        "force_b": pair[1].tolist(),
+        "contact": {"ratio": ratio, "nu": float(single.columns["sphere.nu"][0]), "pressure": pressure},
         "bars": view_field(course, places=_PLACES, times=_TIMES).as_document(),
+        "among": candidate[1],
+        "by": candidate[2],
     }
     return content
+
+
+def _hardest_of_all(work: Work, sampled: Sampled) -> tuple[Array, int, str] | None:
+    """The inputs (d,) of the hardest of all samples, their number, and by which quantity; None where none tells."""
+    names = list(work.study.analysis.quantities)
+    by = next((name for name in _HARDNESS if name in names), None)
+    if by is None:
+        return None
+    values = np.where(sampled.sample.failed, -np.inf, sampled.sample.values[:, :, names.index(by)]).reshape(-1)
+    inputs = sampled.points.physical[:, : sampled.sample.values.shape[1]]
+    rows = inputs.reshape(-1, inputs.shape[-1])[:, : len(work.scene_names)]
+    k = int(np.argmax(values))
+    return (rows[k], int(np.isfinite(values).sum()), by) if np.isfinite(values[k]) else None
 
 
 def _end_of_loading(times: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> float:

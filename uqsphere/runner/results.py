@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -323,5 +324,6 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "stopped_by_time": ledger.stopped_by_time,
         "interrupted": ledger.interrupted,
         "executor": work.engine.record(),
+        "finished": f"{datetime.now(UTC):%Y-%m-%d}",
         "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
     }

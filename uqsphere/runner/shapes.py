@@ -349,6 +349,7 @@ MANIFEST: Final = table(
         "interrupted": flag,
         "executor": table({"kind": text, "workers": count, "why": text}, {"seconds_per_evaluation": maybe(number)}),
         "damaged_chunks": many(text),
+        "finished": text,
     },
 )
 
