@@ -25,6 +25,7 @@ from uqsphere.report import (
 )
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
+from uqsphere.report.energy_curve import energy_block
 from uqsphere.report.fragility_family import family_figure, family_name, family_table, lognormal_remarks
 from uqsphere.report.margin_parts import parts_finding, parts_table
 from uqsphere.report.strength_plot import fitted_tests, probability_plot, tests_table
@@ -103,6 +104,7 @@ def _of_limits(contents: Contents) -> list[str]:
 def decision_chapter(contents: Contents) -> Chapter:
     """Fragility with operating point and target; else the demand against the strength."""
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
+    blocks += [block for name in contents.results["margins"] for block in energy_block(contents, name)]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [_distribution(contents, name) for name in _decided(contents)]
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))

@@ -280,6 +280,11 @@ _QUANTITY: Final = table(
     {"tolerance": maybe(_TOLERANCE), "ignorance": anything},
 )  # fmt: skip
 
+_CURVE: Final = {
+    "unit": text,
+    "values": named(ESTIMATE, names=_is_share),
+    "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000),
+}
 _RESULTS: Final = table(
     {
         "study": table({"title": text, "hash": text, "seed": count}),
@@ -289,10 +294,7 @@ _RESULTS: Final = table(
         "sensitivity": named(_SENSITIVITY, 500),
         "limits": named(_LIMIT, 200),
         "margins": named(
-            table(
-                {"solve": text, "unit": text, "values": named(ESTIMATE, names=_is_share),
-                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)}
-            ),
+            table({"solve": text, **_CURVE}, {"against": table({"quantity": text, **_CURVE}, {"reason": text})}),
             200,
         ),
         "model": _MODEL,
