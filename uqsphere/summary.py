@@ -181,6 +181,23 @@ def _drivers(results: dict[str, Any]) -> list[str]:
     return [*parts, *found, ""] if found else parts
 
 
+def _over_energy(results: dict[str, Any]) -> list[str]:
+    """The curves over the specific energy: values, median and dispersion, or why there are none."""
+    rows: list[tuple[str, ...]] = []
+    for name, entry in results["margins"].items():
+        found = entry.get("against")
+        if not found:
+            continue
+        if found.get("reason"):
+            rows.append((name, "", f"none ({plain(found['reason'])})"))
+        rows += [(name, f"{float(p):g}", _estimate(e, found["quantity"])) for p, e in found["values"].items()]
+        fitted = found.get("lognormal") or {}
+        if fitted.get("median"):
+            rows.append((name, "median of the lognormal curve", _estimate(fitted["median"], found["quantity"])))
+            rows.append((name, "dispersion", _estimate(fitted["dispersion"])))
+    return [table(("limit", "probability of exceedance", "at specific energy"), rows), ""] if rows else []
+
+
 def summary_of(results: dict[str, Any]) -> str:
     """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions."""
     from uqsphere.runner.results import savings
@@ -207,6 +224,7 @@ def summary_of(results: dict[str, Any]) -> str:
     if rows:
         solve = next(iter(results["margins"].values()))["solve"]
         parts += [table(("limit", "probability of exceedance", f"at {solve}"), rows), ""]
+    parts += _over_energy(results)
     cautions = _cautions(results)
     if cautions:
         parts += ["before you rely on it:", *(f"- {text}" for text in cautions), ""]

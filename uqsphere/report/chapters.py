@@ -27,6 +27,7 @@ from uqsphere.report.closing import (
     quantities_chapter,
 )
 from uqsphere.report.contents import Contents
+from uqsphere.report.energy_curve import energy_block
 from uqsphere.report.fragility_family import (
     family_figure,
     family_finding,
@@ -90,6 +91,7 @@ def _family(contents: Contents, name: str) -> list[Block]:
 def decision_chapter(contents: Contents) -> Chapter:
     """Fragility with operating point and target; else the demand against the strength."""
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
+    blocks += [block for name in contents.results["margins"] for block in energy_block(contents, name)]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [distribution_block(contents, name) for name in decided(contents)]
     blocks.append(granted.granted_block(contents))
@@ -100,7 +102,7 @@ def _same_tests(contents: Contents, one: str, other: str) -> bool:
     """Whether two limits rest on the same law, fitted to the same tests."""
     laws = [contents.resolved["random"].get(f"limits.{name}.strength") for name in (one, other)]
     units = [contents.results["limits"][name]["quantity"] for name in (one, other)]
-    return laws[0] == laws[1] and units[0] == units[1]
+    return bool(laws[0] == laws[1] and units[0] == units[1])
 
 
 def _sides(contents: Contents, name: str) -> Block:

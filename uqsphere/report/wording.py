@@ -99,6 +99,9 @@ def input_name(name: str) -> str:
     parts = name.split(".")
     if parts[0] == "limits" and len(parts) > 2:
         return f"{parts[-1].replace('_', ' ')} of {limit_name('.'.join(parts[1:-1]))}"
+    if name == "specific_energy":
+        # the axis of a fragility curve: its meaning in full stands among the quantities
+        return "specific energy"
     meaning = lookup(name).meaning
     return shorten(meaning, 80)
 

@@ -137,8 +137,8 @@ class CurveRows:
         fit, basis = self._fit(quantity)
         return fit.predict(value, basis)
 
-    def _expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
-        """Probability (R,) if rows scatter about the polynomial as those not seen do; the variance of a row's own."""
+    def expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
+        """Probabilities (R, n) if rows scatter about the polynomial as those not seen do; the variance of a row's."""
         first, second = np.zeros(demands.shape), np.zeros(demands.shape)
         for score, weight in SCATTER:
             moved = demands * math.exp(score * fit.error) if fit.logarithmic[1] else demands + score * fit.error
@@ -146,7 +146,12 @@ class CurveRows:
             own = below / np.where(below + above > 0.0, below + above, 1.0)
             first += weight * own
             second += weight * own**2
-        return first.mean(axis=1), float(np.maximum(second - first**2, 0.0).mean())
+        return first, float(np.maximum(second - first**2, 0.0).mean())
+
+    def _expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
+        """The same of the replicates, (R,)."""
+        found, variance = self.expected(fit, judge, points, demands, value)
+        return found.mean(axis=1), variance
 
     def fitted(self, quantity: str, value: float, judge: Judge) -> tuple[Array, float]:
         """Probability (R,) by the polynomial alone, and the variance of a row about it that is to be expected."""

@@ -13,6 +13,7 @@ from uqsphere.runner.curve_rows import CurveRows, Rows
 from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
+from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
 from uqsphere.runner.moved import moved_study
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stepwise import stepwise_curves
@@ -38,7 +39,8 @@ class MarginAnswer:
     """Fragility curve of one limit and the values of the free scalar at the probabilities asked for.
 
     `lognormal` is the lognormal curve beside it, or why there is none; `family` holds the curves at other values of
-    another number, as tables for results.json, and `about` what the margin is made of (`design_margins`).
+    another number, as tables for results.json, and `about` what the margin is made of (`design_margins`); `against` is
+    the curve over the specific energy, where that is asked for.
     """
 
     solve: str
@@ -48,6 +50,7 @@ class MarginAnswer:
     lognormal: LognormalCurve | str = "no curve could be computed"
     family: list[dict[str, Any]] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
+    against: EnergyCurve | None = None
 
 
 def accepted(limit: Limit) -> float | None:
@@ -156,6 +159,11 @@ def lognormal_table(fitted: LognormalCurve | str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def against_table(found: EnergyCurve | None) -> dict[str, Any]:
+    """The entry of results.json for a curve over the specific energy; nothing where it was not asked for."""
+    return {} if found is None else {"against": energy_table(found, lognormal_table(found.lognormal))}
+
+
 def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     """Fragility curves and margins of every limit; empty where the study asks for none."""
     margins = work.study.margins
@@ -190,8 +198,16 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
             lognormal=fit_lognormal_curve(one.grid, one.table, evaluations=one.evaluations),
             family=[_member(work, member[limit.name], limit, value) for value, member in members.items()],
             about=describe_margin(work, sampled, where),
+            against=_against(work, limit, one.rows),
         )
     return answers
+
+
+def _against(work: Work, limit: Limit, rows: CurveRows | None) -> EnergyCurve | None:
+    """The curve over the specific energy from the rows of that over the speed; None where it is not asked for."""
+    assert work.study.margins is not None
+    quantity = work.study.margins.against
+    return None if quantity is None else energy_curve(rows, limit, quantity, asked_probabilities(work, limit))
 
 
 def _decisive(work: Work, limit: Limit) -> float:
@@ -206,9 +222,11 @@ def _unknown(work: Work, limit: Limit, reason: str) -> MarginAnswer:
     values = {p: absent(reason, "none", 0) for p in asked_probabilities(work, limit)}
     decisive = _decisive(work, limit)
     about = {"probability": decisive, "value": absent(reason, "none", 0).as_dict()}
+    asked = work.study.margins.against
     return MarginAnswer(
-        solve=work.study.margins.solve, values=values, curve=[], missed=[reason], lognormal=reason, about=about
-    )
+        solve=work.study.margins.solve, values=values, curve=[], missed=[reason], lognormal=reason, about=about,
+        against=None if asked is None else not_known(asked, reason),
+    )  # fmt: skip
 
 
 def _members(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict[str, _Found | str]]:

@@ -18,7 +18,7 @@ from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.margins import MarginAnswer, lognormal_table
+from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
 from uqsphere.runner.pilot import Pilot
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
@@ -178,6 +178,7 @@ def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities
             "curve": [list(point) for point in found.curve],
             "lognormal": lognormal_table(found.lognormal),
             **({"family": {"path": family.path, "members": found.family}} if family is not None else {}),
+            **against_table(found.against),
             **found.about,
         }
         for name, found in margins.items()

@@ -299,6 +299,11 @@ _QUANTITY: Final = table(
     {"tolerance": maybe(_TOLERANCE), "ignorance": anything},
 )  # fmt: skip
 
+_CURVE: Final = {
+    "unit": text,
+    "values": named(ESTIMATE, names=_is_share),
+    "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000),
+}
 _RESULTS: Final = table(
     {
         "study": table({"title": text, "hash": text, "seed": count}),
@@ -309,9 +314,9 @@ _RESULTS: Final = table(
         "limits": named(_LIMIT, 200),
         "margins": named(
             table(
-                {"solve": text, "unit": text, "values": named(ESTIMATE, names=_is_share),
-                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)},
-                {"validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
+                {"solve": text, **_CURVE},
+                {"against": table({"quantity": text, **_CURVE}, {"reason": text}),
+                 "validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
                  "bars": table({}, {"yields_at": named(share, names=_is_share)})},
             ),
             200,

@@ -130,6 +130,12 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         for name, entry in results["margins"].items()
         for p, e in entry["values"].items()
     ]
+    over = [(name, entry["against"]) for name, entry in results["margins"].items() if entry.get("against")]
+    margin_rows += [
+        [name, entry["quantity"], entry["unit"], p, *_row(e)]
+        for name, entry in over
+        for p, e in entry["values"].items()
+    ]
     curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
     inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
     checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
@@ -147,6 +153,9 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "validity": (("check", "share", "worst", "text"), checks),
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
+    if over:
+        rows = [[name, entry["quantity"], entry["unit"], *point] for name, entry in over for point in entry["curve"]]
+        found["fragility_energy"] = (("limit", "over", "unit", "value", "probability", "low", "high"), rows)
     if results.get("fracture"):
         fracture = results["fracture"]
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(fracture))

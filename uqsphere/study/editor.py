@@ -298,6 +298,7 @@ def _margins() -> Node:
             "for_fracture": _list(_SHARE),
             "family": _table({"path": _text("number of the scene"), "values": _list({})}, ["path", "values"]),
             "bars_elastic": {"type": "boolean"},
+            "against": {"type": "string", "enum": ["specific_energy"]},
         },
         ("solve", "between"),
     )

@@ -20,6 +20,9 @@ __all__ = ["check_moved_mean", "read_margins"]
 
 #: curves of a family
 MOST_MEMBERS: Final = 12
+#: what curves can be had over beside the free scalar, and the scalars that go with it
+IMPOSED: Final = "specific_energy"
+SETS_ENERGY: Final = ("striker.speed", ENERGY)
 
 
 def read_margins(
@@ -56,6 +59,7 @@ def read_margins(
     if table.solve is None or not known:
         return None
     family = _read_family(table, scene, black_box, findings)
+    _check_against(table, black_box, findings)
     quantity = _quantity_of(table.solve, limits, black_box)
     ends = [
         read_fixed(raw, ("margins", "between", index), quantity, findings) for index, raw in enumerate(table.between)
@@ -69,8 +73,22 @@ def read_margins(
         return None
     return Margins(
         solve=table.solve, between=(low, high), for_probability=probabilities, family=family,
-        bars_elastic=table.bars_elastic,
+        bars_elastic=table.bars_elastic, against=table.against,
     )  # fmt: skip
+
+
+def _check_against(table: MarginsTable, black_box: bool, findings: Findings) -> None:
+    """The curves may be asked for over the specific energy, where the speed is what is free."""
+    place: Place = ("margins", "against")
+    if table.against is None:
+        return
+    if table.against != IMPOSED:
+        findings.add(place, f"found {shown(table.against)}, only {shown(IMPOSED)} is allowed")
+    elif black_box:
+        findings.add(place, "a black box has no specific energy: leave against out")
+    elif table.solve not in SETS_ENERGY:
+        why = f"the energy is set by the speed: it goes with solve = {one_of(list(SETS_ENERGY))}"
+        findings.add(place, f"{why}, found {shown(table.solve)}")
 
 
 def _rest(p: float) -> float:

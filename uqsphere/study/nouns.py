@@ -132,7 +132,7 @@ class Margins:
     """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit.
 
     `family` asks for a curve at each of some values of another number of the scene; `bars_elastic` for the value at
-    which the bars yield.
+    which the bars yield; `against` for the curves over that quantity too.
     """
 
     solve: str
@@ -140,6 +140,7 @@ class Margins:
     for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
     family: Family | None = None
     bars_elastic: bool = False
+    against: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

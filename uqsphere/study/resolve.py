@@ -101,6 +101,8 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         margins = read_margins(document.margins, scene, black_box, numbers, findings, strengths)
         if margins is not None and margins.bars_elastic and "p_max" not in analysis.quantities:
             analysis = replace(analysis, quantities=(*analysis.quantities, "p_max"))
+        if margins is not None and margins.against is not None and margins.against not in analysis.quantities:
+            analysis = replace(analysis, quantities=(*analysis.quantities, margins.against))
     if document.margins is not None and not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     if findings.faults:

@@ -201,6 +201,7 @@ class MarginsTable(Table):
     for_fracture: list[float] | None = None
     family: FamilyTable | None = None
     bars_elastic: bool = False
+    against: str | None = None
 
 
 class OutputsTable(Table):

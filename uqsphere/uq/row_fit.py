@@ -73,14 +73,26 @@ class RowFit:
         weights = np.einsum("a,fat->ft", powers, self.coefficients)
         columns = basis.columns
         own = weights[np.arange(columns.shape[0]) % len(weights)]
-        found = np.clip(np.einsum("rnt,rt->rn", columns, own), *self.bounds)
+        return self._answer(np.einsum("rnt,rt->rn", columns, own))
+
+    def predict_rows(self, values: Array, basis: RowBasis) -> Array:
+        """The same (R, n) with a value of the scalar (R, n) for every row."""
+        places = np.log(values) if self.logarithmic[0] else np.asarray(values, dtype=float)
+        count = self.coefficients.shape[1]
+        powers = _chebyshev(_scaled(places, self.ends).reshape(-1), count).reshape(*places.shape, count)
+        own = self.coefficients[np.arange(places.shape[0]) % len(self.coefficients)]
+        return self._answer(np.einsum("rna,rat,rnt->rn", powers, own, basis.columns, optimize=True))
+
+    def _answer(self, found: Array) -> Array:
+        found = np.clip(found, *self.bounds)
         return np.asarray(np.exp(found) if self.logarithmic[1] else found)
 
 
-def fit_rows(values: Sequence[float], normals: Sequence[Array], answers: Sequence[Array]) -> RowFit:
+def fit_rows(values: Sequence[float | Array], normals: Sequence[Array], answers: Sequence[Array]) -> RowFit:
     """Fit answers (R, n_j) at points (R, n_j, d) of J values of the scalar; replicate r is of fold r modulo `FOLDS`.
 
-    The degree is that whose predictions of rows not seen are best.  Logarithms are taken of what is positive.
+    In place of one value there may be one for every row, (R, n_j).  The degree is that whose predictions of rows not
+    seen are best.  Logarithms are taken of what is positive.
 
     >>> normals = [np.random.default_rng(k).standard_normal((8, 4, 1)) for k in range(5)]
     >>> values = [1.0, 1.5, 2.0, 3.0, 4.0]
@@ -89,9 +101,10 @@ def fit_rows(values: Sequence[float], normals: Sequence[Array], answers: Sequenc
     >>> bool(np.allclose(fit.predict(2.5, fit.basis(normals[0])), 2.5**0.5 * np.exp(0.1 * normals[0][:, :, 0])))
     True
     """
-    positive = min(values) > 0.0, all(bool((rows > 0.0).all()) for rows in answers)
-    sizes = [rows.size for rows in answers]
-    places = np.repeat([math.log(v) if positive[0] else float(v) for v in values], sizes)
+    pairs = zip(values, answers, strict=True)
+    places = np.concatenate([np.broadcast_to(np.asarray(v, dtype=float), y.shape).reshape(-1) for v, y in pairs])
+    positive = bool(places.min() > 0.0), all(bool((rows > 0.0).all()) for rows in answers)
+    places = np.log(places) if positive[0] else places
     y = np.concatenate([rows.reshape(-1) for rows in answers])
     y = np.log(y) if positive[1] else y
     z = np.concatenate([points.reshape(points.shape[0] * points.shape[1], points.shape[2]) for points in normals])
