@@ -29,14 +29,13 @@ def page_of(folder: Path) -> str:
 @pytest.mark.parametrize("study", ["granite.toml", "crusher_margin.toml"])
 def test_every_figure_has_its_numbers_in_a_file(tmp_path: Path, study: str) -> None:
     settings = ("analysis.budget.evaluations=12_000", "model.tolerance=1e-3", "analysis.quantiles=[0.05, 0.5, 0.95]",
-                "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}",
-                "analysis.second_order=true")  # fmt: skip
+                "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}")  # fmt: skip
     folder = uqsphere.run(uqsphere.load_study(STUDIES / study, settings), out=tmp_path / "run").folder
     page = page_of(folder)
     contents = read_contents(folder)
     blocks = [b for c in _distinct(build_chapters(contents)) for b in c.blocks if b.picture is not None]
     names = [b.picture.name for b in blocks if b.picture is not None]
-    kinds = {"margin", "fragility", "waterfall", "distribution", "sensitivity", "pairs", "tornado", "force-band",
+    kinds = {"margin", "fragility", "waterfall", "distribution", "sensitivity", "tornado", "force-band",
              "bars-hardest", "stress-hardest", "convergence", "speed"}  # fmt: skip
     assert kinds <= {next((kind for kind in kinds if name.startswith(kind)), name) for name in names}
     for block in blocks:
