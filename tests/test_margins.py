@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
+from uqsphere.uq import margins
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState, exceedance
 from uqsphere.uq.sampling import sobol_points
@@ -91,6 +92,10 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     noisy = np.clip(lognormal(GRID)[:, None] + noise, 0.0, 1.0)
     found = fragility(GRID, noisy, (0.5,), samples=1000, evaluations=1)
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
+
+
+def test_noise_is_levelled_half_way_between_the_running_ends() -> None:
+    assert margins._monotone(np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [0.0, 1.5, 1.5, 3.0]
 
 
 def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
