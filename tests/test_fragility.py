@@ -185,8 +185,11 @@ def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
     (verdict,) = margin_verdicts(read_contents(tmp_path / "r"))
     assert "at most" in verdict.lines[0]
     assert "95 % sure" in verdict.lines[0]
-    assert "lost to" in verdict.lines[1]
-    assert "tests" in verdict.lines[2]
+    assert "by the law fitted to the 12 tests" in verdict.lines[1]
+    assert "lost to" in " ".join(verdict.lines[2:])
+    assert (
+        "would settle" in verdict.lines[-1] or "settle with 95 %" in verdict.lines[-1] or "close" in verdict.lines[-1]
+    )
     assert (tmp_path / "r" / "figures" / "strength-a.svg").is_file()
 
 
@@ -219,4 +222,11 @@ def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     bars = speeds["bars"]
     assert bars["pulse_value"] > speeds["values"]["0.95"]["value"]
     assert bars["contact"]["value"] > 0.0
+    assert bars["contact_probability"] == 0.01
+    # the checks are made at the answer, not where the study stands, and see the bars yield there as the curve does
+    for entry in (speeds, found):
+        told = entry["validity"]
+        assert told["value"] == entry["value"]["value"]
+        (share,) = (c["share"] for c in told["checks"] if c["check"] == "bar_yield_contact")
+        assert share == pytest.approx(speeds["bars"]["yields_at"]["0.01"], abs=0.05)
     assert build_report(tmp_path / "s").stat().st_size < 3_000_000

@@ -82,6 +82,11 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     hump = np.repeat((0.9 * np.exp(-(np.log(GRID / 1.2) ** 2) / 0.1))[:, None], 4, axis=1)
     found = fragility(GRID, hump, (0.5,), samples=1000, evaluations=1)
     assert "not monotone" in found.values[0.5].reason
+    # a curve that dips where it is low still says once and for all where it passes through a half
+    dip = np.repeat((lognormal(GRID) + 0.05 * np.exp(-(np.log(GRID / GRID[1]) ** 2) / 0.01))[:, None], 4, axis=1)
+    found = fragility(GRID, np.clip(dip, 0.0, 1.0), (0.03, 0.5), samples=1000, evaluations=1)
+    assert "not monotone" in found.values[0.03].reason
+    assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-3)
     noise = 0.004 * np.random.default_rng(1).standard_normal((GRID.size, 8))
     noisy = np.clip(lognormal(GRID)[:, None] + noise, 0.0, 1.0)
     found = fragility(GRID, noisy, (0.5,), samples=1000, evaluations=1)

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from report_folders import write_folder
 
-from uqsphere.quantities import UNITS, display_unit, format_value, lookup, reading_units, unit_that_reads
+from uqsphere.quantities import (
+    UNITS,
+    display_unit,
+    format_estimate,
+    format_value,
+    lookup,
+    reading_units,
+    unit_that_reads,
+)
 from uqsphere.report import build_report
 from uqsphere.report.paths import slim
 from uqsphere.report.tables import index_cell
@@ -119,3 +127,9 @@ def test_a_slim_path_stays_within_what_is_seen() -> None:
 
 def test_curves_keep_their_commands() -> None:
     assert slim("M 0 0 \nC 1.23456 0 2 1 3 1 \nz") == "M 0 0 \nC 1.23 0 2 1 3 1 \nz"
+
+
+def test_numbers_at_the_ends_of_what_there_is_are_written() -> None:
+    assert format_estimate(math.inf, -math.inf, 1.0, "p_max") == "inf (-inf to 1e-09) GPa"
+    assert format_estimate(1.7e308, 1e300, 1.79e308).startswith("1.7")
+    assert unit_that_reads("p_max", [5e-324, 1.79e308]) in ("Pa", "kPa", "MPa", "GPa")

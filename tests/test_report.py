@@ -105,7 +105,7 @@ def test_verdict_says_whether_the_target_is_met(
     found = first_verdict(write_folder(tmp_path, limits={"crushing": limit(0.0075, target, met)}))
     assert found.lines[0] == f"Probability of “crushing”: {words}"
     assert ("reaches across the target" in found.lines[1]) == (met is None and target is not None)
-    assert found.lines[1].startswith("Its uncertainty: the interval is that of the computation (95 %)")
+    assert found.lines[1].startswith("Its uncertainty: the interval is that of the computation alone (95 %)")
     if met is True:
         assert "at least 1.2 times below the target" in found.lines[1]  # 1 / 0.8, rounded down
     if met is False:
@@ -115,7 +115,7 @@ def test_verdict_says_whether_the_target_is_met(
 def test_a_probability_known_to_many_digits_has_three_in_its_headline(tmp_path: Path) -> None:
     found = first_verdict(write_folder(tmp_path, limits={"x": limit(0.0020139, 0.01, True, half=0.0000018)}))
     assert found.lines[0] == "Probability of “x”: 0.201 %, target at most 1 %: met."
-    assert "the computation leaves 0.20121 to 0.20157 % (95 %), at least 4.9 times below" in found.lines[1]
+    assert "the computation alone leaves 0.20121 to 0.20157 % (95 %), at least 4.9 times below" in found.lines[1]
 
 
 def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_verdict_of_breaking_speaks_of_missing(tmp_path: Path) -> None:
 
 def test_verdict_is_answer_uncertainty_and_what_it_hangs_on(standard: Path, page: str) -> None:
     _, uncertainty, hangs = first_verdict(standard).lines
-    assert uncertainty.endswith("The laws of the inputs and the strength are taken as given.")
+    assert uncertainty.endswith("are taken as given: the real uncertainty is larger.")
     assert hangs.startswith("It hangs on: strength of “x” (70 %) and Young's modulus of the sphere (30 %)")
     text = Reader(page).text
     places = [
@@ -138,7 +138,9 @@ def test_verdict_is_answer_uncertainty_and_what_it_hangs_on(standard: Path, page
 def test_five_questions_have_their_answers_at_the_top(standard: Path) -> None:
     found = {glance.question: glance.answer for glance in glances(read_contents(standard))}
     assert list(found) == ["Largest mean speed of the striker", "Margin", "Main driver", "Model valid?"]
-    assert found["Largest mean speed of the striker"].startswith("0.978 (0.968 to 0.988) m/s: there the probability")
+    assert found["Largest mean speed of the striker"].startswith(
+        "0.978 (0.968 to 0.988) m/s (interval of the computation alone): there “x” is exceeded"
+    )
     assert "The strength is 1.50 times the demand in the median case, and between 1.20" in found["Margin"]
     assert found["Main driver"].startswith(
         "Of the probability of “x”, which decides: strength of “x” (importance factor 70 %)"
@@ -150,7 +152,9 @@ def test_five_questions_have_their_answers_at_the_top(standard: Path) -> None:
 def test_the_allowed_value_lies_on_the_safe_side_of_the_target(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.2, True), "y": limit(0.0075, 0.01, True)})
     contents = read_contents(folder)
-    assert allowed_value(contents, "x").endswith("is 10 %.")  # of 10 % and 50 %, never the one above 20 %
+    assert allowed_value(contents, "x").endswith(
+        "with a probability of 10 %."
+    )  # of 10 % and 50 %, never the one above 20 %
     assert "more than the target allows (1 %)" in allowed_value(contents, "y")
 
 
@@ -241,7 +245,7 @@ def test_everything_that_weakens_the_answer_is_said(tmp_path: Path) -> None:
         "3 because the pulse is longer than the round trip",
         "the two contact forces differ (25 % of the samples)",
         "of the samples of contact_time outlast their record",
-        "The budget of evaluations stopped the run",
+        "The budget of evaluations ended the run",
         "Accuracy asked for but not reached: contact_time: mean: half-width 0.1.",
         "a warning of the study",
     ):

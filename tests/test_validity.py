@@ -100,7 +100,7 @@ def test_what_cannot_be_checked_is_said():
         assert found[name].grade == 0
         assert found[name].worst is None
         assert "yield strength of the bars is not given" in found[name].text
-    assert "reflections are part of the model" in found["before_reflection"].text
+    assert "what the far ends send back, if anything, is part of the model" in found["before_reflection"].text
     lengths = {"bars_incident_length": np.nan, "bars_receiving_length": np.nan}
     assert "no length" in checks(scene_with(infinite=True, **lengths))["before_reflection"].text
 

@@ -361,18 +361,18 @@ def unit_that_reads(name: str, values: Sequence[float]) -> str:
     """
     quantity = lookup(name)
     usual = quantity.display or quantity.unit
-    sizes = [abs(v) for v in values if v and math.isfinite(v)]
+    sizes = [math.log10(abs(v)) for v in values if v and math.isfinite(v)]
     ladder = _LADDERS.get(quantity.dimension, ())
     if not sizes or usual not in ladder:
         return usual
 
     def clumsy(unit: str) -> int:
-        exponents = [math.floor(math.log10(size / UNITS[quantity.dimension][unit]) + 1e-9) for size in sizes]
+        exponents = [math.floor(size - math.log10(UNITS[quantity.dimension][unit]) + 1e-9) for size in sizes]
         return sum(max(-1 - e, 0) + max(e - 3, 0) for e in exponents)
 
     def tall(unit: str) -> float:
         # of units that read alike the one with one to three digits before the point
-        return abs(math.log10(max(sizes) / UNITS[quantity.dimension][unit]) - 1.5)
+        return abs(max(sizes) - math.log10(UNITS[quantity.dimension][unit]) - 1.5)
 
     return min(ladder, key=lambda unit: (clumsy(unit), unit != usual, tall(unit)))
 
@@ -400,6 +400,8 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
     scaled = [number * factor for number in (value, low, high)]
     if low == high:
         return f"{scaled[0]:.6g} {unit}".rstrip()
+    if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
+        return f"{scaled[0]:.6g} ({scaled[1]:.6g} to {scaled[2]:.6g}) {unit}".rstrip()
     half_width = 0.5 * abs(scaled[2] - scaled[1])
     if half_width > 0.0 and math.isfinite(half_width):
         decimals = 1 - math.floor(math.log10(half_width))

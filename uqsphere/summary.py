@@ -7,6 +7,8 @@ from typing import Any, Final
 
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import reading_units
+from uqsphere.report.event import at_most, safe_side
+from uqsphere.report.granted import instead_text, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
@@ -62,6 +64,7 @@ def _cautions(results: dict[str, Any]) -> list[str]:
                 f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
                 f"between {probability_range(*opened['miss']).replace(' to ', ' and ')}{also}"
             )
+    found += [*_assumed(results), *_answer_checks(results)]
     missed = results["accuracy"]["missed"]
     if missed:
         found.append(
@@ -70,6 +73,41 @@ def _cautions(results: dict[str, Any]) -> list[str]:
             else f"one accuracy was not reached: {plain(missed[0])}"
         )
     return found
+
+
+def _assumed(results: dict[str, Any]) -> list[str]:
+    """What the probability of each limit would be without what is assumed of its strength."""
+    found = []
+    for name, limit in results["limits"].items():
+        for row in limit.get("assumed") or ():
+            if row["miss"]["value"] is None:
+                continue
+            turned = limit["target"] is not None and row["met"] != limit["met"]
+            if row["assumption"] == "dependence" or (turned and row["assumption"] != "law"):
+                word = f": target {verdict_word(row['met'])}" if limit["target"] is not None else ""
+                found.append(
+                    f"limit {plain(name)}: {plain(instead_text(row))} the probability of missing it would be "
+                    f"{plain_percent(row['miss']['value'])}{word}"
+                )
+    return found
+
+
+def _answer(results: dict[str, Any], name: str) -> str:
+    """The answer of an inverse question, rounded to the safe side as everywhere."""
+    entry = results["margins"][name]
+    most = at_most(entry, results["limits"][name]["aim"])
+    return safe_side(entry["value"], subject_of(results, entry["solve"]), at_most=most)
+
+
+def _answer_checks(results: dict[str, Any]) -> list[str]:
+    """Where the model does not hold at the answers of inverse questions."""
+    return [
+        f"at the answer for {plain(name)}, {entry['solve']} {_answer(results, name)}: {plain(check['text'])}"
+        for name, entry in results["margins"].items()
+        for told in [entry.get("validity") or {}]
+        for check in told.get("checks", ())
+        if check["check"].startswith("bar_yield") and check["share"] > 0.0
+    ]
 
 
 def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:

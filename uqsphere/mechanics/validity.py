@@ -170,7 +170,7 @@ def _pulse_over_scale(scene: Scene, answers: Answers) -> Array | str:
 
 def _record_over_echo(scene: Scene, answers: Answers) -> Array | str:
     if not scene.infinite:
-        return "not needed: the reflections are part of the model"
+        return "not needed: what the far ends send back, if anything, is part of the model"
     # an end known to absorb sends nothing back; one that is not given may
     echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
     first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
@@ -218,7 +218,7 @@ RULES: Final[tuple[Rule, ...]] = (
               "(at least {limit})"),
     Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
          measure=_pulse_over_scale, information=2.0, rising=False,
-         words="the pulse lasts only {worst} t_c (near P_0 from {limit}): the force of the first "
+         words="the pulse is short, in the worst scene {worst} t_c (near P_0 from {limit}): the force of the first "
                "loading stays below P_0 = Z v_0/2 and depends on the pulse's length",
          fine="pulse long against the contact: at least {worst} t_c (from {limit} on the force nears "
               "P_0 = Z v_0/2)"),

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from uqsphere.mechanics.validity import RULES
+from uqsphere.report import event
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, listed, plain_percent
 
@@ -66,23 +68,40 @@ def breach(check: Mapping[str, Any], grade: str) -> str:
     # at fracture the check is of those that break, which its text says
     whom = "the specimens that break" if "specimens that break" in str(check["text"]) else "the samples"
     words = _FOUND.get(check["check"], check_name(check["check"]))
-    return f"{words} ({plain_percent(check[f'share_{grade}'])} of {whom})"
+    text = plain_percent(check[f"share_{grade}"])
+    rule = next((r for r in RULES if r.name == check["check"]), None)
+    milder = check.get("share_information", 0.0)
+    if rule is not None and rule.information is not None and grade == "warning" and milder > 0.0:
+        # the check's own text counts both grades
+        both = plain_percent(float(f"{milder + check['share_warning']:.3g}"))
+        return f"{words} (beyond {rule.warning:g} in {text} of {whom}, beyond {rule.information:g} in {both})"
+    return f"{words} ({text} of {whom})"
 
 
-def bearing(contents: Contents, check: str) -> str:
+def _probability(contents: Contents, name: str) -> str:
+    """What the probability of a limit is of, with its name where there are several."""
+    results = contents.results
+    if not event.breaks(results, name):
+        return f"of missing {limit_name(name, 30)}"
+    own = f" ({limit_name(name, 30)})" if len(results["limits"]) > 1 else ""
+    return f"that {event.missing(results, name)}{own}"
+
+
+def bearing(contents: Contents, check: str, only: str = "") -> str:
     """Whether a broken check moves the probabilities of the limits, and in which direction, in a sentence.
 
     Parameters
     ----------
     contents : the run
     check : name of a rule of `uqsphere.mechanics.validity`
+    only : the one limit that is of interest; all if empty
 
     Returns
     -------
     str
         Without a full stop at its end; of the quantities where there is no limit.
     """
-    limits = contents.results["limits"]
+    limits = {n: limit for n, limit in contents.results["limits"].items() if only in ("", n)}
     followed = contents.results["model"]["chosen"] != "massless"
     lower, why = _LOWER.get(check, (frozenset(), ""))
     said: dict[str, list[str]] = {}
@@ -93,8 +112,8 @@ def bearing(contents: Contents, check: str) -> str:
             text = "does not move: the model follows both faces"
         else:
             text = "may move, in which direction is not known"
-        said.setdefault(text, []).append(limit_name(name, 30))
-    parts = [f"the probability of missing {listed(names)} {text}" for text, names in said.items()]
+        said.setdefault(text, []).append(_probability(contents, name))
+    parts = [f"the probability {listed(names)} {text}" for text, names in said.items()]
     if any(limit["quantity"] in lower for limit in limits.values()):
         return f"{why}: {'; '.join(parts)}, by how much is not known"
     if limits:

@@ -10,10 +10,12 @@ from typing import Final
 
 from uqsphere.report import (
     decision,
+    directions,
     drivers,
     figures,
     force_band,
     fracture,
+    granted,
     hardest_scene,
     limit_surface,
     method,
@@ -112,6 +114,7 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks = [_fragility(contents, name) for name in contents.results["margins"]]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [_distribution(contents, name) for name in _decided(contents)]
+    blocks.append(granted.granted_block(contents))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -122,7 +125,9 @@ def margins_chapter(contents: Contents) -> Chapter:
         blocks.append(
             Block(
                 heading="Strength over demand",
-                finding=" ".join(decision.margin_finding(name, limit["margin"]) for name, limit in limits.items()),
+                finding=" ".join(
+                    decision.margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()
+                ),
                 picture=decision.margin_figure(contents),
                 table=sections.limits_table(contents),
                 appendix=True,
@@ -259,8 +264,7 @@ def drivers_chapter(contents: Contents) -> Chapter:
         heading="What drives it",
         short="What drives it",
         blocks=tuple(blocks),
-        remark="The first index is the share of the variance that an input causes alone, the total one includes its "
-        "interactions. A violin shows where an index is likely to lie, the whisker its 95 % interval.",
+        remark=directions.drivers_remark(contents),
     )
 
 
@@ -283,7 +287,7 @@ def measure_chapter(contents: Contents) -> Chapter:
                         heading=f"What to measure first for {words}",
                         finding=drivers.measure_finding(first),
                         table=table,
-                        remarks=(str(first["method"]),),
+                        remarks=(str(first["method"]), *directions.measure_remarks(contents, name, kind)),
                         files=("tables/drivers.csv",),
                     )
                 )
@@ -315,15 +319,14 @@ def quantities_chapter(contents: Contents) -> Chapter:
     )
     bars, inside = hardest_scene.bars_figure(contents), hardest_scene.stress_inside_figure(contents)
     blocks.append(
-        Block(heading="What the bars see of the hardest scene", finding=bars.finding if bars else "", picture=bars)
-    )
-    blocks.append(
         Block(
-            heading="Stress inside the sphere in the hardest scene",
-            finding=inside.finding if inside else "",
-            picture=inside,
+            heading="What the bars see of the hardest scene followed",
+            finding=bars.finding if bars else "",
+            picture=bars,
         )
     )
+    heading = "Stress inside the sphere in the hardest scene"
+    blocks.append(Block(heading=heading, finding=inside.finding if inside else "", picture=inside))
     return Chapter(
         anchor="quantities",
         heading="The quantities in full",
@@ -343,6 +346,14 @@ def computed_chapter(contents: Contents) -> Chapter:
             table=method.checks_table(contents) if contents.results["validity"] else None,
             kind="checks notes",
             files=("tables/validity.csv",),
+        ),
+        *(
+            Block(
+                heading=f"Validity of the model at the answer for {limit_name(name)}",
+                table=method.answer_checks_table(contents, name),
+                kind="checks notes",
+            )
+            for name in contents.results["margins"]
         ),
         Block(
             heading="The paper’s formulas as printed, and corrected",

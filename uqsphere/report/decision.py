@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
+from uqsphere.report import canvas, event, reach
 from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, RED, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import axis_label, slug
-from uqsphere.report.wording import input_name, limit_name, plain_percent, rounded, symbol, value_text
+from uqsphere.report.wording import input_name, limit_name, listed, plain_percent, rounded, symbol, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 __all__ = [
     "fragility_figure",
     "fragility_finding",
+    "lognormal_scores",
     "margin_figure",
     "margin_finding",
+    "margin_findings",
+    "margin_word",
     "probability_axis",
     "score",
     "x_scale",
@@ -64,7 +67,7 @@ def margin_figure(contents: Contents) -> Picture | None:
                 textcoords="offset points",
                 fontsize=9.0,
             )
-    finding = " ".join(margin_finding(name, limit["margin"]) for name, limit in limits.items())
+    finding = margin_findings(limits)
     return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
 
 
@@ -109,8 +112,28 @@ def _known(margin: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     }
 
 
-def margin_finding(name: str, margin: Mapping[str, Any]) -> str:
-    """The margin of a limit in a sentence, or why there is none."""
+def margin_findings(limits: Mapping[str, Any]) -> str:
+    """The margins of all limits in sentences."""
+    return " ".join(margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items())
+
+
+def margin_word(limit: Mapping[str, Any]) -> str:
+    """Margin, or shortfall where a demand is to reach a strength and in the median does not."""
+    median = limit["margin"]["median"]["value"]
+    return "Shortfall" if limit["aim"] == "break" and median is not None and median > 1.0 else "Margin"
+
+
+def margin_finding(name: str, margin: Mapping[str, Any], aim: str = "survive") -> str:
+    """The margin of a limit in a sentence, or why there is none; a shortfall where the aim is to break."""
+    text = _margin_finding(name, margin)
+    median = (margin.get("median") or {}).get("value")
+    if aim != "break" or median is None or median <= 1.0:
+        return text
+    text = text.replace(": the strength is ", ": short of it, the strength is still ", 1)
+    return text + " The load would have to be that many times as large to break it."
+
+
+def _margin_finding(name: str, margin: Mapping[str, Any]) -> str:
     known = {key: rounded(e, digits=3) for key, e in _known(margin).items()}
     absent = next((e for e in margin.values() if e["value"] is None), None)
     reason = "" if absent is None else str(absent.get("reason") or "the strength is zero")
@@ -154,13 +177,14 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         axes.plot(x, score(curve[kept, 1]), color=BLUE)
         x_scale(axes, x)
         rising = bool(curve[-1, 1] >= curve[0, 1])
-        _lognormal_line(axes, entry, curve[kept, 0], factor)
+        _lognormal_line(axes, entry, curve[kept, :2], factor)
         _asked_points(axes, entry, factor, x, rising, subject)
         _target_line(axes, limit, rising)
         bottom, top = axes.get_ylim()
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
             _operating_point(axes, here * factor, limit["exceedance"], rising)
+        _yielding_bars(axes, entry, factor, x)
         probability_axis(axes)
         word = "mean " if solve in contents.resolved["random"] else ""
         axes.set_xlabel(axis_label(subject, word + canvas.shorten(input_name(solve), 50)))
@@ -205,20 +229,61 @@ def x_scale(axes: Axes, x: Array) -> None:
     axes.set_xlim(x[0], x[-1])
 
 
-def _lognormal_line(axes: Axes, entry: Mapping[str, Any], x: Array, factor: float) -> None:
-    """The lognormal curve beside the computed one, dashed."""
-    fitted = entry.get("lognormal") or {}
-    if not fitted.get("median"):
-        return
-    z = np.log(x / fitted["median"]["value"]) / fitted["dispersion"]["value"]
-    reach = float(score(_LEAST))
+def lognormal_scores(entry: Mapping[str, Any], curve: Array) -> Array:
+    """Normal scores (K,) of the lognormal curve at the points of a curve (K, 2); NaN where it is not near to it.
+
+    Near is within a factor of two of the smaller side: beyond that a probability read off it would mislead.
+    """
+    from scipy.special import ndtr
+
+    fitted = entry["lognormal"]
+    z = np.log(curve[:, 0] / fitted["median"]["value"]) / fitted["dispersion"]["value"]
     z = z if fitted["rising"] else -z
-    z = np.where(np.abs(z) <= abs(reach), z, np.nan)
+    p = curve[:, 1]
+    own, true = np.where(p <= 0.5, ndtr(z), ndtr(-z)), np.minimum(p, 1.0 - p)
+    near = (true > 0.0) & (own <= 2.0 * true) & (own >= 0.5 * true)
+    return np.where(near, z, np.nan)
+
+
+def _lognormal_line(axes: Axes, entry: Mapping[str, Any], curve: Array, factor: float) -> None:
+    """The lognormal curve beside the computed one, dashed, as far as it comes near."""
+    if not (entry.get("lognormal") or {}).get("median"):
+        return
+    x, z = curve[:, 0], lognormal_scores(entry, curve)
+    if not np.isfinite(z).any():
+        return
     axes.plot(x * factor, z, color=INK, linestyle="--", linewidth=1.0)
     axes.annotate(
         "dashed: lognormal", (1.0, 0.0), xycoords="axes fraction", xytext=(-4, 4), textcoords="offset points",
         ha="right", va="bottom", fontsize=9.0,
     )  # fmt: skip
+
+
+def _yielding_bars(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array) -> None:
+    """From where on the bars yield under the sphere: hatched, at the top, labelled."""
+    bars = entry.get("bars") or {}
+    contact = (bars.get("contact") or {}).get("value")
+    rising = bool(entry["curve"][-1][1] >= entry["curve"][0][1])
+    if contact is None and bars.get("contact_everywhere") != "yields":
+        return
+    begin = (x[0] if rising else x[-1]) if contact is None else contact * factor
+    span = (max(begin, x[0]), x[-1]) if rising else (x[0], min(begin, x[-1]))
+    if not span[0] < span[1]:
+        return
+    axes.axvspan(*span, ymin=0.965, ymax=1.0, facecolor="none", edgecolor=INK, hatch="////", linewidth=0.0, alpha=0.6)
+    if contact is not None and x[0] < begin < x[-1]:
+        axes.axvline(begin, color=INK, linewidth=0.9, linestyle="-.")
+    share = plain_percent(bars.get("contact_probability", 0.01))
+    axes.annotate(
+        f"hatched: bars yield in more than {share} of the cases",
+        (1.0, 1.0),
+        xycoords="axes fraction",
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        fontsize=9.0,
+    )
 
 
 def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool, subject: str) -> None:
@@ -317,9 +382,21 @@ def fragility_finding(contents: Contents, name: str) -> str:
     if not known:
         reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
         return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
-    parts = [f"{plain_percent(float(p))} at {rounded(e, contents.subject(entry['solve']))}" for p, e in known.items()]
+    subject = contents.subject(entry["solve"])
+    own, most = entry.get("probability"), event.at_most(entry, contents.results["limits"][name]["aim"])
+    # the answer to the question is rounded to the safe side, here as everywhere
+    told = {
+        p: event.safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject)
+        for p, e in known.items()
+    }
+    parts = [f"{plain_percent(float(p))} at {text}" for p, text in told.items()]
     here = contents.at_mean(entry["solve"])
-    text = f"Over {input_name(entry['solve'])}, the probability of exceeding {limit_name(name)} is {', '.join(parts)}"
+    what = event.event(contents.results, name) + event.of_limit(contents.results, name)
+    text = f"Over {input_name(entry['solve'])}, the probability that {what} is {', '.join(parts)}"
     if here is not None:
-        text += f"; the study stands at {value_text(here, contents.subject(entry['solve']))}"
+        text += f"; the study stands at {value_text(here, subject)}"
+    yielding = [p for p in known if (reach.yields_at(entry, p) or 0.0) > 0.5]
+    if yielding:
+        at = [told[p] for p in yielding]
+        text += f"; at {listed(at)} the bars yield under the sphere in most cases, so that these hold for elastic bars"
     return text + "."

@@ -232,10 +232,13 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
         return ""
     first, wanted = rows[0], f"{100.0 * entry['wanted']:g} %"
     tests = thousands(first["tests"]) + f" test{'s' if first['tests'] != 1 else ''}"
-    text = f"Measure {input_name(first['input'])} first: after {tests} "
+    text = f"Measure {input_name(first['input'])} first: "
     if entry["of"] == "probability":
-        return text + f"the error left in its mean moves the probability by {wanted} of its value (one standard error)."
-    return text + f"its part in the variance is {wanted} of today’s whole variance."
+        return text + (
+            f"the probability itself is known to {wanted} (one standard error) after {tests} of it in all, if only its "
+            "mean is unknown; how many tests settle the target is another question, and stands above."
+        )
+    return text + f"after {tests} its part in the variance is {wanted} of today’s whole variance."
 
 
 def design_table(contents: Contents, name: str) -> Table | None:

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
+from uqsphere.report import canvas, event
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import probability_axis, score, x_scale
 from uqsphere.report.figures import axis_label
-from uqsphere.report.tables import Table, cell
+from uqsphere.report.tables import Table, cell, thousands
 from uqsphere.report.wording import (
     absent_reason,
     input_name,
@@ -67,9 +67,15 @@ def fracture_finding(contents: Contents) -> str:
     if "time" in found:
         time, force, energy = (rounded(found[key]["median"], _STATE[key][1], 3) for key in ("time", "force", "energy"))
         imbalance = plain_percent(float(f"{found['imbalance']['median']['value']:.2g}"))
+        whole = union["value"]
+        whom, weakest = "The spheres that break", ""
+        if 0.0 < whole < 0.5:
+            count = float(f"{1.0 / whole:.2g}")
+            whom = f"The spheres that break as planned, one in {thousands(round(count))} and the weakest of all,"
+            weakest = ", which is no property of all spheres"
         parts.append(
-            f"In the median they break at {time}, at {force} and {energy} in the contacts; the two forces then differ "
-            f"by {imbalance}."
+            f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}; the two forces "
+            f"then differ by {imbalance}."
         )
     if "t10" in found:
         ends = [rounded(found["t10"]["quantiles"][p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
@@ -79,8 +85,15 @@ def fracture_finding(contents: Contents) -> str:
         )
     if "time" not in found and found.get("reason"):
         parts.append(f"When it breaks is not known: {found['reason']}.")
-    if found.get("left_out"):
-        parts.append(f"Not counted as fracture: {listed([limit_name(n) for n in found['left_out']])}.")
+    again = [n for n in found.get("left_out", ()) if event.breaks(contents.results, n)]
+    other = [n for n in found.get("left_out", ()) if n not in again]
+    if again:
+        parts.append(
+            f"The limit {listed([limit_name(n) for n in again])} means the same event with another aim, and is not "
+            "counted a second time."
+        )
+    if other:
+        parts.append(f"Limits that mean no fracture are left out: {listed([limit_name(n) for n in other])}.")
     return " ".join(parts)
 
 

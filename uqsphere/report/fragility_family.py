@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, INK, MARKS, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import probability_axis, score, x_scale
+from uqsphere.report.decision import lognormal_scores, probability_axis, score, x_scale
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
@@ -40,7 +43,22 @@ def lognormal_remarks(contents: Contents, name: str) -> tuple[str, ...]:
     return (
         f"Dashed: the lognormal curve nearest to it, with the median {estimate_text(fitted['median'], subject)} and "
         f"the dispersion {estimate_text(fitted['dispersion'])}. It is off by at most "
-        f"{plain_percent(fitted['largest_gap'])} of all specimens, at {value_text(fitted['largest_gap_at'], subject)}.",
+        f"{plain_percent(fitted['largest_gap'])} of all specimens, at {value_text(fitted['largest_gap_at'], subject)}."
+        f"{_not_small(entry, subject)}",
+    )
+
+
+def _not_small(entry: Mapping[str, Any], subject: str) -> str:
+    """That the lognormal curve does not serve small probabilities, with the first probability it is far off."""
+    curve = np.array(entry["curve"], dtype=float)
+    off = np.isnan(lognormal_scores(entry, curve[:, :2]))
+    far = off & (curve[:, 1] > 1e-6) & (curve[:, 1] < 0.5)
+    if not far.any():
+        return ""
+    k = int(np.flatnonzero(far)[np.argmax(curve[far, 1])])
+    return (
+        f" Small probabilities must not be read off it: from {plain_percent(float(f'{curve[k, 1]:.2g}'))} down, at "
+        f"{value_text(curve[k, 0], subject, 3)}, it is off by more than a factor of two and not drawn."
     )
 
 

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from uqsphere.report import event, reach
 from uqsphere.report.bearing import breach, check_name, grave, warned
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import margin_finding
+from uqsphere.report.decision import margin_finding, margin_word
 from uqsphere.report.drivers import measure_finding
 from uqsphere.report.figures import sensitivity_finding
+from uqsphere.report.margin_verdict import at_most, no_common_value, settling_text, tests_text
 from uqsphere.report.wording import (
     capital,
     estimate_text,
@@ -18,6 +20,7 @@ from uqsphere.report.wording import (
     limit_name,
     listed,
     plain_percent,
+    value_text,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
 
@@ -45,12 +48,10 @@ def glances(contents: Contents) -> list[Glance]:
             mean = "mean " if solve in contents.resolved["random"] else ""
             question = f"{word} {mean}{input_name(solve)}{own}"
             found.append(Glance(question=question, answer=allowed_value(contents, name), anchor="decision"))
-        text = margin_finding(name, limit["margin"])
-        answer = capital(text.partition(": ")[2] if ": the " in text else text)
-        found.append(Glance(question=f"Margin{own}", answer=answer, anchor="margins"))
-        found.append(
-            Glance(question=f"Measure next{own}", answer=_measure(limit.get("measure_first")), anchor="measure")
-        )
+        text = margin_finding(name, limit["margin"], limit["aim"])
+        answer = capital(text.partition(": ")[2] if ": " in text else text)
+        found.append(Glance(question=f"{margin_word(limit)}{own}", answer=answer, anchor="margins"))
+        found.append(Glance(question=f"Measure next{own}", answer=_measure_limit(contents, name), anchor="measure"))
     if not limits:
         for entry in contents.results["sensitivity"].values():
             if entry.get("measure_first"):
@@ -61,8 +62,9 @@ def glances(contents: Contents) -> list[Glance]:
         found.append(Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers"))
     if contents.results["validity"]:
         found.append(Glance(question="Model valid?", answer=_valid(contents), anchor="computed"))
+    found.append(Glance(question="All aims together", answer=no_common_value(contents), anchor="decision"))
     kept = [glance for glance in found if glance.answer]
-    order = ("Largest", "Least", "Margin", "Main driver", "Measure next", "Model valid?")
+    order = ("Largest", "Least", "All aims", "Margin", "Shortfall", "Main driver", "Measure next", "Model valid?")
     return sorted(kept, key=lambda g: next(k for k, word in enumerate(order) if g.question.startswith(word)))
 
 
@@ -79,8 +81,9 @@ def allowed_value(contents: Contents, name: str) -> str:
     # on the safe side of what is accepted; without a target the safest that was asked for
     safe = {p: e for p, e in known.items() if accepted is not None and (p <= accepted if survive else p >= accepted)}
     p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
-    text = f"{estimate_text(known[p], entry['solve'])}: there the probability of exceeding {limit_name(name)} is "
-    text += plain_percent(p)
+    alone = "" if known[p]["low"] is None else " (interval of the computation alone)"
+    text = f"{estimate_text(known[p], entry['solve'])}{alone}: there {event.event(contents.results, name)} "
+    text += f"with a probability of {plain_percent(p)}"
     if accepted is not None and not safe and any((q <= accepted) if survive else (q >= accepted) for q in absent):
         text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
         text += f"({plain_percent(accepted)}); where that is reached is not known"
@@ -92,7 +95,20 @@ def allowed_value(contents: Contents, name: str) -> str:
             )
     elif accepted is not None and p == accepted:
         text += ", the target"
-    return text + "."
+    opened = entry.get("ignorance") or {}
+    subject = contents.subject(entry["solve"])
+    if opened.get("sure") is not None and p == entry.get("probability"):
+        # what is known of the tests comes first: the interval above holds the error of the computation alone
+        word = "at most" if at_most(entry, limit["aim"]) else "at least"
+        most = at_most(entry, limit["aim"])
+        sure = event.safe_side({"value": opened["sure"], "low": None, "high": None}, subject, at_most=most, digits=3)
+        ends = [value_text(opened[end], subject, 3) if opened[end] is not None else "beyond" for end in ("low", "high")]
+        text = (
+            f"{capital(word)} {sure} to be {plain_percent(opened['confidence'])} "
+            f"sure; the {opened['tests']} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
+        )
+    beyond = reach.beyond_bars({**entry, "value": known[p], "probability": p}, subject)
+    return f"{text}; {beyond}." if beyond else f"{text}."
 
 
 def _driver(contents: Contents, quantity: str) -> str:
@@ -121,14 +137,40 @@ def _measure(entry: Mapping[str, Any] | None) -> str:
     return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
 
 
+def _measure_limit(contents: Contents, name: str) -> str:
+    """What settles the target first, then which input is worth most."""
+    limit, entry = contents.results["limits"][name], contents.results["margins"].get(name)
+    text = tests_text(entry, limit, contents) if entry else settling_text(contents, limit)
+    rows = (limit.get("measure_first") or {}).get("rows") or []
+    if not text:
+        return _measure(limit.get("measure_first"))
+    if rows and rows[0]["input"] != f"limits.{name}.strength":
+        text += f"Of the laws, that of {input_name(rows[0]['input'])} is worth most."
+    return text.strip()
+
+
 def _valid(contents: Contents) -> str:
-    """Whether an assumption of the model is broken, and which."""
+    """Whether an assumption of the model is broken, as planned and at the answers, and which."""
+    planned = _valid_as_planned(contents)
+    parts = []
+    for name, broken in reach.answer_breaches(contents):
+        parts.append(
+            f"at {event.answer_text(contents, name)} {listed([reach.breach_text(contents, name, c) for c in broken])}"
+        )
+    if not parts:
+        return planned
+    return f"{planned} At the answers: {'; '.join(parts)}."
+
+
+def _valid_as_planned(contents: Contents) -> str:
+    """Whether an assumption of the model is broken where the study stands, and which."""
     for grade, words, broken in (
         ("failure", "No: outside the model’s validity", grave(contents)),
         ("warning", "With warnings", warned(contents)),
     ):
         if broken:
-            return f"{words}: {listed([breach(c, grade) for c in broken])}. What that does to the answer: see below."
+            found = listed([breach(c, grade) for c in broken])
+            return f"{words}: {found}. What that does to the answer stands under “Before you rely on it”."
     unknown = [c for c in contents.results["validity"] if c["worst"] is None]
     if unknown:
         return f"As far as checked; not checked: {listed([check_name(c['check']) for c in unknown])}."

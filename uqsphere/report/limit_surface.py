@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
+from uqsphere.report import canvas, directions
 from uqsphere.report.canvas import BLUE, INK, ORANGE, RED, Picture
 from uqsphere.report.contents import Contents, law_of
 from uqsphere.report.figures import axis_label, slug
@@ -209,4 +209,5 @@ def surface_finding(contents: Contents, limit: str) -> str:
     text = f"Of the samples that miss the aim {100.0 * share:.0f} % lie in the {half} half of {words}"
     if n < 30:
         text = f"The {n} samples that miss the aim are too few to say where along {words} they lie"
-    return text + f"; in this picture {plain_percent(n / len(sides.x))} of the samples miss it."
+    text += f"; in this picture {plain_percent(n / len(sides.x))} of the samples miss it."
+    return text + (directions.opposed(contents, limit, sides, where) if n >= 30 else "")

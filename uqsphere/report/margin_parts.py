@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
+from uqsphere.report import event
 from uqsphere.report.contents import Contents
+from uqsphere.report.margin_verdict import reserve
 from uqsphere.report.tables import Table, cell
 from uqsphere.report.wording import (
     input_name,
@@ -41,6 +45,15 @@ def parts_finding(contents: Contents, name: str) -> str:
     )
 
 
+def _factor(limit: Mapping[str, Any]) -> str:
+    """What strength over demand is called: safe above 1 where the sphere is to survive, short where it is to break."""
+    return "safety factor" if limit["aim"] == "survive" else "strength over demand (above 1: short of breaking)"
+
+
+def _likeliest(limit: Mapping[str, Any]) -> str:
+    return "failure" if limit["aim"] == "survive" else "survival"
+
+
 def parts_table(contents: Contents, name: str) -> Table | None:
     """Everything that is known of a margin beside its curve; None for a folder of an earlier version."""
     entry, limit = contents.results["margins"][name], contents.results["limits"][name]
@@ -48,32 +61,41 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         return None
     subject, quantity = contents.subject(entry["solve"]), limit["quantity"]
     rows: list[tuple[str, str]] = []
+    factor = reserve(contents, entry, limit)
+    if factor is not None:
+        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
+        rows.append((f"{word} in {input_name(entry['solve'])}: the answer against the planned value", f"{factor:.3g}"))
     factors = entry["factors"]
     if "medians" in factors:
         of = factors["fractiles_of"]
         rows += [
             (
-                "safety factor as planned: median strength over median demand",
-                _factor(contents, name, factors["medians"], 0.5),
+                f"{_factor(limit)} as planned: median strength over median demand",
+                _ranged(contents, name, factors["medians"], 0.5),
             ),
             (
-                f"safety factor as planned: {plain_percent(of['strength'])} fractile of the strength over "
-                f"{plain_percent(of['demand'])} fractile of the demand",
-                _factor(contents, name, factors["fractiles"], of["demand"]),
+                f"{_factor(limit)} as planned: {plain_percent(of['strength'])} fractile of the strength over "
+                f"{plain_percent(of['demand'])} fractile of the demand (each by itself, without their dependence)",
+                _ranged(contents, name, factors["fractiles"], of["demand"]),
             ),
         ]
     for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
         strength = key.endswith(".strength")
         own = quantity if strength else key
-        what = "characteristic over design value" if strength else "design value over median"
+        fractile = "5 %" if limit["aim"] == "survive" else "95 %"
+        what = (
+            f"its {fractile} fractile over its value at the likeliest {_likeliest(limit)}"
+            if strength
+            else f"its value at the likeliest {_likeliest(limit)} over its median"
+        )
         values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
         text = f"{part['factor']:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
-        rows.append((f"partial factor of {input_name(key)}: {what}", text))
+        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
     split = entry.get("split", {})
     for key, words in (
-        ("scatter", "uncertainty of the value from specimen to specimen"),
-        ("ignorance", "uncertainty of the value from few tests"),
-        ("numerical", "uncertainty of the value from computing"),
+        ("scatter", "scatter from specimen to specimen, in the probability already"),
+        ("ignorance", "uncertainty of the answer from few tests"),
+        ("numerical", "uncertainty of the answer from computing"),
     ):
         if split.get(key) is not None:
             rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{split[key]:#.2g}")))
@@ -87,7 +109,8 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     standing = limit.get("ignorance") or {}
     if standing.get("miss"):
         rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
-    caption = f"Margin of {limit_name(name)} at a probability of exceeding of {plain_percent(entry['probability'])}"
+    at = f"{event.event(contents.results, name)} with a probability of {plain_percent(entry['probability'])}"
+    caption = f"Margin of {limit_name(name)}; the answer is where {at}"
     note = (
         "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
         "deviations and what the tests leave open are uncertainties themselves."
@@ -100,7 +123,7 @@ def _three(value: float, subject: str) -> str:
     return rounded({"value": value, "low": None, "high": None}, subject, 3)
 
 
-def _factor(contents: Contents, name: str, factor: float, fractile: float) -> str:
+def _ranged(contents: Contents, name: str, factor: float, fractile: float) -> str:
     """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
     limit = contents.resolved["limits"][name]
     demand = contents.results["quantities"].get(limit["quantity"], {}).get("quantiles", {}).get(f"{fractile:g}")

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from uqsphere.quantities import format_value
-from uqsphere.report import canvas
+from uqsphere.report import canvas, event, reach
 from uqsphere.report.contents import Contents
+from uqsphere.report.event import at_most
 from uqsphere.report.verdict import Verdict
-from uqsphere.report.wording import capital, input_name, limit_name, listed, number_text, plain_percent, rounded
+from uqsphere.report.wording import capital, input_name, limit_name, listed, number_text, plain_percent, value_text
 
-__all__ = ["at_most", "margin_answer", "margin_verdicts", "subject_of"]
-
-
-def at_most(entry: Mapping[str, Any], aim: str) -> bool:
-    """Whether the aim is reached below the value (at most) or above it (at least)."""
-    curve = entry["curve"]
-    rising = bool(curve[-1][1] >= curve[0][1])
-    return rising == (aim == "survive")
+__all__ = [
+    "at_most",
+    "down",
+    "margin_answer",
+    "margin_verdicts",
+    "no_common_value",
+    "reserve",
+    "settling_text",
+    "subject_of",
+    "tests_text",
+]
 
 
 def subject_of(results: Mapping[str, Any], solve: str) -> str:
@@ -35,25 +42,44 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
         return ""
     value, solve = entry["value"], entry["solve"]
     subject = subject_of(results, solve)
-    safe = limit["aim"] == "survive"
-    chance = plain_percent(limit["target"] if safe else 1.0 - limit["target"])
-    aim = f"a probability of fracture of at most {chance}" if safe else f"a probability of fracture of {chance} or more"
+    survive = limit["aim"] == "survive"
+    chance = plain_percent(limit["target"] if survive else 1.0 - limit["target"])
+    share = f"at most {chance}" if survive else f"{chance} or more"
+    aim = f"{event.event(results, name)} with a probability of {share}"
+    own = event.of_limit(results, name)
     if value["value"] is None:
         # that there is none may be said only where the whole range was looked at
         if str(value["reason"]).startswith("no value between"):
-            return f"No {input_name(solve)} between the bounds of the study gives {aim}: {value['reason']}."
-        return f"Which {input_name(solve)} gives {aim} is not known: {value['reason']}."
-    word = "at most" if at_most(entry, limit["aim"]) else "at least"
-    text = f"{capital(input_name(solve))}: {word} {rounded(value, subject)} for {aim} (limit {limit_name(name)})"
+            return f"No {input_name(solve)} between the bounds of the study is such that {aim}{own}: {value['reason']}."
+        return f"At which {input_name(solve)} {aim}{own} is not known: {value['reason']}."
+    most = at_most(entry, limit["aim"])
+    word = "at most" if most else "at least"
     opened = entry.get("ignorance") or {}
+    known = event.safe_side(value, subject, at_most=most)
+    what = event.solved_name(results, solve)
     if opened.get("sure") is not None:
-        sure = number_text(format_value(opened["sure"], subject, 3))
-        text += f"; {word} {sure} to be {plain_percent(opened['confidence'])} sure of it, with {_tests(opened)}"
-    elif opened and "reason" not in opened:
-        text += (
-            f"; {_tests(opened)} are too few to be {plain_percent(opened['confidence'])} sure of any value looked at"
+        # what the tests leave open comes first: the value by their fitted law is exact in nothing but the computation
+        exact = {"value": opened["sure"], "low": None, "high": None}
+        sure = event.safe_side(exact, subject, at_most=most, digits=3)
+        text = (
+            f"{what}: {word} {sure} to be {plain_percent(opened['confidence'])} sure (one-sided) that {aim}{own}, the "
+            f"value to keep to; {word} {known} by the law fitted to the {_tests(opened)}{_open_range(opened, subject)}"
         )
-    return text + "."
+    else:
+        text = f"{what}: {word} {known}, so that {aim}{own}"
+        if opened and "reason" not in opened:
+            confidence = plain_percent(opened["confidence"])
+            text += f"; {_tests(opened)} are too few to be {confidence} sure of any value looked at"
+    beyond = reach.beyond_bars(entry, subject)
+    return f"{text}. {known} is the answer for elastic bars: {beyond}." if beyond else f"{text}."
+
+
+def _open_range(opened: Mapping[str, Any], subject: str) -> str:
+    """Between which values the tests leave the answer, two-sided."""
+    if opened.get("low") is None or opened.get("high") is None:
+        return ""
+    low, high = (value_text(opened[end], subject, 3) for end in ("low", "high"))
+    return f", which leave open {low} to {high} (95 %)"
 
 
 def _tests(opened: Mapping[str, Any]) -> str:
@@ -63,13 +89,18 @@ def _tests(opened: Mapping[str, Any]) -> str:
 
 def margin_verdicts(contents: Contents) -> list[Verdict]:
     """One answer for every limit with a target of a study that asks for margins."""
-    found = []
+    found: list[Verdict] = []
     for name in contents.results["margins"]:
         answer = margin_answer(contents.results, name)
         if not answer:
             continue
         entry, limit = contents.results["margins"][name], contents.results["limits"][name]
-        lines = (answer, _lost(contents, entry, limit), _next(entry, limit, contents))
+        lines = (
+            *_headed(answer, entry, contents),
+            _reserve(contents, entry, limit),
+            _lost(contents, entry, limit),
+            _next(entry, limit, contents),
+        )
         found.append(
             Verdict(
                 word="answer",
@@ -77,72 +108,180 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
                 lines=tuple(line for line in lines if line),
             )
         )
+    if found:
+        found[-1] = replace(found[-1], note=reach.reach_note(contents))
     return found
 
 
+def _headed(answer: str, entry: Mapping[str, Any], contents: Contents) -> tuple[str, str]:
+    """The answer in its first clause, with what the bars stand if that lies below it, and the rest of it."""
+    first, *rest = re.split(r"; |\. ", answer, maxsplit=1)
+    sure = (entry.get("ignorance") or {}).get("sure")
+    told = entry["value"] if sure is None else {**entry["value"], "value": sure}
+    beyond = reach.beyond_bars({**entry, "value": told}, contents.subject(entry["solve"])).partition(": there")[0]
+    head = first.rstrip(".") + (f"; {beyond}" if beyond else "")
+    if rest and beyond and sure is None:
+        # the head has it already
+        return f"{head}.", f"{rest[0].partition(': ')[0]}."
+    return f"{head}.", capital(rest[0]) if rest else ""
+
+
+def no_common_value(contents: Contents) -> str:
+    """That no value of the free scalar meets the aims of all limits, or which do; empty with fewer than two aims."""
+    most: list[tuple[float, str]] = []
+    least: list[tuple[float, str]] = []
+    for name, entry in contents.results["margins"].items():
+        limit, value = contents.results["limits"][name], (entry.get("value") or {}).get("value")
+        if value is not None and limit["target"] is not None:
+            (most if at_most(entry, limit["aim"]) else least).append((float(value), name))
+    if not most or not least:
+        return ""
+    top, bottom = min(most), max(least)
+    ends = [event.answer_text(contents, name) for _, name in (top, bottom)]
+    what = input_name(next(iter(contents.results["margins"].values()))["solve"])
+    names = limit_name(top[1]), limit_name(bottom[1])
+    if bottom[0] <= top[0]:
+        return f"From {ends[1]} to {ends[0]} the aims of {names[1]} and {names[0]} are both reached."
+    return (
+        f"No {what} reaches both aims: {names[0]} needs at most {ends[0]}, {names[1]} at least {ends[1]}; in between "
+        "neither is reached."
+    )
+
+
+def reserve(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> float | None:
+    """Factor by which the free scalar may move before the target is reached; below 1 where it is missed."""
+    here, value = contents.at_mean(entry["solve"]), (entry.get("value") or {}).get("value")
+    if here is None or value is None or not (here > 0.0 and value > 0.0):
+        return None
+    return float(value / here if at_most(entry, limit["aim"]) else here / value)
+
+
+def _reserve(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> str:
+    """How far the study stands from the answer."""
+    factor = reserve(contents, entry, limit)
+    here = contents.at_mean(entry["solve"])
+    if factor is None or here is None:
+        return ""
+    what, subject = input_name(entry["solve"]), contents.subject(entry["solve"])
+    most = at_most(entry, limit["aim"])
+    planned = f"The study stands at {value_text(here, subject)}"
+    if factor < 1.0:
+        way = "too high" if most else "too low"
+        return f"{planned}: {way} by a factor of {up(1.0 / factor)} in {what}, a shortfall."
+    opened = (entry.get("ignorance") or {}).get("sure")
+    sure = None if opened is None else (opened / here if most else here / opened)
+    text = f"{planned}: a reserve of {down(factor)} in {what}"
+    if sure is not None:
+        text += f", {down(sure)} to be sure" if sure >= 1.0 else ", none to be sure"
+    return text + "."
+
+
+def down(ratio: float) -> str:
+    """A ratio in three digits, never more than it is."""
+    return f"{math.floor(100.0 * ratio + 1e-9) / 100.0:.2f}" if ratio < 100.0 else f"{math.floor(ratio)}"
+
+
+def up(ratio: float) -> str:
+    """A ratio in three digits, never less than it is."""
+    return f"{math.ceil(100.0 * ratio - 1e-9) / 100.0:.2f}" if ratio < 100.0 else f"{math.ceil(ratio)}"
+
+
 def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> str:
-    """What the margin is lost to, and how the uncertainty of the value splits."""
+    """What the margin is lost to, how specimens scatter, and how far the value is known."""
     text = ""
+    what = input_name(entry["solve"])
     shares = (entry.get("lost_to") or {}).get("shares")
+    chance = plain_percent(limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"])
     if shares:
         order = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] >= 0.02][:3]
-        chance = plain_percent(limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"])
         text = (
             f"Between half of the specimens and {chance}, the margin is lost to "
             + listed([f"{input_name(n)} ({100.0 * shares[n]:.0f} %)" for n in order])
             + ". "
         )
     split = entry.get("split") or {}
-    words = {"scatter": "scatter from specimen to specimen", "ignorance": "few tests", "numerical": "computing"}
-    known = [f"{100.0 * split[part]:.2g} % by {word}" for part, word in words.items() if split.get(part) is not None]
-    if known:
-        text += f"The {input_name(entry['solve'])} at fracture is uncertain by {listed(known)} (standard deviations)."
+    if split.get("scatter") is not None:
+        text += (
+            f"From specimen to specimen the {what} that breaks it scatters by {100.0 * split['scatter']:.2g} %: that "
+            f"is in the {chance} already, and no error of the answer. "
+        )
+    if split.get("ignorance") is not None:
+        text += f"Few tests leave the answer uncertain by {100.0 * split['ignorance']:.2g} % (standard deviation)"
+        if split.get("numerical") is not None:
+            text += f", the computation by {100.0 * split['numerical']:.1g} %"
+        text += ". "
+    elif split.get("numerical") is not None:
+        text += (
+            f"The computation leaves the answer uncertain by {100.0 * split['numerical']:.1g} % (standard deviation); "
+            "how well the law of the strength is known is not in that. "
+        )
     return text.strip()
 
 
 def _next(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents) -> str:
     """What more tests would bring, and what the bars allow."""
-    text = ""
-    tests = entry.get("more_tests") or {}
-    here = contents.at_mean(entry["solve"])
-    planned = "" if here is None else f" at the planned {format_value(here, contents.subject(entry['solve']))}"
-    if tests.get("to_settle") == 0:
-        word = "kept" if limit["met"] else "missed"
-        text = f"The {tests['tests']} tests settle that the target is {word}{planned}. "
-    elif tests.get("to_settle"):
-        text = f"About {tests['to_settle']} more tests would settle whether the target is kept{planned}. "
-    elif tests.get("reason"):
-        text = f"Whether the target is kept{planned} is too close to call: {tests['reason'].partition(':')[0]}. "
-    if tests.get("to_know_the_value"):
-        text += f"About {tests['to_know_the_value']} more would give the value to {plain_percent(tests['known_to'])}. "
+    text = tests_text(entry, limit, contents)
     bars = entry.get("bars")
     return (text + (bars_text(bars, entry, contents) if bars else "")).strip()
 
 
+def tests_text(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents) -> str:
+    """How many tests settle whether the target is kept, then how many the value itself would take."""
+    tests = entry.get("more_tests") or {}
+    here = contents.at_mean(entry["solve"])
+    planned = "" if here is None else f" at the planned {value_text(here, contents.subject(entry['solve']))}"
+    text = ""
+    if tests.get("to_settle") == 0:
+        word = "kept" if limit["met"] else "missed"
+        text = f"The {tests['tests']} tests settle with 95 % confidence that the target is {word}{planned}. "
+    elif tests.get("to_settle"):
+        text = f"About {tests['to_settle']} more tests of the strength, {tests['to_settle'] + tests['tests']} in all, "
+        text += f"would settle with 95 % confidence whether the target is kept{planned}. "
+    elif tests.get("reason"):
+        text = f"Whether the target is kept{planned} is too close to call: {tests['reason'].partition(':')[0]}. "
+    if tests.get("to_know_the_value"):
+        text += (
+            f"To know the {input_name(entry['solve'])} itself to {plain_percent(tests['known_to'])} (95 % half-width) "
+            f"would take about {tests['to_know_the_value']} more tests. "
+        )
+    return text or settling_text(contents, limit, planned)
+
+
+def settling_text(contents: Contents, limit: Mapping[str, Any], planned: str = "") -> str:
+    """How many tests of a strength that is given as a law would show that the target is kept."""
+    settled = limit.get("tests_to_settle")
+    if not settled:
+        return ""
+    if settled["tests"] is None:
+        return f"Whether the target is kept{planned} is too close to be settled by tests of the strength. "
+    word = {True: "kept", False: "missed"}.get(limit["met"], "kept or missed")
+    return (
+        f"If the assumed law of the strength is right, about {settled['tests']} tests of it would show with "
+        f"{plain_percent(settled['confidence'])} confidence that the target is {word}{planned}. "
+    )
+
+
 def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Contents) -> str:
-    """Where the bars stop being elastic."""
+    """Where the bars stop being elastic, what comes first said first."""
     subject = contents.subject(entry["solve"])
     strength = number_text(format_value(bars["yield_strength"], "bars.yield_strength"))
-    parts = []
-    if bars.get("pulse_value") is not None:
-        parts.append(f"in the pulse up to {number_text(format_value(bars['pulse_value'], subject, 3))}")
-    elif bars["pulse_elastic"]:
-        parts.append("in the pulse as planned")
-    contact = bars.get("contact")
+    contact, value = bars.get("contact"), None
+    rising = entry["curve"][-1][1] >= entry["curve"][0][1]
+    chance = plain_percent(bars.get("contact_probability", 0.0))
     if contact and contact["value"] is not None:
-        word = "up to" if entry["curve"][-1][1] >= entry["curve"][0][1] else "from"
-        chance = plain_percent(1.0 - bars["contact_probability"])
-        parts.append(f"under the sphere {word} {rounded(contact, subject)} ({chance} of the cases)")
+        value = event.safe_side(contact, subject, at_most=rising, digits=3)
+        text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
+        text += f"{'from' if rising else 'below'} {value}"
+        text += " on: harder or thicker bars are due" if reach.beyond_bars(entry, subject) else " on"
+    elif bars.get("contact_everywhere") == "yields":
+        text = (
+            f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "
+        )
+        text += "whole curve: harder or thicker bars are due"
     elif bars.get("contact_everywhere") == "elastic":
-        parts.append("under the sphere over the whole curve")
-    if not parts:
-        return f"The bars (yield strength {strength}) yield over the whole curve."
-    text = f"The bars (yield strength {strength}) stay elastic {' and '.join(parts)}"
-    if bars.get("contact_everywhere") == "yields":
-        text += ", and yield locally under the sphere over the whole curve"
-    value = (entry.get("value") or {}).get("value")
-    if contact and contact["value"] is not None and value is not None:
-        first = contact["value"] < value
-        if first == (entry["curve"][-1][1] >= entry["curve"][0][1]):
-            text += ", which is reached before the value above: harder or thicker bars are due"
-    return text + "."
+        text = f"The bars (yield strength {strength}) stay elastic under the sphere over the whole curve"
+    else:
+        text = f"Whether the bars (yield strength {strength}) yield under the sphere is not known"
+    if bars.get("pulse_value") is not None:
+        return f"{text}; the pulse alone leaves them elastic up to {value_text(bars['pulse_value'], subject, 3)}."
+    return f"{text}; the pulse as planned {'leaves them elastic' if bars['pulse_elastic'] else 'makes them yield'}."

@@ -25,6 +25,7 @@ from uqsphere.runner.results import savings
 
 __all__ = [
     "accuracy_table",
+    "answer_checks_table",
     "checks_table",
     "commands",
     "methods_table",
@@ -35,10 +36,30 @@ __all__ = [
 ]
 
 
+def answer_checks_table(contents: Contents, name: str) -> Table | None:
+    """The checks at the answer of a limit's inverse question; None where none were made."""
+    entry = contents.results["margins"].get(name) or {}
+    told = entry.get("validity")
+    if not told:
+        return None
+    at = value_text(told["value"], contents.subject(entry["solve"]), 3)
+    caption = f"The same at the answer for {limit_name(name)}, {at}, on {told['samples']} scenes"
+    return _checks(told["checks"], caption)
+
+
 def checks_table(contents: Contents) -> Table:
     """Validity checks, graded, with the share of the samples that break each."""
+    caption = "Assumptions of the model, checked on a pilot sample of the study as planned"
+    if any("specimens that break" in str(check["text"]) for check in contents.results["validity"]):
+        caption += (
+            "; at fracture on specimens that break, drawn from the samples each with its own probability to break"
+        )
+    return _checks(contents.results["validity"], caption)
+
+
+def _checks(checks: Sequence[Mapping[str, Any]], caption: str) -> Table:
     rows = []
-    for check in contents.results["validity"]:
+    for check in checks:
         shares = [(grade, check.get(f"share_{grade}", 0.0)) for grade in ("failure", "warning", "information")]
         broken = [f"{plain_percent(share)} {grade}" for grade, share in shares if share > 0.0]
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
@@ -46,7 +67,7 @@ def checks_table(contents: Contents) -> Table:
             grade = "not checked"
         rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", powers(str(check["text"]))))
     return Table(
-        caption="Assumptions of the model, checked on a pilot sample",
+        caption=caption,
         rows=tuple(rows),
         header=("assumption", "grade", "share", "finding"),
     )

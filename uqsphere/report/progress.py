@@ -183,7 +183,8 @@ def progress_finding(contents: Contents) -> str:
     reached = sum(error <= 1.0 for error in best.values())
     counting = [s for s in series if _question(s) in best and s.points[-1][2] == best[_question(s)]]
     worst = max(counting, key=lambda s: s.points[-1][2])
-    text = f"{reached} of {len(best)} errors are below what was asked after the last evaluation"
+    text = f"{reached} of {len(best)} errors of quantities, indices and probabilities are below what was asked after "
+    text += "the last evaluation; margins are not among them"
     if worst.points[-1][2] > 1.0:
         text += f"; the largest, {worst.label} by {worst.method}, is {_times(worst.points[-1][2])} times what was asked"
     return text + "."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from uqsphere.report import event, reach
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import ranked
 from uqsphere.report.tables import Table, cell, index_cell
@@ -16,6 +17,7 @@ from uqsphere.report.wording import (
     plain_percent,
     probability_range,
     symbol,
+    value_text,
 )
 
 #: quantities that the end of the record can cut short
@@ -104,9 +106,25 @@ def margins_table(contents: Contents, name: str) -> Table:
     entry = contents.results["margins"][name]
     solve = entry["solve"]
     subject = contents.subject(solve)
-    rows = tuple((plain_percent(float(p)), cell(e, subject)) for p, e in entry["values"].items())
+    what = event.event(contents.results, name) + event.of_limit(contents.results, name)
+    header = ["probability", "value (95 % interval of the computation alone)"]
+    opened, decisive = entry.get("ignorance") or {}, format(entry.get("probability") or 0.0, ".15g")
+    tested = opened.get("low") is not None and opened.get("high") is not None
+    yields = bool((entry.get("bars") or {}).get("yields_at"))
+    header[1:1] = ["what the tests leave open (95 %)"] if tested else []
+    header += ["bars yield under the sphere"] if yields else []
+    rows = []
+    for p, e in entry["values"].items():
+        row = [plain_percent(float(p)), cell(e, subject)]
+        if tested:
+            ends = f"{value_text(opened['low'], subject, 3)} to {value_text(opened['high'], subject, 3)}"
+            row[1:1] = [ends if p == decisive else ABSENT]
+        if yields:
+            share = reach.yields_at(entry, p)
+            row.append(ABSENT if share is None else f"in {plain_percent(float(f'{share:.2g}'))} of the cases")
+        rows.append(tuple(row))
     return Table(
-        caption=f"{capital(input_name(solve))} at which {limit_name(name)} is exceeded with a given probability",
-        header=("probability", "value (95 % interval)"),
-        rows=rows,
+        caption=f"{capital(input_name(solve))} at which {what} with a given probability",
+        header=tuple(header),
+        rows=tuple(rows),
     )

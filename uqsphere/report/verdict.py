@@ -10,7 +10,7 @@ from typing import Any
 
 from uqsphere.model import status_text
 from uqsphere.quantities import OUTPUTS
-from uqsphere.report import canvas
+from uqsphere.report import canvas, event, granted, reach
 from uqsphere.report.bearing import bearing, breach, grave, warned
 from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import mostly_missed
@@ -68,14 +68,18 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
     word = _word(limit)
     breaks = limit["aim"] == "break"
     what = f"Probability of missing {limit_name(name)}" if breaks else f"Probability of {limit_name(name)}"
-    answer = f"{what}: {_headline(limit['miss'])}"
+    fracture = event.breaks(contents.results, name)
+    if fracture:
+        what = capital(f"{_as_planned(contents, name)}{event.missing(contents.results, name)} with a probability of")
+    answer = f"{what}{' ' if fracture else ': '}{_headline(limit['miss'])}"
     if not contents.resolved["random"] and limit["exceedance"]["value"] is not None:
         kept = "" if limit["exceedance"]["value"] > 0.5 else "not "
         answer = f"Limit {limit_name(name)} is {kept}exceeded in the one scene of a study without scatter"
     if limit["miss"]["value"] is None:
         answer += f" ({absent_reason(limit['miss'])})"
     if limit["target"] is not None:
-        answer += f", target at most {plain_percent(limit['target'])}: {word}."
+        allowed = plain_percent(limit["target"])
+        answer += (f", at most {allowed} allowed" if fracture else f", target at most {allowed}") + f": {word}."
     else:
         answer += "; no target was set."
     relation = "stays below" if breaks else "exceeds"
@@ -88,29 +92,79 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
         word=word,
         heading=canvas.shorten(name, 80),
         note=note,
-        lines=(answer, _uncertainty(contents, limit, word), _hangs_on(contents, limit)),
+        lines=tuple(
+            line
+            for line in (
+                answer,
+                _uncertainty(contents, limit, word),
+                granted.granted_line(contents, name),
+                _hangs_on(contents, limit),
+                _by_reflections(contents, name),
+            )
+            if line
+        ),
+    )
+
+
+def _as_planned(contents: Contents, name: str) -> str:
+    """Where the study stands with the scalar that its margin solves for."""
+    entry = contents.results["margins"].get(name)
+    here = None if entry is None else contents.at_mean(entry["solve"])
+    if entry is None or here is None:
+        return ""
+    return f"as planned, at {value_text(here, contents.subject(entry['solve']))}, "
+
+
+def _by_reflections(contents: Contents, name: str) -> str:
+    """How much of the breakage reflected waves bring; empty where they bring little, or several limits share it."""
+    found = contents.results.get("fracture") or {}
+    whole, first = (found.get(key) or {} for key in ("union", "first_loading"))
+    if found.get("limits") != [name] or not whole.get("value") or first.get("value") is None:
+        return ""
+    share = 1.0 - first["value"] / whole["value"]
+    if share < 0.1:
+        return ""
+    return (
+        f"Reflected waves bring {100.0 * share:.0f} % of the breakage: in the first loading, before the first of them "
+        f"is back, the sphere breaks with a probability of {granted.short_probability(first)}."
     )
 
 
 def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
-    """How far the probability is known: by the computation, against the target, and what the tests leave open."""
-    low, high, target = limit["miss"]["low"], limit["miss"]["high"], limit["target"]
-    text = "Its uncertainty: "
-    if low is None or high is None or not contents.resolved["random"]:
-        text += "the computation adds none."
-    else:
-        whole = _headline(limit["miss"]) == probability_text(limit["miss"])
-        text += "the interval is that of the computation (95 %)" if whole else ""
-        text += "" if whole else f"the computation leaves {_ends(limit['miss'])} (95 %)"
-        if word == "undecided":
-            text += "; the interval reaches across the target: more evaluations would decide it"
-        elif target and word == "met" and 0.0 < high < target:
-            text += f", at least {_times(target / high)} times below the target"
-        elif target and word == "not met" and low > target:
-            text += f", at least {_times(low / target)} times the target"
-        text += "."
+    """How far the probability is known: first by the tests, where there are any, then by the computation alone."""
     opened = ignorance_text(contents, limit)
-    return f"{text} {opened or 'The laws of the inputs and the strength are taken as given.'}"
+    if opened and "miss" in limit["ignorance"]:
+        (low, high), met = limit["ignorance"]["miss"], limit["ignorance"]["met"]
+        by_tests = _against(limit, low, high, {True: "met", False: "not met"}.get(met, "undecided"))
+        opened = opened.replace(" (95 %).", f" (95 %){by_tests}.", 1) if by_tests else opened
+        return f"Its uncertainty: {opened[:1].lower()}{opened[1:]} {capital(_computed(contents, limit, word))}"
+    text = f"Its uncertainty: {_computed(contents, limit, word)}"
+    given = "The laws of the inputs and the strength are taken as given: the real uncertainty is larger."
+    return f"{text} {opened or (given if contents.resolved['random'] else '')}".rstrip()
+
+
+def _computed(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
+    """What the computation leaves open, which is not all that is."""
+    low, high = limit["miss"]["low"], limit["miss"]["high"]
+    if low is None or high is None or not contents.resolved["random"]:
+        return "the computation adds none."
+    whole = _headline(limit["miss"]) == probability_text(limit["miss"])
+    text = "the interval is that of the computation alone (95 %)"
+    text = text if whole else f"the computation alone leaves {_ends(limit['miss'])} (95 %)"
+    if word == "undecided":
+        return text + "; the interval reaches across the target: more evaluations would decide it."
+    tested = "miss" in (limit.get("ignorance") or {})
+    return text + ("" if tested else _against(limit, low, high, word)) + "."
+
+
+def _against(limit: Mapping[str, Any], low: float, high: float, word: str) -> str:
+    """How far a range of probabilities stays off the target, in a clause."""
+    target = limit["target"]
+    if target and word == "met" and 0.0 < high < target:
+        return f", at least {_times(target / high)} times below the target"
+    if target and word == "not met" and low > target:
+        return f", at least {_times(low / target)} times the target"
+    return ""
 
 
 def _headline(miss: Mapping[str, Any]) -> str:
@@ -207,6 +261,8 @@ def cautions(contents: Contents) -> list[str]:
     """Everything that weakens the answer, the gravest first; empty if nothing does."""
     results = contents.results
     found = _failures(contents)
+    found += granted.granted_cautions(contents)
+    found += reach.reach_cautions(contents)
     for check in grave(contents):
         found.append(
             f"Outside the model's validity: {breach(check, 'failure')}. {capital(bearing(contents, check['check']))}."
@@ -226,7 +282,8 @@ def cautions(contents: Contents) -> list[str]:
     elif contents.manifest.get("stopped_by_time"):
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
     elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
-        found.append("The budget of evaluations stopped the run before the accuracy asked for was reached everywhere.")
+        found.append(_out_of_budget(contents))
+    found += reach.extrapolation_cautions(contents)
     for name, limit in results["limits"].items():
         opened = limit.get("ignorance")
         if opened and limit["target"] is not None and limit["met"] is not None and opened.get("met") is None:
@@ -236,7 +293,17 @@ def cautions(contents: Contents) -> list[str]:
         missed[0] += " The probabilities that the verdict rests on are as accurate as asked."
     found += missed
     found += [str(text) for text in results.get("warnings", [])]
-    return found
+    return found + reach.judged_cautions(contents)
+
+
+def _out_of_budget(contents: Contents) -> str:
+    """That the budget ended it: used up, or given up before because the rest of it could not have sufficed."""
+    budget = contents.resolved["analysis"]["budget"]["evaluations"]
+    spent = sum(contents.results["model"]["evaluations"].values())
+    text = "The budget of evaluations ended the run before the accuracy asked for was reached everywhere"
+    if spent < 0.9 * budget:
+        text += ": what was left of it would not have been enough, and was not spent"
+    return text + "."
 
 
 def limits_are_accurate(results: Mapping[str, Any]) -> bool:

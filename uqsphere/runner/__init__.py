@@ -217,6 +217,7 @@ def run(
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
     from uqsphere.quantities import format_estimate
+    from uqsphere.runner.answer_validity import judge_answers
     from uqsphere.runner.dear import answer_dear
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
@@ -256,7 +257,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
                 interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high, most=5)
                 notice(f"limit {name}: probability of missing its aim {interval}")
     tolerance = find_tolerance(work)
-    margins = find_margins(work, sampled)
+    margins = judge_answers(work, find_margins(work, sampled))
     ledger.seconds["margins"] = ledger.elapsed
     fracture = find_fracture(work, sampled, margins)
     ledger.seconds["fracture"] = ledger.elapsed

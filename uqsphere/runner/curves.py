@@ -49,7 +49,10 @@ TRIED: Final = 40
 ACCURACY: Final = 0.02
 #: half-width that is said to be wider than wanted
 WORTH_A_WORD: Final = 0.06
-_WIDE: Final = "the band of the curve is wider than wanted: its share of the evaluations, or the time, was used up"
+_WIDE: Final = (
+    f"the band of the curve is wider than {100.0 * ACCURACY:g} % of the smaller side of its probability: the tenth of "
+    "the budget of evaluations that curves may take, or the time, was used up"
+)
 
 
 @dataclass(frozen=True, kw_only=True)

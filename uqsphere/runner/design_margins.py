@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.bars import pulse_stress, section
 from uqsphere.mechanics.contact import sphere_mass
+from uqsphere.runner.assumed import MOST_TESTS, few_rows, fewest_tests, is_decided
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import law_curves
 from uqsphere.runner.limits import state_of
@@ -32,20 +33,20 @@ from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["YIELD_FACTOR", "Where", "describe_margin"]
+__all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
 
 Array = npt.NDArray[np.float64]
 
 #: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
 YIELD_FACTOR: Final = 1.6
+#: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit
+BARS_SHARE: Final = 0.01
 #: laws that are tried in place of a fitted one, points of each replicate, and values of the free scalar
 LAWS: Final = 200
 FEW: Final = 32
 VALUES: Final = 25
 #: confidence with which a value is sure
 SURE: Final = 0.95
-#: more tests than this are not asked of anybody
-MOST_TESTS: Final = 5000
 #: half-width of the 95 % range, relative, within which a value counts as known
 KNOWN: Final = 0.05
 
@@ -94,7 +95,8 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
         except LawError as error:
             about["ignorance"] = {"reason": str(error)}
     about["split"] = _split(where, about.get("ignorance"))
-    if work.study.margins is not None and work.study.margins.bars_elastic:
+    asked = work.study.margins is not None and work.study.margins.bars_elastic
+    if asked or _tells_of_bars(work, where):
         about["bars"] = _bars(work, where)
     return about
 
@@ -127,7 +129,7 @@ def _strength_at(strength: Law | float, p: float) -> float:
     return float(ppf(strength, np.array([p]))[0]) if isinstance(strength, Law) else strength
 
 
-def _study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
+def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
     """The work and the limit with the free scalar at a value, for a search of its own."""
     assert work.study.margins is not None
     solve, study = work.study.margins.solve, work.study
@@ -151,7 +153,7 @@ def _study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | st
 def _lost_to(work: Work, where: Where) -> dict[str, Any]:
     """Importance factors of the design point at the value, and the partial factors there."""
     assert where.value.value is not None
-    placed = _study_at(work, where.limit, where.value.value)
+    placed = study_at(work, where.limit, where.value.value)
     if isinstance(placed, str):
         return {"reason": placed}
     moved, limit = placed
@@ -269,46 +271,45 @@ def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignor
     limit = where.limit
     if limit.target is None:
         return found
-    state = state_of(work, limit, sampled.points, sampled.sample)
-    keep = slice(0, FEW)
-    few = replace(
-        state, demands=state.demands[:, keep], shift=None if state.shift is None else state.shift[:, keep],
-        tie=None if state.tie is None else replace(state.tie, given=state.tie.given[:, keep]),
-        censored=None if state.censored is None else state.censored[:, keep],
-        failed=None if state.failed is None else state.failed[:, keep],
-    )  # fmt: skip
+    few = few_rows(state_of(work, limit, sampled.points, sampled.sample))
 
     def decided(laws: Sequence[Law]) -> bool:
-        p = law_curves([few], laws)[:, 0]
-        missed = p if limit.aim == "survive" else 1.0 - p
-        low, high = np.quantile(missed, [0.025, 0.975])
-        assert limit.target is not None
-        return bool(high < limit.target or low > limit.target)
+        return is_decided(law_curves([few], laws)[:, 0], limit)
 
-    def simulated(count: int) -> list[Law]:
+    def simulated(count: int) -> bool:
         generator = random_generator(seed=work.study.seed, task=f"more tests {limit.name} {count}")
-        return laws_of_more_tests(strength, count, LAWS, generator)
+        return decided(laws_of_more_tests(strength, count, LAWS, generator))
 
     generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{limit.name}.strength")
     if decided(possible_laws(strength, LAWS, generator)):
         return {**found, "to_settle": 0}
-    low, high = tests, max(2 * tests, 6)
-    while not decided(simulated(high)):
-        low, high = high, 2 * high
-        if high > MOST_TESTS:
-            return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
-    while high - low > max(1, low // 20):
-        middle = (low + high) // 2
-        low, high = (low, middle) if decided(simulated(middle)) else (middle, high)
-    return {**found, "to_settle": high - tests}
+    in_all = fewest_tests(simulated, tests)
+    if in_all is None:
+        return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
+    return {**found, "to_settle": in_all - tests}
 
 
 # --- bars that must stay elastic -----------------------------------------------------------------------
 
 
-def _bars(work: Work, where: Where) -> dict[str, Any]:
-    """The values at which the bars yield: in the pulse, and under the contact with the same probability.
+def _tells_of_bars(work: Work, where: Where) -> bool:
+    """Whether the curve has the contact pressure anyhow, along a scalar that moves it, for bars that may yield."""
+    study = work.study
+    return (
+        not study.black_box
+        and study.margins is not None
+        and strength_solved(study.margins.solve) is None
+        and study.at_means().get("bars.yield_strength", 0.0) > 0.0
+        and "p_max" in work.quantities
+        and where.rows is not None
+        and where.rows.knows("p_max")
+    )
 
+
+def _bars(work: Work, where: Where) -> dict[str, Any]:
+    """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
+
+    `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
     The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield 1.6 times the yield strength.
     """
     study = work.study
@@ -322,7 +323,7 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
         "pulse_elastic": stress < strength,
         "pulse_value": means["striker.speed"] * strength / stress if study.margins.solve == "striker.speed" else None,
     }
-    rows, accepted = where.rows, min(where.probability, 1.0 - where.probability)
+    rows, accepted = where.rows, BARS_SHARE
     if rows is None or strength_solved(study.margins.solve) is not None or not rows.knows("p_max"):
         return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
     names = work.drawn.names
@@ -336,6 +337,13 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     answered = fragility(values, share, (accepted,), samples=rows.samples, evaluations=0).values[accepted]
     found["contact_probability"] = accepted
     found["contact"] = answered.as_dict()
+    shares = share.mean(axis=1)
+    told = {**where.values, where.probability: where.value}
+    found["yields_at"] = {
+        f"{p:.15g}": float(np.clip(np.interp(e.value, values, shares), 0.0, 1.0))
+        for p, e in told.items()
+        if e.value is not None and values[0] <= e.value <= values[-1]
+    }
     if answered.value is None:
         p = share.mean(axis=1)
         always, never = bool((p > accepted).all()), bool((p < accepted).all())

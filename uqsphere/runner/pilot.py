@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.dynamics import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Candidate", "Pilot", "differences", "first_look", "pilot_points"]
+__all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look", "pilot_points"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -243,9 +243,6 @@ def first_look(work: Work) -> Pilot:
     study = work.study
     if study.black_box:
         return Pilot(chosen="black box", why="the model is the user's own")
-    from uqsphere.mechanics.criterion_ranges import check_ranges
-    from uqsphere.mechanics.validity import check_validity
-
     inputs = sub_inputs(work.all_inputs, work.scene_names)
     count = pilot_points(study.analysis.budget.evaluations) if work.scene_names else 1
     compared = max(count // 2, 1)
@@ -287,7 +284,7 @@ def first_look(work: Work) -> Pilot:
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, tuple(candidates), bound),
         measured_error=measured,
-        validity=[_check(row) for row in (*check_validity(scene, full), *check_ranges(scene, full, work.quantities))],
+        validity=check_table(scene, full, work.quantities),
         numbers=_numbers(scene),
         evaluations=evaluations,
         candidates=tuple(candidates) if asked == "auto" else (),
@@ -353,6 +350,14 @@ def _why(
         f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
         f"allows (worst quantity on the pilot sample: {tried})"
     )
+
+
+def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Every validity check of a batch as plain JSON."""
+    from uqsphere.mechanics.criterion_ranges import check_ranges
+    from uqsphere.mechanics.validity import check_validity
+
+    return [_check(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
 
 
 def _check(row: Any) -> dict[str, Any]:

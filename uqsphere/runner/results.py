@@ -11,6 +11,7 @@ from typing import Any
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.runner.assumed import find_assumed
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.ignorance import find_ignorance
@@ -207,6 +208,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
     """The content of results.json."""
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
+    assumed = find_assumed(work, found.sampled)
     missed = list(found.sampled.missed)
     for quantity, indices in found.sensitivity.items():
         missed += [f"{quantity}: {text}" for text in indices.missed]
@@ -226,6 +228,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
             name: {
                 **_limit(limit),
                 "ignorance": limits_open.get(name),
+                **assumed.get(name, {}),
                 **found.drivers.limits.get(name, {}),
             }
             for name, limit in found.sampled.limits.items()

@@ -216,6 +216,23 @@ _DRIVERS: Final = both(
     ),
     _paired,
 )
+
+
+def _assumption(node: Any, place: str) -> str:
+    """A row of what a verdict takes for granted: with whom a strength depends, or what of its law is put instead."""
+    plain = number if node.get("assumption") in ("modulus", "cov") else text
+    own = {"with": many(text)} if node.get("assumption") == "dependence" else {"taken": plain, "instead": plain}
+    return table(own)(node, place)
+
+
+_ASSUMED: Final = many(
+    both(
+        table({"assumption": word("dependence", "modulus", "cov", "law"), "miss": _probable,
+               "met": word(True, False, None)}),
+        _assumption,
+    ),
+    most=100,
+)  # fmt: skip
 _LIMIT: Final = table(
     {
         "quantity": text,
@@ -236,6 +253,8 @@ _LIMIT: Final = table(
         "modes": maybe(count),
         "checks": many(text),
         "ignorance": _opened,
+        "assumed": _ASSUMED,
+        "tests_to_settle": table({"tests": maybe(count), "confidence": share}, {"reason": text}),
         "drivers": maybe(_DRIVERS),
         "measure_first": _MEASURE,
     },
@@ -291,7 +310,9 @@ _RESULTS: Final = table(
         "margins": named(
             table(
                 {"solve": text, "unit": text, "values": named(ESTIMATE, names=_is_share),
-                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)}
+                 "curve": many(both(many(number, 4, 4), lambda n, p: share(n[1], p)), most=10_000)},
+                {"validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
+                 "bars": table({}, {"yields_at": named(share, names=_is_share)})},
             ),
             200,
         ),

@@ -97,6 +97,14 @@ def _fracture_rows(found: Mapping[str, Any]) -> list[list[Any]]:
     return rows
 
 
+def _instead(row: Mapping[str, Any]) -> str:
+    """What is put in place of what a probability takes for granted."""
+    if row["assumption"] == "dependence":
+        return f"miss, strength independent of {' and '.join(row['with'])}"
+    told = row["instead"] if isinstance(row["instead"], str) else f"{row['instead']:.6g}"
+    return f"miss, {row['assumption']} of the strength {told}"
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -116,6 +124,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     for name, entry in results["limits"].items():
         limit_rows += [[name, what, *_row(entry[what])] for what in ("exceedance", "miss")]
         limit_rows += [[name, f"margin {which}", *_row(e)] for which, e in entry["margin"].items()]
+        limit_rows += [[name, _instead(row), *_row(row["miss"])] for row in entry.get("assumed") or ()]
     margin_rows = [
         [name, entry["solve"], entry["unit"], p, *_row(e)]
         for name, entry in results["margins"].items()

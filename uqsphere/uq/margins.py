@@ -18,6 +18,8 @@ from uqsphere.uq.families import Array
 
 __all__ = ["Fragility", "fragility"]
 
+#: standard errors after which a difference is taken for one
+_SURE = 4.0
 _METHOD = "common random numbers, monotone interpolation"
 
 
@@ -37,7 +39,7 @@ def fragility(
     `samples` is the number of samples behind one probability of one replicate; what lies below half a
     sample in all replicates together is not told from zero.  The probability may rise or fall with the
     value.  A value is absent where the probability does not pass through it between the ends of the grid,
-    and where the curve turns back by more than its noise.
+    and where the curve turns back by more than its noise and may pass through it more than once.
 
     Raises ValueError for a grid that does not increase or shapes that do not go together.
     """
@@ -53,7 +55,7 @@ def fragility(
     turn = _turning(grid, probabilities)
     values: dict[float, Estimate] = {}
     for target in targets:
-        if turn is not None:
+        if turn is not None and not _passes_once(probabilities, target):
             reason = f"the probability is not monotone: it turns back near {turn:.4g}"
             values[target] = absent(reason, _METHOD, evaluations)
         else:
@@ -82,12 +84,19 @@ def _curve(grid: Array, probabilities: Array, samples: int) -> list[list[float]]
     return rows
 
 
+def _passes_once(probabilities: Array, target: float) -> bool:
+    """Whether curves (K, R) are surely on one side of a probability at first and on the other from some value on."""
+    mean, error = probabilities.mean(axis=1), probabilities.std(axis=1, ddof=1) / math.sqrt(probabilities.shape[1])
+    sides = np.sign(mean - target)[np.abs(mean - target) > _SURE * error + 1e-9]
+    return int(np.count_nonzero(np.diff(sides))) == 1
+
+
 def _turning(grid: Array, probabilities: Array) -> float | None:
     """Value at which a curve that has risen falls, or has fallen rises, by more than four standard errors, if any."""
     steps = np.diff(probabilities, axis=0)
     mean = steps.mean(axis=1)
     error = steps.std(axis=1, ddof=1) / math.sqrt(steps.shape[1])
-    sure = np.flatnonzero(np.abs(mean) > 4.0 * error + 1e-9)
+    sure = np.flatnonzero(np.abs(mean) > _SURE * error + 1e-9)
     back = sure[np.sign(mean[sure]) != np.sign(mean[sure[0]])] if sure.size else sure
     return float(grid[int(back[0])]) if back.size else None
 
