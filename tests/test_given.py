@@ -343,3 +343,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_seeds_are_keyed_by_the_task() -> None:
     assert random_generator(seed=0, task="analyse a").random() != random_generator(seed=0, task="analyse b").random()
+
+
+def test_a_folder_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="this is a folder"):
+        read_data(tmp_path, ["a"], ["y"])

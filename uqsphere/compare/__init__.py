@@ -367,7 +367,7 @@ def _parts(found: Mapping[str, Any], width: int) -> list[str]:
     parts = [wrap(headline(found), width, ""), "", table(("", "before", "after"), rows, width), ""]
     if found["causes"]:
         rows = [(c["what"], _cut(c["before"]), _cut(c["after"])) for c in found["causes"]]
-        parts += [table(("changed in the study", "before", "after"), rows, width), ""]
+        parts += ["changed in the study", table(("what", "before", "after"), rows, width), ""]
     else:
         parts += ["nothing was changed in the study", ""]
     words = {True: "met", False: "NOT MET", None: "undecided"}
