@@ -425,3 +425,13 @@ def test_numbers_of_the_free_impact() -> None:
 def test_numbers_of_the_tension_at_the_centre() -> None:
     values = [float(centre_tension(1.0, 0.5, nu)) for nu in (0.1, 0.2, 0.25, 0.3)]
     assert "it is " + ", ".join(f"{value:.3f}" for value in values) + " times `P/D²`" in re.sub(r"\s+", " ", THEORY)
+
+
+def test_commands_are_executed_or_said_not_to_be() -> None:
+    """Console blocks stand in pages whose tests run them; any other block of commands or Python gives a reason."""
+    run_elsewhere = {"README.md", *(name for name in PAGES if "tutorial-" in name)}
+    for name, page in PAGES.items():
+        if name in run_elsewhere:
+            continue
+        for after in re.findall(r"^```(?:sh|console|python)\n.*?^```\n\n(.*?)$", page, re.DOTALL | re.MULTILINE):
+            assert after.startswith("(Not run by the tests: "), f"{name}: {after[:60]}"

@@ -173,7 +173,7 @@ def test_a_table_is_analysed(tmp_path: Path) -> None:
     assert ranks["low"] <= share <= ranks["high"]
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert analyse_data(data) == found
-    assert "Where the laws are known, give them" in analysis_text(found)
+    assert "Where the laws are known, give them" in " ".join(analysis_text(found).split())
 
 
 def test_dependent_inputs_share_out_the_variance_by_shapley_effects(tmp_path: Path) -> None:
@@ -343,3 +343,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_seeds_are_keyed_by_the_task() -> None:
     assert random_generator(seed=0, task="analyse a").random() != random_generator(seed=0, task="analyse b").random()
+
+
+def test_a_folder_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="this is a folder"):
+        read_data(tmp_path, ["a"], ["y"])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.console import Progress
+from uqsphere.console import Progress, say
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -27,8 +27,9 @@ class Patience:
     `asked` is what `uqsphere.runner.run` takes as `stop`.  Outside the main thread nothing changes.
     """
 
-    def __init__(self, notice: str) -> None:
+    def __init__(self, notice: str, say: Callable[[str], None] = say) -> None:
         self.notice = notice
+        self.say = say
         self.interrupted = False
         self._before: Any = None
 
@@ -39,7 +40,7 @@ class Patience:
     def _first(self, number: int, frame: FrameType | None) -> None:
         self.interrupted = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        print(f"\n{self.notice}", file=sys.stderr, flush=True)
+        self.say(self.notice)
 
     def __enter__(self) -> Patience:
         if threading.current_thread() is threading.main_thread():
@@ -76,7 +77,7 @@ def attend(
         seconds=budget.time if seconds is None else seconds,
         asked=vars(study.analysis.accuracy),
     )
-    with Patience(_NOTICE) as patience:
+    with Patience(_NOTICE, progress.say) as patience:
         found = run(
             study,
             out=out,

@@ -11,7 +11,7 @@ from typing import Any
 
 from uqsphere.attend import attend
 from uqsphere.bench.command import command_bench as command_bench
-from uqsphere.console import plain, table
+from uqsphere.console import plain, say, table
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
@@ -26,7 +26,7 @@ MISSED = 3
 
 def _warn(study: Study) -> None:
     for text in study.warnings:
-        print(f"warning: {plain(text)}", file=sys.stderr)
+        say(f"warning: {text}")
 
 
 def command_new(chosen: argparse.Namespace) -> int:
@@ -145,9 +145,11 @@ def command_run(chosen: argparse.Namespace) -> int:
             extend=chosen.extend,
             seconds=_seconds(chosen.budget),
         )
+    if sys.stderr.isatty():
+        say("writing the report")
     page = build_report(found.folder)
     for text in found.results["accuracy"]["missed"]:
-        print(f"accuracy not reached: {plain(text)}", file=sys.stderr)
+        say(f"accuracy not reached: {text}")
     if chosen.json:
         _document(found.results)
     else:

@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from typing import Any, Final
 
-from uqsphere.console import bar, plain, table
-from uqsphere.quantities import format_estimate
+from uqsphere.console import bar, plain, screen_width, table, wrap, writable
+from uqsphere.quantities import reading_units
 from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
+from uqsphere.report.units import units_of
+from uqsphere.report.wording import (
+    MOST_DIGITS,
+    Estimate,
+    estimate_text,
+    plain_percent,
+    probability_range,
+    probability_text,
+)
 
 __all__ = ["summary_of"]
 
 #: inputs of a quantity or limit that get a line
-_MOST = 6
+_MOST: Final = 6
+#: columns of a bar, and decimals of the indices beside it: the first that fits the screen is taken
+_SHAPES: Final = ((20, MOST_DIGITS), (20, 4), (12, 4), (8, 4), (8, 3))
 
 
-def _estimate(entry: dict[str, Any], name: str = "") -> str:
-    if entry["value"] is None:
-        return f"- ({entry.get('reason', 'not known')})"
-    low = entry["low"] if entry["low"] is not None else entry["value"]
-    high = entry["high"] if entry["high"] is not None else entry["value"]
-    return format_estimate(entry["value"], low, high, name)
+def _estimate(entry: Estimate, name: str = "") -> str:
+    """As the page has it, with the reason where there is no answer."""
+    return estimate_text(entry, name) if entry["value"] is not None else _absent(entry)
+
+
+def _chance(entry: Estimate) -> str:
+    return probability_text(entry) if entry["value"] is not None else _absent(entry)
+
+
+def _absent(entry: Estimate) -> str:
+    return f"- ({entry.get('reason') or 'not known'})"
 
 
 def _cautions(results: dict[str, Any]) -> list[str]:
@@ -41,17 +58,20 @@ def _cautions(results: dict[str, Any]) -> list[str]:
         opened = limit.get("ignorance")
         if opened and "reason" not in opened:
             tests = ", ".join(f"{plain(entry['input'])}: {entry['tests']}" for entry in opened["from"])
-            low, high = opened["miss"]
             undecided = limit["target"] is not None and opened["met"] is None
             also = ", on both sides of the target" if undecided else ""
             found.append(
                 f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
-                f"between {_share(low)} and {_share(high)}{also}"
+                f"between {probability_range(*opened['miss']).replace(' to ', ' and ')}{also}"
             )
     found += [*_assumed(results), *_answer_checks(results)]
     missed = results["accuracy"]["missed"]
     if missed:
-        found.append(f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}")
+        found.append(
+            f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}"
+            if len(missed) > 1
+            else f"one accuracy was not reached: {plain(missed[0])}"
+        )
     return found
 
 
@@ -67,7 +87,7 @@ def _assumed(results: dict[str, Any]) -> list[str]:
                 word = f": target {verdict_word(row['met'])}" if limit["target"] is not None else ""
                 found.append(
                     f"limit {plain(name)}: {plain(instead_text(row))} the probability of missing it would be "
-                    f"{row['miss']['value']:.3g}{word}"
+                    f"{plain_percent(row['miss']['value'])}{word}"
                 )
     return found
 
@@ -90,23 +110,16 @@ def _answer_checks(results: dict[str, Any]) -> list[str]:
     ]
 
 
-def _share(probability: float) -> str:
-    """Two figures of a probability; close to 1 of what is missing, so that 0.9999 does not read as certain."""
-    if 0.99 <= probability < 1.0:
-        return f"1 - {1.0 - probability:.2g}"
-    return f"{probability:.2g}"
-
-
 def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     """Probability of fracture, which limit comes first, and the median state in which it comes."""
     if not found:
         return []
-    rows: list[tuple[str, ...]] = [("probability over the record", _estimate(found["union"]))]
+    rows: list[tuple[str, ...]] = [("probability over the record", _chance(found["union"]))]
     if "first_loading" in found:
-        rows.append(("probability in the first loading", _estimate(found["first_loading"])))
+        rows.append(("probability in the first loading", _chance(found["first_loading"])))
     if len(found["limits"]) > 1:
         rows += [
-            (f"share in which {plain(n)} comes first", _estimate(e)) for n, e in found.get("governed_by", {}).items()
+            (f"share in which {plain(n)} comes first", _chance(e)) for n, e in found.get("governed_by", {}).items()
         ]
     for key, words, like in (
         ("time", "median time", "contact_time"),
@@ -121,116 +134,170 @@ def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _verdicts(results: dict[str, Any]) -> list[str]:
+def _verdicts(results: dict[str, Any], width: int) -> list[str]:
     """A line for every limit: the verdict in words first, then probability, target and margin."""
     rows = []
     for name, limit in results["limits"].items():
         words = {True: "met", False: "NOT MET", None: "undecided"}
         verdict = words[limit["met"]] if limit["target"] is not None else "no target"
-        target = f"{limit['target']:g}" if limit["target"] is not None else "-"
-        rows.append(
-            (verdict, name, limit["aim"], _estimate(limit["miss"]), target, _estimate(limit["margin"]["median"]))
-        )
-    header = ("verdict", "limit", "aim", "probability of missing it (95 %)", "target", "median margin")
-    return [table(header, rows), ""] if rows else []
+        target = plain_percent(limit["target"]) if limit["target"] is not None else "-"
+        rows.append((verdict, name, limit["aim"], _chance(limit["miss"]), target, _estimate(limit["margin"]["median"])))
+    header = ("verdict", "limit", "aim", "probability of a miss (95 %)", "target", "median margin")
+    return [table(header, rows, width), ""] if rows else []
 
 
 def _first_reason(texts: list[str]) -> str:
     return next((text for text in texts if text), "")
 
 
-def _specimens(count: int) -> str:
-    return f"{count:,} specimen{'' if count == 1 else 's'}"
-
-
-def _governing(results: dict[str, Any]) -> list[str]:
+def _governing(results: dict[str, Any], width: int) -> list[str]:
     """What each limit hangs on, and what to measure first."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[tuple[str, ...] | str] = []
+    advice = []
     for name, limit in results["limits"].items():
-        called, shares = name, limit.get("governing_inputs") or {}
+        shares = limit.get("governing_inputs") or {}
+        rows += [f"limit {name}"] if shares else []
         for key in sorted(shares, key=lambda key: -shares[key])[:_MOST]:
-            rows.append((called, key, f"{shares[key]:6.1%}", bar(shares[key])))
-            called = ""
+            rows.append((key, f"{shares[key]:6.1%}".replace("%", " %"), bar(shares[key])))
         first = (limit.get("measure_first") or {}).get("rows") or []
         if first:
-            rows.append((called, "measure first", first[0]["input"], _specimens(first[0]["tests"])))
-    return [table(("limit", "hangs on", "share", ""), rows), ""] if rows else []
+            tests = first[0]["tests"]
+            count = f"{tests:,} specimen{'' if tests == 1 else 's'}"
+            advice.append(wrap(f"to measure first for {name}: {first[0]['input']} ({count})", width))
+    parts = [table(("hangs on", " share", ""), rows, width)] if rows else []
+    return [*parts, *advice, ""] if parts or advice else []
 
 
-def _drivers(results: dict[str, Any]) -> list[str]:
+def _drivers(results: dict[str, Any], width: int) -> list[str]:
     """Shares of the variance as bars, the largest first; Shapley effects where inputs depend on each other."""
-    rows: list[tuple[str, ...]] = []
+    texts: list[str] = []
+    for length, decimals in _SHAPES:
+        texts = _driver_tables(results, length, decimals, None)
+        if max((len(line) for text in texts for line in text.split("\n")), default=0) <= width:
+            break
+    else:
+        texts = _driver_tables(results, *_SHAPES[-1], width)
     absent = []
+    for quantity, entry in results["sensitivity"].items():
+        order = entry.get("shapley") or entry["total"]
+        if not any(e["value"] is not None for e in order.values()):
+            reason = _first_reason([str(e.get("reason") or "") for e in order.values()])
+            if reason:
+                absent.append(wrap(f"{quantity}: what drives it is not known ({plain(reason)})", width))
+    return [*texts, *absent, *([""] if absent else [])]
+
+
+def _driver_tables(results: dict[str, Any], length: int, decimals: int, width: int | None) -> list[str]:
+    """One table of indices for all quantities, with bars of so many columns."""
+    rows: list[tuple[str, ...] | str] = []
+    kinds = set()
     for quantity, entry in results["sensitivity"].items():
         shared = entry.get("shapley") or {}
         order = shared or entry["total"]
         known = sorted((n for n in order if order[n]["value"] is not None), key=lambda n: -order[n]["value"])
         if not known:
-            reason = _first_reason([str(e.get("reason") or "") for e in order.values()])
-            absent.append(f"{quantity}: what drives it is not known ({plain(reason)})" if reason else "")
-        for place, name in enumerate(known[:_MOST]):
-            first = "-" if shared else _estimate(entry["first"][name])
-            rows.append(
-                (quantity if place == 0 else "", name, bar(order[name]["value"]), _estimate(order[name]), first)
-            )
+            continue
+        kinds.add("Shapley effect" if shared else "total index")
+        rows.append(quantity)
+        for name in known[:_MOST]:
+            total = _index(order[name], decimals)
+            first = "-" if shared else _index(entry["first"][name], decimals)
+            rows.append((name, bar(order[name]["value"], length), total, first))
         if len(known) > _MOST:
-            rows.append(("", f"({len(known) - _MOST} more)", "", "", ""))
-    header = ("quantity", "input", "share of the variance", "total index or Shapley effect", "first-order index")
-    parts = [table(header, rows), ""] if rows else []
-    found = [text for text in absent if text]
-    return [*parts, *found, ""] if found else parts
+            rows.append((f"({len(known) - _MOST} more)", "", "", ""))
+    if not rows:
+        return []
+    if kinds == {"Shapley effect"}:
+        rows = [row if isinstance(row, str) else row[:3] for row in rows]
+    header = ("variance from", "", " or ".join(sorted(kinds, reverse=True)), "first-order index")
+    return [table(header[: 3 if kinds == {"Shapley effect"} else 4], rows, width), ""]
 
 
-def _over_energy(results: dict[str, Any]) -> list[str]:
+def _over_energy(results: dict[str, Any], width: int) -> list[str]:
     """The curves over the specific energy: values, median and dispersion, or why there are none."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[tuple[str, ...] | str] = []
     for name, entry in results["margins"].items():
         found = entry.get("against")
         if not found:
             continue
+        rows.append(name)
         if found.get("reason"):
-            rows.append((name, "", f"none ({plain(found['reason'])})"))
-        rows += [(name, f"{float(p):g}", _estimate(e, found["quantity"])) for p, e in found["values"].items()]
+            rows.append(("", f"none ({found['reason']})"))
+        rows += [(plain_percent(float(p)), _estimate(e, found["quantity"])) for p, e in found["values"].items()]
         fitted = found.get("lognormal") or {}
         if fitted.get("median"):
-            rows.append((name, "median of the lognormal curve", _estimate(fitted["median"], found["quantity"])))
-            rows.append((name, "dispersion", _estimate(fitted["dispersion"])))
-    return [table(("limit", "probability of exceedance", "at specific energy"), rows), ""] if rows else []
+            rows.append(("median of the lognormal curve", _estimate(fitted["median"], found["quantity"])))
+            rows.append(("dispersion", _estimate(fitted["dispersion"])))
+    return [table(("probability of exceedance", "at specific energy"), rows, width), ""] if rows else []
 
 
-def summary_of(results: dict[str, Any]) -> str:
-    """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions."""
+def _index(entry: Estimate, decimals: int) -> str:
+    """As the page has it, in at most so many decimals; nobody reads more of a share."""
+    if entry["value"] is None:
+        return _absent(entry)
+    text = estimate_text(entry)
+    if len(max(re.findall(r"\.(\d+)", text), key=len, default="")) <= decimals and "×" not in text:
+        return text
+    known = [entry[key] for key in ("value", "low", "high") if entry[key] is not None]
+    numbers = [f"{round(number, decimals) + 0.0:.{decimals}f}".replace("-", "−") for number in known]
+    return numbers[0] if len(set(numbers)) == 1 else f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+
+
+def summary_of(results: dict[str, Any], width: int | None = None) -> str:
+    """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions.
+
+    No line is longer than `width` columns (those of the terminal where it is None); numbers and units are those of
+    the page.
+    """
+    with reading_units(units_of(results)):
+        return writable("\n".join(_parts(results, screen_width() if width is None else width)))
+
+
+def _parts(results: dict[str, Any], width: int) -> list[str]:
     from uqsphere.runner.results import savings
 
-    answers = [plain(text) for name in results["margins"] if (text := margin_answer(results, name))]
-    parts = [plain(results["study"]["title"]), "", *answers, *([""] if answers else [])]
-    parts += [*_verdicts(results), *_governing(results)]
+    answers = [wrap(text, width) for name in results["margins"] if (text := margin_answer(results, name))]
+    parts = [wrap(results["study"]["title"], width, ""), "", *answers, *([""] if answers else [])]
+    parts += [*_verdicts(results, width), *_governing(results, width)]
     broken = _fracture_rows(results.get("fracture") or {})
     if broken:
-        parts += [table(("fracture", "value (95 % interval)"), broken), ""]
-    rows: list[tuple[str, ...]] = []
-    for name, entry in results["quantities"].items():
-        rows.append((name, "mean", _estimate(entry["mean"], name)))
-        rows.append(("", "standard deviation", _estimate(entry["sd"], name)))
-        rows += [("", f"{100 * float(p):.12g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
-        if entry["censored_share"]["value"]:
-            rows.append(("", "censored share", _estimate(entry["censored_share"])))
-    parts += [table(("quantity", "statistic", "value (95 % interval)"), rows), "", *_drivers(results)]
-    rows = [
-        (name, f"{float(p):g}", _estimate(e, subject_of(results, entry["solve"])))
-        for name, entry in results["margins"].items()
-        for p, e in entry["values"].items()
-    ]
-    if rows:
-        solve = next(iter(results["margins"].values()))["solve"]
-        parts += [table(("limit", "probability of exceedance", f"at {solve}"), rows), ""]
-    parts += _over_energy(results)
+        parts += [table(("fracture", "value (95 % interval)"), broken, width), ""]
+    parts += [*_quantities(results, width), *_drivers(results, width)]
+    parts += _margins(results, width)
+    parts += _over_energy(results, width)
     cautions = _cautions(results)
     if cautions:
-        parts += ["before you rely on it:", *(f"- {text}" for text in cautions), ""]
+        parts += ["before you rely on it:", *(wrap(f"- {text}", width) for text in cautions), ""]
     model = results["model"]
-    parts.append(f"model: {model['chosen']} ({plain(model['why'])})")
-    parts += [f"{label}: {plain(text)}" for label, text in savings(model)]
     counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
-    parts.append(f"evaluations: {counts}; failed: {model['failures']:,}")
-    return "\n".join(parts)
+    last = [
+        f"model: {model['chosen']} ({model['why']})",
+        *(f"{label}: {text}" for label, text in savings(model)),
+        f"evaluations: {counts}; failed: {model['failures']:,}",
+    ]
+    return [*parts, *(wrap(text, width) for text in last)]
+
+
+def _quantities(results: dict[str, Any], width: int) -> list[str]:
+    """Mean, spread and quantiles of what was asked for."""
+    rows: list[tuple[str, ...] | str] = []
+    for name, entry in results["quantities"].items():
+        rows += [name, ("mean", _estimate(entry["mean"], name)), ("standard deviation", _estimate(entry["sd"], name))]
+        rows += [(f"{100 * float(p):.12g} % quantile", _estimate(e, name)) for p, e in entry["quantiles"].items()]
+        if entry["censored_share"]["value"]:
+            rows.append(("censored share", _chance(entry["censored_share"])))
+    return [table(("quantity", "value (95 % interval)"), rows, width), ""]
+
+
+def _margins(results: dict[str, Any], width: int) -> list[str]:
+    """The free scalar at every probability of fracture that was asked for."""
+    rows: list[tuple[str, ...] | str] = []
+    for name, entry in results["margins"].items():
+        rows += [name] if len(results["margins"]) > 1 else []
+        subject = subject_of(results, entry["solve"])
+        rows += [(plain_percent(float(p)), _estimate(e, subject)) for p, e in entry["values"].items()]
+    if not rows:
+        return []
+    names, solve = list(results["margins"]), next(iter(results["margins"].values()))["solve"]
+    of = f" of {names[0]}" if len(names) == 1 else ""
+    return [table((f"probability of exceedance{of}", f"at {solve}"), rows, width), ""]

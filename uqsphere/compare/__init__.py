@@ -13,14 +13,15 @@ what is called significant is so all the more.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.console import plain, table
+from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.errors import FolderError
-from uqsphere.quantities import display_unit, format_estimate, lookup
+from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
+from uqsphere.report.wording import Estimate, estimate_text, number_text, rounded
 
 __all__ = ["Change", "compare_folders", "comparison_text", "difference_interval", "judge_together"]
 
@@ -306,14 +307,6 @@ def _about(folder: Path, results: Mapping[str, Any], manifest: Mapping[str, Any]
 # --- for the terminal -------------------------------------------------------------------------------------
 
 
-def _estimate(estimate: Mapping[str, Any], name: str) -> str:
-    if estimate["value"] is None:
-        return "-"
-    low = estimate["value"] if estimate["low"] is None else estimate["low"]
-    high = estimate["value"] if estimate["high"] is None else estimate["high"]
-    return format_estimate(estimate["value"], low, high, name)
-
-
 def subject_of(change: Mapping[str, Any]) -> str:
     """The name whose unit an answer has, or an empty text for a plain number."""
     if not change["unit"]:
@@ -327,11 +320,23 @@ def difference_text(change: Mapping[str, Any]) -> str:
         return "-"
     if change["difference"] == 0.0:
         return "0"
-    text = format_estimate(change["difference"], change["low"], change["high"], subject_of(change))
+    subject = subject_of(change)
+    text = estimate_text({"value": change["difference"], "low": change["low"], "high": change["high"]}, subject)
     relative = change["relative"]
     if relative is None or change["section"] == "sensitivity":
         return text
-    return f"{text}, {100.0 * relative:+.3g} %"
+    return f"{text}, {number_text(f'{100.0 * relative:+.3g}')} %"
+
+
+def _units(changes: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """The unit in which each quantity of both runs is read; spreads follow what they are the spread of."""
+    values: dict[str, list[float]] = {}
+    for change in changes:
+        name = subject_of(change)
+        if name and change["statistic"] != "standard deviation" and lookup(name).display:
+            known = [float(change[side]["value"]) for side in ("before", "after") if change[side]["value"] is not None]
+            values.setdefault(name, []).extend(known)
+    return {name: unit_that_reads(name, found) for name, found in values.items()}
 
 
 def headline(found: Mapping[str, Any]) -> str:
@@ -349,14 +354,20 @@ def headline(found: Mapping[str, Any]) -> str:
     return said
 
 
-def comparison_text(found: Mapping[str, Any]) -> str:
-    """The comparison for the terminal."""
+def comparison_text(found: Mapping[str, Any], width: int | None = None) -> str:
+    """The comparison for the terminal, no line longer than `width` columns (the terminal's where it is None)."""
+    with reading_units(_units(found["changes"])):
+        return writable("\n".join(_parts(found, screen_width() if width is None else width)))
+
+
+def _parts(found: Mapping[str, Any], width: int) -> list[str]:
     first, second = found["before"], found["after"]
-    rows = [(key, str(first[key]), str(second[key])) for key in ("folder", "title", "seed", "version", "evaluations")]
-    parts = [plain(headline(found)), "", table(("", "before", "after"), rows), ""]
+    rows = [(key, *(_plainly(side[key]) for side in (first, second)))
+            for key in ("folder", "title", "seed", "version", "evaluations")]  # fmt: skip
+    parts = [wrap(headline(found), width, ""), "", table(("", "before", "after"), rows, width), ""]
     if found["causes"]:
         rows = [(c["what"], _cut(c["before"]), _cut(c["after"])) for c in found["causes"]]
-        parts += [table(("changed in the study", "before", "after"), rows), ""]
+        parts += ["changed in the study", table(("what", "before", "after"), rows, width), ""]
     else:
         parts += ["nothing was changed in the study", ""]
     words = {True: "met", False: "NOT MET", None: "undecided"}
@@ -366,27 +377,43 @@ def comparison_text(found: Mapping[str, Any]) -> str:
         for e in found["limits"]
     ]  # fmt: skip
     if rows:
-        parts += [table(("limit", "verdict before", "verdict after"), rows), ""]
-    shown = []
-    for change in found["changes"]:
-        subject = subject_of(change)
-        shown.append(
-            (change["name"], change["statistic"], _estimate(change["before"], subject),
-             _estimate(change["after"], subject), difference_text(change), change["verdict"])
-        )  # fmt: skip
-    header = ("of", "answer", "before (95 %)", "after (95 %)", "difference (95 %)", "change")
-    parts.append(table(header, shown))
+        parts += [table(("limit", "verdict before", "verdict after"), rows, width), ""]
+    # intervals of both sides stand there where there is room; that of the difference always does
+    wide = _changes_table(found["changes"], estimate_text, "before (95 %)", "after (95 %)", None)
+    fits = max(map(len, wide.split("\n"))) <= width
+    parts.append(wide if fits else _changes_table(found["changes"], rounded, "before", "after", width))
     for key, side in (("only_before", "before"), ("only_after", "after")):
         if found[key]:
-            parts.append(f"only {side}: {plain('; '.join(found[key][:12]))}" + (" ..." if len(found[key]) > 12 else ""))
+            more = " ..." if len(found[key]) > 12 else ""
+            parts.append(wrap(f"only {side}: {'; '.join(found[key][:12])}{more}", width))
     if found["perhaps"]:
         parts.append(
-            f'"perhaps": significant at 95 % taken alone; of {found["compared"]} answers about '
-            f"{0.05 * found['compared']:.0f} would be so by chance"
-        )
+            wrap(f'"perhaps": significant at 95 % taken alone; of {found["compared"]} answers about '
+                 f"{0.05 * found['compared']:.0f} would be so by chance", width)
+        )  # fmt: skip
     if "page" in found:
         parts.append(f"page: {plain(found['page'])}")
-    return "\n".join(parts)
+    return parts
+
+
+def _plainly(value: Any) -> str:
+    """Counts with a comma at the thousands; a seed is no count, but a name."""
+    return ", ".join(f"{n:,} {k}" for k, n in value.items()) if isinstance(value, Mapping) else str(value)
+
+
+def _changes_table(changes: Iterable[Mapping[str, Any]], said: Callable[[Estimate, str], str], *rest: Any) -> str:
+    """Both sides of every answer as `said` says them, the difference, and whether it is more than chance."""
+    before, after, width = rest
+    rows: list[tuple[str, ...] | str] = []
+    name = ""
+    for change in changes:
+        if change["name"] != name:
+            name = change["name"]
+            rows.append(name)
+        subject = subject_of(change)
+        sides = [said(change[side], subject) for side in ("before", "after")]
+        rows.append((change["statistic"], *sides, difference_text(change), change["verdict"]))
+    return table(("answer", before, after, "difference (95 %)", "change"), rows, width)
 
 
 def _cut(text: str, longest: int = 70) -> str:

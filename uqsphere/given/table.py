@@ -79,6 +79,8 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
 
 
 def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    if path.is_dir():
+        raise UsageError(f"{path}: this is a folder; give the table inside it")
     try:
         if path.stat().st_size > _LARGEST:
             raise UsageError(f"{path} is larger than {_LARGEST // 1024**2} MiB: thin it out first")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from uqsphere.console import table
+from uqsphere.console import screen_width, wrap
+from uqsphere.console import table as any_table
 from uqsphere.quantities import format_estimate
 
 __all__ = ["analysis_text", "study_text"]
@@ -34,8 +35,13 @@ def _range(ends: Sequence[float] | None) -> str:
     return f"{ends[0]:.4g} to {ends[1]:.4g}" if ends else "-"
 
 
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table that fits the terminal."""
+    return any_table(header, rows, screen_width())
+
+
 def analysis_text(found: Mapping[str, Any]) -> str:
-    """The analysis for the terminal."""
+    """The analysis for the terminal, no line longer than that is wide."""
     parts = [f"{found['rows']:,} rows", "", *_inputs(found), "", _outputs(found), "", _drivers(found)]
     for name, entry in found["sensitivity"].items():
         chaos = entry["chaos"]
@@ -49,7 +55,8 @@ def analysis_text(found: Mapping[str, Any]) -> str:
                 "The laws, or what is said of the dependence, are wrong, or the runs were not drawn independently; "
                 "believe neither before that is settled"
             )
-    return "\n".join(parts)
+    # a text of one line is a sentence, one of several a table
+    return "\n".join(text if "\n" in text else wrap(text, screen_width()) for text in parts)
 
 
 def _inputs(found: Mapping[str, Any]) -> list[str]:

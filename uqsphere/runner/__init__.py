@@ -254,7 +254,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     if notice is not None:
         for name, limit in sampled.limits.items():
             if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
-                interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high)
+                interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high, most=5)
                 notice(f"limit {name}: probability of missing its aim {interval}")
     tolerance = find_tolerance(work)
     margins = judge_answers(work, find_margins(work, sampled))

@@ -167,7 +167,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     try:
         run = evaluate_points(replace(work, spare=True), "margins-surrogate", names, rows)
     except OutOfBudget:
-        return _Wide(trusted={}, runs=0, reason="no curve could be computed: the time was over")
+        return _Wide(trusted={}, runs=0, reason="no curve could be computed: the time was over, or the run was stopped")
     if run.status.any():
         lost = int(np.count_nonzero(run.status))
         return _Wide(trusted={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")

@@ -86,7 +86,7 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
     try:
         about["lost_to"] = _lost_to(work, where) if known else {"reason": value.reason}
     except OutOfBudget:
-        about["lost_to"] = {"reason": "the time was over"}
+        about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
     strength = where.limit.strength
     if isinstance(strength, Law) and is_fitted(strength):
         try:

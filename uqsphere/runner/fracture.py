@@ -78,7 +78,7 @@ def find_fracture(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnsw
         answer |= union_curve(work, limits, factor, margins)
     except OutOfBudget:
         work.ledger.stopped_by_time = True
-        answer["reason"] = "the time was over"
+        answer["reason"] = "the time was over, or the run was stopped"
     return answer
 
 

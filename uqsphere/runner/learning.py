@@ -94,7 +94,7 @@ def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], affordable: int)
                 space.function, seed=work.study.seed, budget=calls, accuracy=min(asked, 0.05), task=task
             )
         except OutOfBudget:
-            text = "active learning was cut off: the time was over"
+            text = "active learning was cut off: the time was over, or the run was stopped"
             found.limits[limit.name] = replace(answer, checks=(*answer.checks, text))
             break
         updated = _joined(limit, answer, learned)

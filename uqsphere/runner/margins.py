@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 SHARE = 0.1
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
 BELOW = 0.5
-_LATE = "the time was over before the curve was known"
+_LATE = "the time was over, or the run was stopped, before the curve was known"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,6 +242,7 @@ def _members(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict
             found[value] = _curves(moved, limits, most=most, tag=f"-family{k}")
         except OutOfBudget:
             found[value] = dict.fromkeys(
-                (limit.name for limit in limits), "the time was over before the curve was known"
+                (limit.name for limit in limits),
+                "the time was over, or the run was stopped, before the curve was known",
             )
     return found

@@ -78,7 +78,7 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, 
             try:
                 points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
-                note = "the curve is coarser than wanted: the time was over"
+                note = "the curve is coarser than wanted: the time was over, or the run was stopped"
                 break
             states = {limit.name: state_of(work, limit, points, sample) for limit in limits}
             found[value] = {name: probabilities(state) for name, state in states.items()}
@@ -86,7 +86,7 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, 
         if not todo:
             break
     if len(found) < FIRST_GRID:
-        return dict.fromkeys(names, "the time was over before the whole range was looked at")
+        return dict.fromkeys(names, "the time was over, or the run was stopped, before the whole range was looked at")
     answers: dict[str, Steps | str] = {}
     for name in names:
         usable = [value for value in sorted(found) if np.isfinite(found[value][name]).all()]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, TypeAlias
 
-from uqsphere.errors import AccessError
+from uqsphere.errors import AccessError, UsageError
 from uqsphere.files import is_device_name
 from uqsphere.quantities import UNITS, Quantity, units_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
@@ -148,7 +148,7 @@ def _rows(path: Path, name: str, place: Place, findings: Findings) -> Rows | Non
         rows = [
             (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
         ]
-    except AccessError:
+    except (AccessError, UsageError):
         findings.add(place, f"{shown(name)} cannot be read as a file")
     except UnicodeDecodeError:
         findings.add(place, f"{shown(name)} is not UTF-8 text")

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.errors import AccessError, Problem, StudyError
+from uqsphere.errors import AccessError, Problem, StudyError, UsageError
 from uqsphere.study.findings import Findings, Place, shown
 
 __all__ = [
@@ -67,12 +67,14 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
     Raises
     ------
     AccessError
-        Where the operating system refuses, or the path is a folder or a device.
+        Where the operating system refuses, or the path is a device.
+    UsageError
+        Where it is a folder.
     """
     try:
         kind = os.stat(path)
         if stat.S_ISDIR(kind.st_mode):
-            raise AccessError(f"{path}: this is a folder; give the study file inside it")
+            raise UsageError(f"{path}: this is a folder; give the study file inside it")
         if not stat.S_ISREG(kind.st_mode):
             raise AccessError(f"{path}: this is not a regular file")
         with open(path, "rb") as stream:

@@ -1,0 +1,151 @@
+"""What the terminal shows fits it, with names of any length, and has the numbers of the page."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uqsphere.compare import compare_folders, comparison_text
+from uqsphere.console import Progress, screen_width, table, wrap, writable
+from uqsphere.report.wording import estimate_text
+from uqsphere.summary import summary_of
+
+ROOT = Path(__file__).parent.parent
+PUBLISHED = sorted(path.parent for path in (ROOT / "reports").glob("*/results.json"))
+WIDTHS = (60, 80, 120)
+#: what stands for what, in German
+NAMES = {
+    "crushing": "Quetschfestigkeitsgrenzwertüberschreitung",
+    "limits.crushing.strength": "limits.Quetschfestigkeitsgrenzwertüberschreitung.strength",
+    "contact_time": "Kontaktzeitüberschreitungswahrscheinlichkeit",
+    "sphere.E": "sphere.Elastizitätsmodul_der_Granitkugel",
+}
+
+
+def longest(text: str) -> int:
+    return max(map(len, text.split("\n")))
+
+
+def in_german(results: dict[str, Any]) -> dict[str, Any]:
+    text = json.dumps(results, ensure_ascii=False)
+    for name, german in NAMES.items():
+        text = text.replace(f'"{name}"', f'"{german}"')
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+@pytest.fixture(params=PUBLISHED, ids=lambda path: path.name)
+def results(request: pytest.FixtureRequest) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((request.param / "results.json").read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_answers_fit_the_terminal(results: dict[str, Any], width: int) -> None:
+    for found in (results, in_german(results)):
+        assert longest(summary_of(found, width)) <= width
+
+
+def test_nothing_is_cut_off(results: dict[str, Any]) -> None:
+    german = in_german(results)
+    whole = re.sub(r"\s+", "", summary_of(german, 400))
+    for name in (*german["limits"], *german["quantities"]):
+        assert name in whole
+    # the same words whatever the width, parted as they may be; bars and decimals of indices alone depend on it
+    parts = summary_of(german, 60).split("before you rely on it:")[-1]
+    assert re.sub(r"\s+", "", parts) in whole
+
+
+def test_numbers_are_those_of_the_page() -> None:
+    results = json.loads((ROOT / "reports/granite/results.json").read_text(encoding="utf-8"))
+    text = summary_of(results, 80)
+    for quantile in results["quantities"]["p_max"]["quantiles"].values():
+        assert estimate_text(quantile, "p_max") in text
+    # five digits at most of whatever has an interval; counts have commas at the thousands
+    for number in re.findall(r"\d\.\d+(?= \()", text):
+        assert len(number.replace(".", "").lstrip("0")) <= 5
+    assert not re.search(r"(?<![\d.])\d{5,}(?!\d)", text)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_comparison_fits_the_terminal(width: int, tmp_path: Path) -> None:
+    from report_folders import limit, write_folder
+
+    name = NAMES["crushing"]
+    before = write_folder(tmp_path / "before", limits={name: limit(0.0123, 0.02, True)})
+    after = write_folder(tmp_path / "after", limits={name: limit(0.0301, 0.02, False)})
+    found = compare_folders(before, after)
+    found["before"]["folder"], found["after"]["folder"] = "before-results", "after-results"
+    text = comparison_text(found, width)
+    assert longest(text) <= width
+    assert "NOT MET" in text
+    assert "0.01230 (0.01180 to 0.01280)" in comparison_text(found, 200)
+
+
+def test_a_table_gives_way_to_numbers_last() -> None:
+    text = table(("of", "value"), [("Quetschfestigkeitsgrenzwertüberschreitung", "0.20160 (0.20126 to 0.20194) %")], 50)
+    assert longest(text) <= 50
+    assert "0.20160 (0.20126 to 0.20194) %" in text
+    assert re.sub(r"\s|0.*%", "", text) == "ofvalueQuetschfestigkeitsgrenzwertüberschreitung"
+
+
+def test_a_sentence_is_wrapped_and_loses_nothing() -> None:
+    text = "limits.Quetschfestigkeitsgrenzwertüberschreitung.strength is what to measure first\x1b[31m"
+    found = wrap(text, 24)
+    assert longest(found) <= 24
+    assert re.sub(r"\s", "", found) == text.replace(" ", "").replace("\x1b", "?")
+
+
+def test_a_terminal_without_the_signs_gets_plain_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    assert writable("−2.5 × 10⁻⁷ (−3.1 × 10⁻⁷ to 0) µs") == "-2.5e-7 (-3.1e-7 to 0) us"
+
+
+def test_the_width_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "132")
+    assert screen_width() == 132
+    monkeypatch.setenv("COLUMNS", "3")
+    assert screen_width() == 40
+
+
+class Screen(io.StringIO):
+    """A terminal's side of stderr."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_bar_and_the_accuracy_below_it_fit_the_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TERM", "xterm")
+    now = 100.0
+    monkeypatch.setattr("uqsphere.console.time.monotonic", lambda: now)
+    progress = Progress(evaluations=2_000_000, seconds=600.0, asked={"mean": 0.01}, began=now, started=now)
+    kind = "half-width of the mean over the standard deviation"
+    names = ("p_max", "contact_time", NAMES["crushing"])
+    progress.reached([{"quantity": n, "error": 0.02 + k, "error_kind": kind} for k, n in enumerate(names)])
+    progress("sampling", 1, 131_072)
+    screen.seek(0)
+    screen.truncate()
+    now += 30.0
+    progress("sampling", 65_536, 131_072)
+    first, second = screen.getvalue().split("\n")
+    assert len(first.strip("\r")) == width - 1
+    assert "sampling: 65,536 of 131,072 evaluations" in first
+    # the remaining time of the stage where there is room for it, and the accuracy of the worst quantity at least
+    assert ("30 s left" in first) == (width >= 80)
+    below, up = second.split("\x1b[A")
+    assert up == "\r"
+    assert len(below) == width - 1
+    assert f"error over what was asked: {NAMES['crushing']} 2e+02".startswith(below.strip().strip("…")[:59])
+    progress.finish()
+    assert screen.getvalue().endswith("\r\n\n")
