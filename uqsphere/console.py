@@ -113,6 +113,14 @@ def _shrunk(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[i
     for columns, least in (
         (every, content),
         (names, [min(c, _NAME) for c in content]),
+        # a number is not parted, unless nothing else is left
+        (
+            every,
+            [
+                min(c, max([_LEAST, *(len(w) for row in rows for w in row[k].split() if _NUMBER.match(w))]))
+                for k, c in enumerate(content)
+            ],
+        ),
         (every, [min(c, _LEAST) for c in content]),
     ):
         while sum(widths) + 2 * (len(widths) - 1) > width:

@@ -18,6 +18,7 @@ from uqsphere.report.wording import (
     plain_percent,
     probability_range,
     probability_text,
+    rounded,
 )
 
 __all__ = ["summary_of"]
@@ -136,14 +137,27 @@ def _fracture_rows(found: dict[str, Any]) -> list[tuple[str, ...]]:
 
 def _verdicts(results: dict[str, Any], width: int) -> list[str]:
     """A line for every limit: the verdict in words first, then probability, target and margin."""
-    rows = []
-    for name, limit in results["limits"].items():
-        words = {True: "met", False: "NOT MET", None: "undecided"}
-        verdict = words[limit["met"]] if limit["target"] is not None else "no target"
-        target = plain_percent(limit["target"]) if limit["target"] is not None else "-"
-        rows.append((verdict, name, limit["aim"], _chance(limit["miss"]), target, _estimate(limit["margin"]["median"])))
-    header = ("verdict", "limit", "aim", "probability of a miss (95 %)", "target", "median margin")
-    return [table(header, rows, width), ""] if rows else []
+    words = {True: "met", False: "NOT MET", None: "undecided"}
+    texts: list[str] = []
+    # the interval of the margin stands there where there is room for it
+    for said, limited in ((estimate_text, None), (rounded, width)):
+        rows = []
+        for name, limit in results["limits"].items():
+            verdict = words[limit["met"]] if limit["target"] is not None else "no target"
+            target = plain_percent(limit["target"]) if limit["target"] is not None else "-"
+            margin = limit["margin"]["median"]
+            shown = "-" if margin["value"] is None else said(margin)
+            rows.append((verdict, name, limit["aim"], _chance(limit["miss"]), target, shown))
+        header = ("verdict", "limit", "aim", "probability of a miss (95 %)", "target", "median margin")
+        texts = [table(header, rows, limited)] if rows else []
+        if max((len(line) for text in texts for line in text.split("\n")), default=0) <= width:
+            break
+    texts += [
+        wrap(f"no margin of {name}: {limit['margin']['median'].get('reason') or 'not known'}", width)
+        for name, limit in results["limits"].items()
+        if limit["margin"]["median"]["value"] is None
+    ]
+    return [*texts, ""] if texts else []
 
 
 def _first_reason(texts: list[str]) -> str:

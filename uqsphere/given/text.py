@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from uqsphere.console import screen_width, wrap
-from uqsphere.console import table as any_table
+from uqsphere.console import screen_width, table, wrap
 from uqsphere.quantities import format_estimate
 
 __all__ = ["analysis_text", "study_text"]
@@ -35,13 +34,8 @@ def _range(ends: Sequence[float] | None) -> str:
     return f"{ends[0]:.4g} to {ends[1]:.4g}" if ends else "-"
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table that fits the terminal."""
-    return any_table(header, rows, screen_width())
-
-
 def analysis_text(found: Mapping[str, Any]) -> str:
-    """The analysis for the terminal, no line longer than that is wide."""
+    """The analysis for the terminal: sentences in lines that fit it, tables as wide as they are."""
     parts = [f"{found['rows']:,} rows", "", *_inputs(found), "", _outputs(found), "", _drivers(found)]
     for name, entry in found["sensitivity"].items():
         chaos = entry["chaos"]
