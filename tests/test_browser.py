@@ -83,7 +83,8 @@ function probe(frame) {
     if (!e.getAttribute('aria-label') && !e.getAttribute('aria-labelledby') && !e.querySelector('h2'))
       out.unnamed.push(e.outerHTML.slice(0, 60));
   for (const e of page.querySelectorAll('th')) if (!e.scope) out.unnamed.push(e.outerHTML.slice(0, 60));
-  for (const e of page.querySelectorAll('table')) if (!e.caption) out.unnamed.push(e.outerHTML.slice(0, 60));
+  for (const e of page.querySelectorAll('table'))
+    if (!e.caption && !e.getAttribute('aria-label')) out.unnamed.push(e.outerHTML.slice(0, 60));
   out.headings = [...page.querySelectorAll('h1, h2, h3, h4')].map(h => +h.tagName[1]);
   for (const s of page.querySelectorAll('svg')) {
     const boxes = [...s.querySelectorAll('text')].map(t => [t.textContent, t.getBoundingClientRect()]);

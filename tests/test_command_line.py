@@ -114,10 +114,13 @@ def test_a_broken_study_is_told_with_its_place(ask: Any, place: Path, text: str,
 
 
 def test_files_that_are_not_there(ask: Any) -> None:
-    for arguments in (("check", "none.toml"), ("run", "none.toml"), ("history", "none.toml"), ("check", "."),
+    for arguments in (("check", "none.toml"), ("run", "none.toml"), ("history", "none.toml"),
                       ("run", "box.toml", "--model", "none.py:f"), ("new", "-o", "none/x.toml")):  # fmt: skip
         answer = ask(*arguments)
         assert (answer.code, answer.out) == (6, ""), arguments
+    for command in ("check", "run", "history"):  # a folder where a file is due is wrong usage
+        answer = ask(command, ".")
+        assert (answer.code, answer.out) == (2, ""), command
 
 
 # --- new, check, list, schema, doctor --------------------------------------------------------------

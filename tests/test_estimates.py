@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.estimates import Estimate, absent, describe, from_replicates, reached, share
+from uqsphere.uq.estimates import Estimate, absent, describe, from_replicates, hazen, reached, share
 from uqsphere.uq.sampling import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -155,3 +155,11 @@ def test_too_few_samples_are_said() -> None:
     found = describe(np.random.default_rng(3).random((2, 16)), quantiles=(0.01,))
     assert "too few" in found.quantiles[0.01].reason
     assert describe(np.full((3, 8), math.nan)).mean.value is None
+
+
+@pytest.mark.parametrize("total", [1, 2, 5, 64])
+@pytest.mark.parametrize("p", [0.001, 0.1, 0.37, 0.5, 0.9, 0.999])
+def test_a_quantile_of_samples_is_hazens(total: int, p: float) -> None:
+    ordered = np.sort(np.random.default_rng(total).standard_normal(total))
+    found = hazen(lambda rank: float(ordered[rank]), total, p)
+    assert found == pytest.approx(float(np.quantile(ordered, p, method="hazen")), abs=1e-12)
