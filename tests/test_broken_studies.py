@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from uqsphere.errors import AccessError, Problem, StudyError, UqsphereError
+from uqsphere.errors import AccessError, Problem, StudyError, UqsphereError, UsageError
 from uqsphere.study import load_study
 
 BASE = """\
@@ -295,12 +295,16 @@ def test_byte_order_mark_is_dropped(tmp_path: Path) -> None:
     assert load_study(tmp_path / "study.toml").title == "granite"
 
 
-@pytest.mark.parametrize("kind", ["missing", "folder", "denied", "pipe", "nul"])
+def test_a_folder_is_no_study(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="this is a folder") as caught:
+        load_study(tmp_path)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("kind", ["missing", "denied", "pipe", "nul"])
 def test_what_cannot_be_read(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
-    if kind == "folder":
-        path.mkdir()
-    elif kind == "pipe":
+    if kind == "pipe":
         os.mkfifo(path)
     elif kind == "denied":
         path.symlink_to(path)
