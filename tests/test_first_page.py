@@ -17,7 +17,7 @@ from uqsphere.report.decision import lognormal_scores, margin_finding
 from uqsphere.report.directions import drivers_remark, measure_remarks, opposed
 from uqsphere.report.event import answer_text, breaks, missing, safe_side
 from uqsphere.report.glance import glances
-from uqsphere.report.granted import granted_cautions, granted_line, granted_table
+from uqsphere.report.granted import granted_cautions, granted_line, granted_table, turns
 from uqsphere.report.limit_surface import Sides
 from uqsphere.report.margin_verdict import margin_answer, margin_verdicts, no_common_value, reserve
 from uqsphere.report.method import answer_checks_table
@@ -259,3 +259,22 @@ def test_the_table_of_margins_says_where_the_bars_yield(two: Contents) -> None:
     checks = answer_checks_table(two, "y")
     assert checks is not None
     assert "at the answer for “y”, 1.79 m/s, on 128 scenes" in checks.caption
+
+
+@pytest.mark.parametrize(
+    ("assumption", "met", "instead", "told"),
+    [
+        ("law", True, False, True),  # a heavier tail loses the target
+        ("law", True, None, True),
+        ("law", False, True, False),  # a lighter one is no comfort
+        ("modulus", False, True, True),
+        ("dependence", True, False, True),
+        ("dependence", True, True, False),
+    ],
+)
+def test_a_verdict_that_turns_on_an_assumption_is_told(
+    assumption: str, met: bool, instead: bool | None, told: bool
+) -> None:
+    row = {"assumption": assumption, "miss": estimate(0.02), "met": instead}
+    assert turns({"target": 0.01, "met": met}, row) is told
+    assert not turns({"target": None, "met": met}, row)

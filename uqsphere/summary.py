@@ -8,7 +8,7 @@ from typing import Any, Final
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import reading_units
 from uqsphere.report.event import at_most, safe_side
-from uqsphere.report.granted import instead_text, verdict_word
+from uqsphere.report.granted import instead_text, turns, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
@@ -83,8 +83,7 @@ def _assumed(results: dict[str, Any]) -> list[str]:
         for row in limit.get("assumed") or ():
             if row["miss"]["value"] is None:
                 continue
-            turned = limit["target"] is not None and row["met"] != limit["met"]
-            if row["assumption"] == "dependence" or (turned and row["assumption"] != "law"):
+            if row["assumption"] == "dependence" or turns(limit, row):
                 word = f": target {verdict_word(row['met'])}" if limit["target"] is not None else ""
                 found.append(
                     f"limit {plain(name)}: {plain(instead_text(row))} the probability of missing it would be "

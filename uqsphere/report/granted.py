@@ -28,6 +28,7 @@ __all__ = [
     "granted_table",
     "instead_text",
     "short_probability",
+    "turns",
     "verdict_word",
 ]
 
@@ -103,14 +104,19 @@ def granted_line(contents: Contents, name: str) -> str:
     return " ".join(parts)
 
 
+def turns(limit: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
+    """Whether the verdict on a limit turns on an assumption; on a law's family only where that loses the target."""
+    if limit["target"] is None or row["miss"]["value"] is None or row["met"] == limit["met"]:
+        return False
+    return row["assumption"] != "law" or limit["met"] is True
+
+
 def granted_cautions(contents: Contents) -> list[str]:
     """Assumptions on which a verdict turns."""
     found = []
     for name, limit in contents.results["limits"].items():
         for row in limit.get("assumed") or ():
-            if limit["target"] is None or row["miss"]["value"] is None or row["met"] == limit["met"]:
-                continue
-            if row["assumption"] == "law":
+            if not turns(limit, row):
                 continue
             own = f" on {limit_name(name)}" if len(contents.results["limits"]) > 1 else ""
             source = "; the dependence is an assumption of the study" if row["assumption"] == "dependence" else ""
