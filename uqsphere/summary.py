@@ -172,10 +172,11 @@ def _governing(results: dict[str, Any], width: int) -> list[str]:
         rows += [f"limit {name}"] if shares else []
         for key in sorted(shares, key=lambda key: -shares[key])[:_MOST]:
             rows.append((key, f"{shares[key]:6.1%}".replace("%", " %"), bar(shares[key])))
-        first = (limit.get("measure_first") or {}).get("rows") or []
+        measured = limit.get("measure_first") or {}
+        first = measured.get("rows") or []
         if first:
-            tests = first[0]["tests"]
-            count = f"{tests:,} specimen{'' if tests == 1 else 's'}"
+            tests, known = first[0]["tests"], plain_percent(measured["wanted"])
+            count = f"{tests:,} specimen{'' if tests == 1 else 's'} to know the probability to {known}"
             advice.append(wrap(f"to measure first for {name}: {first[0]['input']} ({count})", width))
     parts = [table(("hangs on", " share", ""), rows, width)] if rows else []
     return [*parts, *advice, ""] if parts or advice else []
