@@ -69,7 +69,8 @@ class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
     `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
-    without what a single sample decides (`honesty`).  `ended`: more terms allowed would have changed nothing.
+    without what a single sample decides (`honesty`).  `without` are the multi-indices that were chosen without each
+    fold, empty where the folds choose nothing of their own.  `ended`: more terms allowed would have changed nothing.
     """
 
     transform: Transform
@@ -79,6 +80,7 @@ class Found:
     error: float
     reported: float
     steady: float
+    without: tuple[Indices, ...]
     ended: bool
 
 
@@ -140,6 +142,7 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
         error=least,
         reported=reported,
         steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
+        without=tuple(indices[chosen] for chosen in path.chosen_without()),
         ended=path.order.size < most,
     )
 

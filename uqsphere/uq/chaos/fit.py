@@ -11,12 +11,12 @@ import numpy as np
 
 from uqsphere.uq.chaos.bases import GermLike, orthonormal_values
 from uqsphere.uq.chaos.choice import Contest, Found, compete, prepare
-from uqsphere.uq.chaos.honesty import blended, refits, steadied
+from uqsphere.uq.chaos.honesty import blended, leaned, neglected, refits, steadied
 from uqsphere.uq.chaos.sampled import law_points
 from uqsphere.uq.chaos.solvers import solve_rows
 from uqsphere.uq.chaos.splits import Split, find_split
 from uqsphere.uq.chaos.surrogate import Chaos, Piece, predict
-from uqsphere.uq.chaos.truncation import products
+from uqsphere.uq.chaos.truncation import grown, products
 from uqsphere.uq.families import Array
 
 __all__ = ["Verdict", "fit_again", "fit_chaos", "fit_outputs", "judge", "validation_error"]
@@ -29,8 +29,11 @@ _SPLIT_HELPS: Final = 0.6
 #: contenders that are looked at beyond the samples, and at how many points
 _TRIED: Final = 5
 _LOOKED_AT: Final = 4096
+_FEWER_LOOKED_AT: Final = 2048
 #: share of the samples left out one by one in the error of two pieces: with a fifth fewer, border and terms are lost
 _FEWER: Final = 0.5
+#: terms beside those kept that are looked at for the next one
+_BESIDE: Final = 300
 #: times what the folds move an expansion by under the law: more variance than that is not put down to it
 _WILD: Final = 100.0
 
@@ -180,6 +183,13 @@ def _whole(
     moved = transform.back(fits.without @ there) - values
     shifts = (len(moved) - 1) * np.mean(moved**2, axis=1) / variance
     left_out = steadied((transform.back(fits.left_out) - scaled) ** 2) / variance
+    chosen = np.mean(moved**2, axis=1) / variance
+    if found.without:
+        chosen = _chosen_without(found, contest, scaled, germs, law, values)
+    near = grown(indices, np.abs(fits.coefficients), contest.highest, len(indices) + _BESIDE)[len(indices) :]
+    next_one = neglected(rows, transform.forward(scaled), products(contest.values, near))
+    # what a small change of the transformed output is in the output itself, over the variance
+    gain = float(np.mean(transform.slope(fits.coefficients @ there) ** 2)) / variance
     coefficients = fits.coefficients.copy()
     if transform.kind == "identity":
         coefficients *= transform.scale * unit
@@ -188,9 +198,31 @@ def _whole(
                   transform=None if transform.kind == "identity" else replace(transform, unit=unit))  # fmt: skip
     chaos = Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=min(found.reported, 1.0),
                   samples=scaled.size, solver=found.solver)  # fmt: skip
+    reported = leaned(blended(found.steady, left_out, steadied(shifts), steadied(chosen)), gain * next_one.energy,
+                      next_one.share)  # fmt: skip
     one = _Candidate(chaos=chaos, folded=found.reported, loose=float(np.mean(shifts)), values=values,
-                     reported=blended(found.steady, left_out, steadied(shifts)))  # fmt: skip
+                     reported=reported)  # fmt: skip
     return replace(one, reported=max(one.reported, _excess(one, scaled)))
+
+
+def _chosen_without(
+    found: Found, contest: Contest, scaled: Array, germs: tuple[GermLike, ...], law: Array, values: Array
+) -> Array:
+    """How far expansions in terms chosen without each fold (K,) are from the values under the law, over the variance."""
+    every, places = np.unique(np.concatenate(found.without), axis=0, return_inverse=True)
+    law, values = law[:_FEWER_LOOKED_AT], values[:_FEWER_LOOKED_AT]
+    highest = every.max(axis=0)
+    here = products(contest.values, every)
+    there = products([orthonormal_values(germ, law[:, j], int(highest[j])) for j, germ in enumerate(germs)], every)
+    outputs, begin, answer = found.transform.forward(scaled), 0, []
+    for fold, indices in enumerate(found.without):
+        own = places.ravel()[begin : begin + len(indices)]
+        begin += len(indices)
+        seen = contest.folds != fold
+        coefficients = solve_rows(here[np.ix_(own, seen)], outputs[seen])
+        moved = found.transform.back(coefficients @ there[own]) - values
+        answer.append(float(np.mean(moved**2)) / float(np.var(scaled)))
+    return np.array(answer)
 
 
 def _in_two(

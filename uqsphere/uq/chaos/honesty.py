@@ -1,9 +1,12 @@
-"""What error an expansion reports: K-fold, leave-one-out and the law of the inputs, each mending the other's fault.
+"""What error an expansion reports: samples left out and the law of the inputs, each mending the other's fault.
 
 K-fold errors hold the choice of terms, and are those of fewer samples: too large where an error falls fast.
 Leave-one-out errors of the terms chosen are those of all samples but one, and know nothing of the choice: too small.
 Their geometric mean is nearer than either.  Neither sees beyond the samples, where a polynomial is loose: what the
 coefficients are uncertain by, by the jackknife over the folds (Efron and Stein 1981), is carried to the law itself.
+What the choice of terms is uncertain by is how far apart expansions are under the law whose terms were chosen without
+one of the folds.  And what the next term would be, and how large under the law, tells what lies in tails without
+samples: products that are next to nothing at all samples are found in what is left, if they are there.
 A mean of squares that a single sample or fold makes up says little: `steadied` leans on the others then.
 """
 
@@ -18,7 +21,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["Refits", "blended", "left_one_out", "refits", "steadied"]
+__all__ = ["Neglected", "Refits", "blended", "leaned", "left_one_out", "neglected", "refits", "steadied"]
 
 #: an error above the first falls too slowly with the number of samples for K-fold to be much too large; one below
 #: the second falls fast
@@ -63,6 +66,47 @@ def refits(rows: Array, values: Array, folds: npt.NDArray[np.intp]) -> Refits:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Neglected:
+    """The term left out that explains most: the `share` of what is left at the samples, and `energy` under the law.
+
+    `energy` is the mean square, under the law of the inputs, of the term with its coefficient and of what the terms
+    kept hold of it by mistake.
+    """
+
+    share: float
+    energy: float
+
+
+def neglected(rows: Array, values: Array, others: Array) -> Neglected:
+    """The most telling of `others` (m, n), rows of orthonormal terms beside those kept (k, n), k < n, for values (n,).
+
+    With r what least squares leaves of a row p, e that of the values and b the coefficients of p in the terms kept,
+    the coefficient is c = e·r/r·r, it explains (e·r)²/(r·r e·e), and has c² (1 + b·b) under the law.
+
+    >>> import numpy as np
+    >>> x = np.linspace(-1.0, 1.0, 9)
+    >>> found = neglected(np.ones((1, 9)), 3.0 + 0.5 * x, np.array([x**2, x]))
+    >>> round(found.share, 9), round(found.energy, 9)
+    (1.0, 0.25)
+    """
+    q, triangle = np.linalg.qr(rows.T)
+    off = values - q @ (q.T @ values)
+    held = q.T @ others.T
+    fresh = others.T - q @ held
+    squares = np.sum(fresh**2, axis=0)
+    there = squares > _SINGULAR * np.sum(others**2, axis=1)
+    left = float(off @ off)
+    if not (left > 0.0 and there.any()):
+        return Neglected(share=0.0, energy=0.0)
+    common = off @ fresh
+    shares = np.where(there, common**2 / (np.where(there, squares, 1.0) * left), 0.0)
+    best = int(np.argmax(shares))
+    mistaken = np.linalg.solve(triangle, held[:, best])
+    energy = float(common[best] / squares[best]) ** 2 * (1.0 + float(mistaken @ mistaken))
+    return Neglected(share=min(float(shares[best]), 1.0), energy=energy)
+
+
 def left_one_out(rows: Array, values: Array) -> Array:
     """Predictions (n,) of every value by least squares in rows (k, n) without itself."""
     q, _ = np.linalg.qr(rows.T)
@@ -91,13 +135,16 @@ def steadied(squares: Array) -> float:
     return math.exp((1.0 - lean) * math.log(mean) + lean * math.log(max(rest, 1e-300)))
 
 
-def blended(folded: float, left_out: float, loose: float = 0.0, *, share: float | None = None) -> float:
-    """The error reported: `folded` by K-fold, `left_out` one by one, `loose` over the law, all over the variance.
+def blended(
+    folded: float, left_out: float, loose: float = 0.0, chosen: float = 0.0, *, share: float | None = None
+) -> float:
+    """The error reported: `folded` by K-fold, `left_out` one by one, `loose` and `chosen` over the law.
 
-    (larger of folded and loose)^(1 - w) (left_out + loose)^w with w from 0, for errors of a tenth, to a half, below a
-    thousandth, or as given in `share`; never below `loose`.
+    All are over the variance: `loose` is what the coefficients are uncertain by, `chosen` the choice of terms.
+    u^(1 - w) l^w, with u the largest of folded, loose and chosen, l the larger of left_out + loose and chosen, and w
+    from 0, for errors of a tenth, to a half, below a thousandth, or as given in `share`; never below `loose`.
     """
-    upper, lower = max(folded, loose), left_out + loose
+    upper, lower = max(folded, loose, chosen), max(left_out + loose, chosen)
     if not (math.isfinite(upper) and math.isfinite(lower)):
         return math.inf
     if not (upper > 0.0 and lower > 0.0):
@@ -106,3 +153,17 @@ def blended(folded: float, left_out: float, loose: float = 0.0, *, share: float 
         falls = math.log(_SLOW / max(folded, 1e-300)) / math.log(_SLOW / _FAST)
         share = 0.5 * min(max(falls, 0.0), 1.0)
     return max(math.exp((1.0 - share) * math.log(upper) + share * math.log(lower)), loose)
+
+
+def leaned(error: float, energy: float, share: float) -> float:
+    """An error moved towards the `energy` of the next term, the more the larger the share of what is left it explains.
+
+    error^(1 - s²) energy^(s²), and never below the energy: a term that explains all that is left is the error.
+
+    >>> [leaned(1e-6, 1e-8, share) for share in (0.0, 1.0)], leaned(1e-6, 1e-4, 0.0)
+    ([1e-06, 1e-08], 0.0001)
+    """
+    if not (energy > 0.0 and math.isfinite(error) and error > 0.0):
+        return max(error, energy)
+    lean = share**2
+    return max(error ** (1.0 - lean) * energy**lean, energy)

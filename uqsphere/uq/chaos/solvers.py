@@ -55,12 +55,20 @@ class Path:
     """Rows in the order of their entry, and the K-fold error (k,) of the first 1, 2, … of them.
 
     -1 stands for a step that found nothing to add.  `held_out` (n,) are the predictions of every sample without its
-    fold, at the size of the least error.
+    fold, at the size of the least error.  `without` (K, k) are the rows that were chosen without each fold; None from
+    a solver whose folds choose nothing of their own.
     """
 
     order: Order
     errors: Array
     held_out: Array
+    without: Order | None = None
+
+    def chosen_without(self) -> list[Order]:
+        """The rows chosen without each fold, as many as leave the least error; none where folds choose nothing."""
+        if self.without is None:
+            return []
+        return [line[line >= 0] for line in self.without[:, : int(np.argmin(self.errors)) + 1]]
 
     def best(self) -> tuple[Order, float]:
         """The rows with the least error, and that error."""
@@ -100,7 +108,7 @@ class _Lanes:
         self.count = 0
         self.errors: list[float] = []
         self.held_out = np.zeros(n)
-        self.order: list[int] = []
+        self.orders: list[Order] = []
         self._least, self._since = np.inf, 0
 
     def add(self, rows: Order, wanted: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -129,7 +137,7 @@ class _Lanes:
         self.squares = _dots(self.residuals, self.residuals)
         self.predicted += steps[self.lane] * fresh[self.lane, self.sample]
         self.count += 1
-        self.order.append(int(rows[0]) if sound[0] else -1)
+        self.orders.append(np.where(sound, rows, -1))
         self.steps = steps
         self._project(masked, self.along[k])
         return lengths, overlaps
@@ -152,7 +160,8 @@ class _Lanes:
         return nothing_left or self._since > max(_LEAST_PATIENCE, self.count // 4)
 
     def path(self) -> Path:
-        return Path(order=np.array(self.order, dtype=np.intp), errors=np.array(self.errors), held_out=self.held_out)
+        orders = np.array(self.orders, dtype=np.intp).reshape(-1, self.every.size).T
+        return Path(order=orders[0], errors=np.array(self.errors), held_out=self.held_out, without=orders[1:])
 
 
 def _pursuit(task: Task, orthogonal: bool) -> Path:
