@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
-from uqsphere.uq.chaos.honesty import steadied
+from uqsphere.uq.chaos.honesty import neglected, steadied
 from uqsphere.uq.chaos.outputs import Transform, identity, possible_transforms
 from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
-from uqsphere.uq.chaos.truncation import Indices, grown, nested, products
+from uqsphere.uq.chaos.truncation import Indices, grown, nested, products, skipping
 from uqsphere.uq.families import Array
 
 __all__ = ["Basis", "Contest", "Found", "compete", "deal", "prepare", "spread_of"]
@@ -33,6 +33,7 @@ _CLOSE: Final = 2.0  # times the least error of the search: a transform still in
 _STRIDE: Final = 1.4  # sets that are hardly larger than the one before are passed over
 _GROWS: Final = 0.9  # a grown basis is kept where it brings the error below this share,
 _GROWS_FEW: Final = 0.75  # and below this where samples are few, and chance is large
+_EXPLAINS: Final = 0.5  # of what is left: a term that is out of reach, and worth another basis
 _MOST_TERMS: Final = 256
 _SOLVERS: Final = ("forward selection", "matching pursuit", "least angles", "subspace pursuit")
 _ENOUGH_TO_SEARCH: Final = 400  # samples from which on the search is held among the first of them
@@ -253,12 +254,33 @@ def _grow(contest: Contest, found: Found, outputs: Array) -> Found:
     for _ in range(contest.rounds):
         if found.error < _ENOUGH or len(found.indices) < 2:
             break
-        weights = np.abs(solve_rows(found.rows, values))
-        indices = grown(found.indices, weights, contest.highest, contest.most_candidates)
-        indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
-        basis = indices, products(contest.values, indices), ()
-        trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
-        if not trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error:
+        further = _grown(contest, found, values, solver, outputs) or _skipped(contest, found, values, solver, outputs)
+        if further is None:
             break
-        found = trial
+        found = further
     return found
+
+
+def _grown(contest: Contest, found: Found, values: Array, solver: str, outputs: Array) -> Found | None:
+    """What the neighbours of the terms that were kept bring, if it is enough."""
+    weights = np.abs(solve_rows(found.rows, values))
+    return _tried(contest, found, grown(found.indices, weights, contest.highest, contest.most_candidates), solver,
+                  outputs)  # fmt: skip
+
+
+def _skipped(contest: Contest, found: Found, values: Array, solver: str, outputs: Array) -> Found | None:
+    """What terms two degrees above those kept bring, where one of them explains most of what is left."""
+    above = skipping(found.indices, contest.highest)
+    if not len(above) or neglected(found.rows, values, products(contest.values, above)).share < _EXPLAINS:
+        return None
+    weights = np.abs(solve_rows(found.rows, values))
+    near = grown(found.indices, weights, contest.highest, max(contest.most_candidates - len(above), 1))
+    return _tried(contest, found, np.unique(np.concatenate([near, above]), axis=0), solver, outputs)
+
+
+def _tried(contest: Contest, found: Found, indices: Indices, solver: str, outputs: Array) -> Found | None:
+    """What a solver makes of these terms, if the error falls clearly."""
+    indices = indices[np.argsort(indices.sum(axis=1) > 0, kind="stable")]  # the constant first
+    basis = indices, products(contest.values, indices), ()
+    trial = _run(contest, solver, found.transform, outputs, basis, contest.most_terms)
+    return trial if trial.error < (_GROWS if outputs.size > 150 else _GROWS_FEW) * found.error else None

@@ -16,7 +16,7 @@ from uqsphere.uq.chaos.sampled import law_points
 from uqsphere.uq.chaos.solvers import solve_rows
 from uqsphere.uq.chaos.splits import Split, find_split
 from uqsphere.uq.chaos.surrogate import Chaos, Piece, predict
-from uqsphere.uq.chaos.truncation import grown, products
+from uqsphere.uq.chaos.truncation import grown, products, skipping
 from uqsphere.uq.families import Array
 
 __all__ = ["Verdict", "fit_again", "fit_chaos", "fit_outputs", "judge", "validation_error"]
@@ -187,6 +187,7 @@ def _whole(
     if found.without:
         chosen = _chosen_without(found, contest, scaled, germs, law, values)
     near = grown(indices, np.abs(fits.coefficients), contest.highest, len(indices) + _BESIDE)[len(indices) :]
+    near = np.unique(np.concatenate([near, skipping(indices, contest.highest)]), axis=0)
     next_one = neglected(rows, transform.forward(scaled), products(contest.values, near))
     # what a small change of the transformed output is in the output itself, over the variance
     gain = float(np.mean(transform.slope(fits.coefficients @ there) ** 2)) / variance

@@ -70,6 +70,7 @@ def refits(rows: Array, values: Array, folds: npt.NDArray[np.intp]) -> Refits:
 class Neglected:
     """The term left out that explains most: the `share` of what is left at the samples, and `energy` under the law.
 
+    From the share is taken off what the best of as many terms explains of noise.
     `energy` is the mean square, under the law of the inputs, of the term with its coefficient and of what the terms
     kept hold of it by mistake.
     """
@@ -82,7 +83,8 @@ def neglected(rows: Array, values: Array, others: Array) -> Neglected:
     """The most telling of `others` (m, n), rows of orthonormal terms beside those kept (k, n), k < n, for values (n,).
 
     With r what least squares leaves of a row p, e that of the values and b the coefficients of p in the terms kept,
-    the coefficient is c = e·r/r·r, it explains (e·r)²/(r·r e·e), and has c² (1 + b·b) under the law.
+    the coefficient is c = e·r/r·r, it explains (e·r)²/(r·r e·e), and has c² (1 + b·b) under the law.  The best of m
+    terms leaves about m^(-2/(n - k)) of noise.
 
     >>> import numpy as np
     >>> x = np.linspace(-1.0, 1.0, 9)
@@ -104,7 +106,8 @@ def neglected(rows: Array, values: Array, others: Array) -> Neglected:
     best = int(np.argmax(shares))
     mistaken = np.linalg.solve(triangle, held[:, best])
     energy = float(common[best] / squares[best]) ** 2 * (1.0 + float(mistaken @ mistaken))
-    return Neglected(share=min(float(shares[best]), 1.0), energy=energy)
+    of_noise = len(others) ** (2.0 / max(values.size - len(rows), 1))
+    return Neglected(share=max(1.0 - (1.0 - min(float(shares[best]), 1.0)) * of_noise, 0.0), energy=energy)
 
 
 def left_one_out(rows: Array, values: Array) -> Array:
@@ -158,12 +161,11 @@ def blended(
 def leaned(error: float, energy: float, share: float) -> float:
     """An error moved towards the `energy` of the next term, the more the larger the share of what is left it explains.
 
-    error^(1 - s²) energy^(s²), and never below the energy: a term that explains all that is left is the error.
+    error^(1 - s) energy^s, and never below the energy: a term that explains all that is left is the error.
 
     >>> [leaned(1e-6, 1e-8, share) for share in (0.0, 1.0)], leaned(1e-6, 1e-4, 0.0)
     ([1e-06, 1e-08], 0.0001)
     """
     if not (energy > 0.0 and math.isfinite(error) and error > 0.0):
         return max(error, energy)
-    lean = share**2
-    return max(error ** (1.0 - lean) * energy**lean, energy)
+    return max(error ** (1.0 - share) * energy**share, energy)

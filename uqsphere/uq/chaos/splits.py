@@ -273,7 +273,30 @@ def _build(
             break
         side = new
         one, other = _piece(data, seen[~side], one[1]), _piece(data, seen[side], other[1])
-    return ((one[0], other[0]), border), (one[1], other[1])
+    pieces = one[0], other[0]
+    if border.kind in ("upper", "lower"):
+        pieces = _settled(data, seen, pieces, border, side)
+    return (pieces, border), (one[1], other[1])
+
+
+def _settled(
+    data: _Data, seen: Samples, pieces: tuple[tuple[Indices, Array], tuple[Indices, Array]], border: Border, side: Side
+) -> tuple[tuple[Indices, Array], tuple[Indices, Array]]:
+    """Pieces that cross, fitted again in their terms to the samples where each holds, until these stay the same.
+
+    A piece that was fitted to samples of the other bends to them.
+    """
+    rows = [_rows(data, indices)[:, seen] for indices, _ in pieces]
+    for _ in range(_TURNS):
+        new = border.side(data.points[seen], [piece[1] @ own for piece, own in zip(pieces, rows, strict=True)])
+        enough = all(len(own) <= 0.5 * part.sum() for own, part in zip(rows, (~new, new), strict=True))
+        if not enough or not _balanced(new) or bool(np.all(new == side)):
+            break
+        side = new
+        fitted = [solve_rows(own[:, part], data.outputs[seen[part]])
+                  for own, part in zip(rows, (~side, side), strict=True)]  # fmt: skip
+        pieces = (pieces[0][0], fitted[0]), (pieces[1][0], fitted[1])
+    return pieces
 
 
 def _doubt(data: _Data, whole: Halves) -> float:

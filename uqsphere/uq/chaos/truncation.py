@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["Indices", "grown", "hyperbolic_indices", "nested", "products"]
+__all__ = ["Indices", "grown", "hyperbolic_indices", "nested", "products", "skipping"]
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 
@@ -110,3 +110,16 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
     lower = sorted(base - set(rows), key=lambda row: (sum(row), row))
     outer = sorted(found, key=lambda row: (-found[row], sum(row), row))
     return np.array((rows + lower + outer)[: max(most, len(rows))], dtype=np.int64)
+
+
+def skipping(active: Indices, highest: int) -> Indices:
+    """The terms (m, d) two degrees above one of `active` (k, d) in an input of it, as far as these do not hold them.
+
+    Outputs that are even or odd in an input have nothing in between: `grown` never gets past it.
+
+    >>> skipping(np.array([[0, 0], [1, 0], [1, 2]]), 4).tolist()
+    [[1, 4], [3, 0], [3, 2]]
+    """
+    rows = [tuple(int(k) for k in row) for row in active]
+    above = {(*row[:j], k + 2, *row[j + 1 :]) for row in rows for j, k in enumerate(row) if 0 < k <= highest - 2}
+    return np.array(sorted(above - set(rows)), dtype=np.int64).reshape(-1, active.shape[1])
