@@ -271,7 +271,7 @@ def _grown(contest: Contest, found: Found, values: Array, solver: str, outputs: 
 def _skipped(contest: Contest, found: Found, values: Array, solver: str, outputs: Array) -> Found | None:
     """What terms two degrees above those kept bring, where one of them explains most of what is left."""
     above = skipping(found.indices, contest.highest)
-    if not len(above) or neglected(found.rows, values, products(contest.values, above)).share < _EXPLAINS:
+    if not len(above) or neglected(found.rows, values, products(contest.values, above), most=1).share < _EXPLAINS:
         return None
     weights = np.abs(solve_rows(found.rows, values))
     near = grown(found.indices, weights, contest.highest, max(contest.most_candidates - len(above), 1))

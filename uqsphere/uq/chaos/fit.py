@@ -32,7 +32,7 @@ _LOOKED_AT: Final = 4096
 _FEWER_LOOKED_AT: Final = 2048
 #: share of the samples left out one by one in the error of two pieces: with a fifth fewer, border and terms are lost
 _FEWER: Final = 0.5
-#: terms beside those kept that are looked at for the next one
+#: terms beside those kept among which those that come next are looked for
 _BESIDE: Final = 300
 #: times what the folds move an expansion by under the law: more variance than that is not put down to it
 _WILD: Final = 100.0
@@ -188,7 +188,7 @@ def _whole(
         chosen = _chosen_without(found, contest, scaled, germs, law, values)
     near = grown(indices, np.abs(fits.coefficients), contest.highest, len(indices) + _BESIDE)[len(indices) :]
     near = np.unique(np.concatenate([near, skipping(indices, contest.highest)]), axis=0)
-    next_one = neglected(rows, transform.forward(scaled), products(contest.values, near))
+    coming = neglected(rows, transform.forward(scaled), products(contest.values, near))
     # what a small change of the transformed output is in the output itself, over the variance
     gain = float(np.mean(transform.slope(fits.coefficients @ there) ** 2)) / variance
     coefficients = fits.coefficients.copy()
@@ -199,8 +199,8 @@ def _whole(
                   transform=None if transform.kind == "identity" else replace(transform, unit=unit))  # fmt: skip
     chaos = Chaos(pieces=(piece,), border=None, germs=germs, cross_validation_error=min(found.reported, 1.0),
                   samples=scaled.size, solver=found.solver)  # fmt: skip
-    reported = leaned(blended(found.steady, left_out, steadied(shifts), steadied(chosen)), gain * next_one.energy,
-                      next_one.share)  # fmt: skip
+    reported = leaned(blended(found.steady, left_out, steadied(shifts), steadied(chosen)), gain * coming.energy,
+                      coming.share)  # fmt: skip
     one = _Candidate(chaos=chaos, folded=found.reported, loose=float(np.mean(shifts)), values=values,
                      reported=reported)  # fmt: skip
     return replace(one, reported=max(one.reported, _excess(one, scaled)))

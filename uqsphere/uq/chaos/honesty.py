@@ -5,8 +5,8 @@ Leave-one-out errors of the terms chosen are those of all samples but one, and k
 Their geometric mean is nearer than either.  Neither sees beyond the samples, where a polynomial is loose: what the
 coefficients are uncertain by, by the jackknife over the folds (Efron and Stein 1981), is carried to the law itself.
 What the choice of terms is uncertain by is how far apart expansions are under the law whose terms were chosen without
-one of the folds.  And what the next term would be, and how large under the law, tells what lies in tails without
-samples: products that are next to nothing at all samples are found in what is left, if they are there.
+one of the folds.  And what the next terms would be, and how large under the law, tells what lies in tails without
+samples: a product of high degree is next to nothing at all samples, beside the terms kept, and large beyond them.
 A mean of squares that a single sample or fold makes up says little: `steadied` leans on the others then.
 """
 
@@ -27,6 +27,9 @@ __all__ = ["Neglected", "Refits", "blended", "leaned", "left_one_out", "neglecte
 #: the second falls fast
 _SLOW: Final = 1e-1
 _FAST: Final = 1e-3
+#: terms that come next, at most, and the least share of what is left for a second one and those after it
+_NEXT: Final = 5
+_FAIR: Final = 0.2
 _SINGULAR: Final = 1e-10  # a direction that only the fold itself determines
 
 
@@ -68,23 +71,23 @@ def refits(rows: Array, values: Array, folds: npt.NDArray[np.intp]) -> Refits:
 
 @dataclass(frozen=True, kw_only=True)
 class Neglected:
-    """The term left out that explains most: the `share` of what is left at the samples, and `energy` under the law.
+    """The terms left out that come next: the `share` of what is left at the samples that they explain, and `energy`.
 
-    From the share is taken off what the best of as many terms explains of noise.
-    `energy` is the mean square, under the law of the inputs, of the term with its coefficient and of what the terms
-    kept hold of it by mistake.
+    From the share is taken off what the best of as many terms explain of noise.  `energy` is the mean square, under the
+    law of the inputs, of these terms with their coefficients and of what the terms kept hold of them by mistake.
     """
 
     share: float
     energy: float
 
 
-def neglected(rows: Array, values: Array, others: Array) -> Neglected:
+def neglected(rows: Array, values: Array, others: Array, most: int = _NEXT) -> Neglected:
     """The most telling of `others` (m, n), rows of orthonormal terms beside those kept (k, n), k < n, for values (n,).
 
-    With r what least squares leaves of a row p, e that of the values and b the coefficients of p in the terms kept,
-    the coefficient is c = e·r/r·r, it explains (e·r)²/(r·r e·e), and has c² (1 + b·b) under the law.  The best of m
-    terms leaves about m^(-2/(n - k)) of noise.
+    One after another, at most `most`, as long as each explains a fair share of what is left.  What least squares
+    leaves of the values is fitted in what it leaves of them; with c the coefficients, and b what least squares puts
+    of each into the terms kept, they have c·c + |b c|² under the law.  The best of m terms leaves about
+    m^(-2/(n - k)) of noise.
 
     >>> import numpy as np
     >>> x = np.linspace(-1.0, 1.0, 9)
@@ -96,18 +99,29 @@ def neglected(rows: Array, values: Array, others: Array) -> Neglected:
     off = values - q @ (q.T @ values)
     held = q.T @ others.T
     fresh = others.T - q @ held
-    squares = np.sum(fresh**2, axis=0)
-    there = squares > _SINGULAR * np.sum(others**2, axis=1)
-    left = float(off @ off)
-    if not (left > 0.0 and there.any()):
+    first, least = float(off @ off), _SINGULAR * np.sum(others**2, axis=1)
+    free, left, beyond, taken, of_noise = max(values.size - len(rows), 1), off, fresh.copy(), [], 1.0
+    for step in range(min(most, len(others), free)):
+        squares = np.sum(beyond**2, axis=0)
+        shares = np.where(squares > least, (left @ beyond) ** 2 / np.where(squares > least, squares, 1.0), 0.0)
+        best, now = int(np.argmax(shares)), float(left @ left)
+        chance = len(others) ** (2.0 / max(free - step, 1))
+        if not shares[best] > 0.0 or (step and 1.0 - max(1.0 - shares[best] / now, 0.0) * chance < _FAIR):
+            break
+        along = beyond[:, best] / math.sqrt(squares[best])
+        left = left - along * float(along @ left)
+        beyond -= np.outer(along, along @ beyond)
+        taken.append(best)
+        of_noise *= chance
+    if not taken:
         return Neglected(share=0.0, energy=0.0)
-    common = off @ fresh
-    shares = np.where(there, common**2 / (np.where(there, squares, 1.0) * left), 0.0)
-    best = int(np.argmax(shares))
-    mistaken = np.linalg.solve(triangle, held[:, best])
-    energy = float(common[best] / squares[best]) ** 2 * (1.0 + float(mistaken @ mistaken))
-    of_noise = len(others) ** (2.0 / max(values.size - len(rows), 1))
-    return Neglected(share=max(1.0 - (1.0 - min(float(shares[best]), 1.0)) * of_noise, 0.0), energy=energy)
+    upper = np.linalg.qr(fresh[:, taken])
+    coefficients = np.linalg.solve(upper[1], upper[0].T @ off)
+    mistaken = np.linalg.solve(triangle, held[:, taken] @ coefficients)
+    return Neglected(
+        share=max(1.0 - float(left @ left) / first * of_noise, 0.0),
+        energy=float(coefficients @ coefficients + mistaken @ mistaken),
+    )
 
 
 def left_one_out(rows: Array, values: Array) -> Array:
@@ -159,9 +173,9 @@ def blended(
 
 
 def leaned(error: float, energy: float, share: float) -> float:
-    """An error moved towards the `energy` of the next term, the more the larger the share of what is left it explains.
+    """An error moved towards the `energy` of the next terms, the more the larger the share s that they explain.
 
-    error^(1 - s) energy^s, and never below the energy: a term that explains all that is left is the error.
+    error^(1 - s) energy^s, and never below the energy: terms that explain all that is left are the error.
 
     >>> [leaned(1e-6, 1e-8, share) for share in (0.0, 1.0)], leaned(1e-6, 1e-4, 0.0)
     ([1e-06, 1e-08], 0.0001)
