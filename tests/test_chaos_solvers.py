@@ -10,7 +10,7 @@ import pytest
 from uqsphere.uq.chaos.bases import orthonormal_values
 from uqsphere.uq.chaos.choice import deal
 from uqsphere.uq.chaos.solvers import SOLVERS, Task, least_angles, solve_rows
-from uqsphere.uq.chaos.truncation import grown, hyperbolic_indices, nested, products
+from uqsphere.uq.chaos.truncation import grown, hyperbolic_indices, nested, products, skipping
 
 SPARSE = ("matching pursuit", "forward selection", "least angles", "subspace pursuit")
 
@@ -171,3 +171,27 @@ def test_grown_sets_hold_what_lies_below_and_admissible_neighbours() -> None:
     assert few[:3].tolist() == active.tolist()
     assert len(few) == 4
     assert grown(active, np.ones(3), 2, 1000).max() == 2
+
+
+def test_terms_two_degrees_above_are_those_of_inputs_in_use() -> None:
+    active = np.array([[0, 0, 0], [2, 0, 0], [4, 0, 1]])
+    assert skipping(active, 15).tolist() == [[4, 0, 0], [4, 0, 3], [6, 0, 1]]
+    assert skipping(active, 4).tolist() == [[4, 0, 0], [4, 0, 3]]
+    assert skipping(np.zeros((1, 2), dtype=np.int64), 15).shape == (0, 2)
+
+
+@pytest.mark.parametrize("name", ["matching pursuit", "forward selection", "least angles"])
+def test_terms_chosen_without_a_fold_are_those_chosen_on_the_other_samples(name: str) -> None:
+    _, basis = legendre_basis(60, 3, 4, seed=5)
+    values = np.exp(basis[1]) + basis[5] * basis[8]
+    folds = deal(60, 5)
+    path = SOLVERS[name](task_of(basis, values, folds))
+    active, _ = path.best()
+    for fold, chosen in enumerate(path.chosen_without()):
+        seen = folds != fold
+        alone = SOLVERS[name](task_of(basis[:, seen], values[seen], deal(int(seen.sum()), 5), most=30))
+        known = min(len(chosen), len(alone.order))
+        assert chosen[:known].tolist() == alone.order[:known].tolist()
+        assert len(chosen) <= len(active)
+    assert len(path.chosen_without()) == 5
+    assert SOLVERS["subspace pursuit"](task_of(basis, values, folds)).chosen_without() == []

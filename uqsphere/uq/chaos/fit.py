@@ -209,7 +209,7 @@ def _whole(
 def _chosen_without(
     found: Found, contest: Contest, scaled: Array, germs: tuple[GermLike, ...], law: Array, values: Array
 ) -> Array:
-    """How far expansions in terms chosen without each fold (K,) are from the values under the law, over the variance."""
+    """Mean squares (K,) between the values under the law and expansions whose terms were chosen without each fold."""
     every, places = np.unique(np.concatenate(found.without), axis=0, return_inverse=True)
     law, values = law[:_FEWER_LOOKED_AT], values[:_FEWER_LOOKED_AT]
     highest = every.max(axis=0)

@@ -182,4 +182,4 @@ def leaned(error: float, energy: float, share: float) -> float:
     """
     if not (energy > 0.0 and math.isfinite(error) and error > 0.0):
         return max(error, energy)
-    return max(error ** (1.0 - share) * energy**share, energy)
+    return max(math.exp((1.0 - share) * math.log(error) + share * math.log(energy)), energy)
