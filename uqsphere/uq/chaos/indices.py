@@ -22,6 +22,8 @@ from uqsphere.uq.families import Array
 __all__ = ["chaos_indices", "chaos_moments", "index_of", "indices_of_order"]
 
 METHOD: Final = "polynomial chaos"
+#: times what the fits tell themselves of what they leave unexplained: they do so within this factor
+_WITHIN: Final = 3.0
 
 
 def chaos_moments(chaos: Chaos) -> tuple[float, float]:
@@ -89,8 +91,9 @@ def chaos_indices(
     """First and total Sobol' indices {"first": [...], "total": [...]}, one per input.
 
     `fits` are expansions of independent randomisations; `error` is the share of the variance they leave
-    unexplained (the mean of their own K-fold errors if not given).  The interval is the sum of the spread
-    over the fits, which holds the error of the coefficients, and of what the unexplained share could move:
+    unexplained (if not given, three times the mean of what they report themselves, which is told within that
+    factor).  The interval is the sum of the spread over the fits, which holds the error of the coefficients, and of
+    what the unexplained share could move:
     with f = g + h, h orthogonal to g, an index is (1 - e) S_g + e S_h with S_h in [0, 1].  The spread of a
     few fits is uncertain itself: it is not taken for less than h, as noise on N points, leaves to the
     coefficients, 2 sqrt(S (1 - S) e/N).  A single fit has no spread, and takes Cauchy and Schwarz:
@@ -107,6 +110,8 @@ def chaos_indices(
     if reason:
         nothing = [absent(reason, METHOD, count)] * dimension
         return {"first": nothing, "total": list(nothing)}
+    if error is None:
+        unexplained = min(_WITHIN * unexplained, 1.0)
     points = sum(fit.samples for fit in fits)
     # Every fit is sampled by a design of its own, so that the spread holds the error of the sampling too.
     shares = np.array([_shares(fit, replicate) for replicate, fit in enumerate(fits)])  # (R, 2, d)
