@@ -177,8 +177,8 @@ def leaned(error: float, energy: float, share: float) -> float:
 
     error^(1 - s) energy^s, and never below the energy: terms that explain all that is left are the error.
 
-    >>> [leaned(1e-6, 1e-8, share) for share in (0.0, 1.0)], leaned(1e-6, 1e-4, 0.0)
-    ([1e-06, 1e-08], 0.0001)
+    >>> [round(leaned(1e-2, 1e-4, share), 9) for share in (0.0, 0.5, 1.0)], leaned(1e-6, 1e-4, 0.0)
+    ([0.01, 0.001, 0.0001], 0.0001)
     """
     if not (energy > 0.0 and math.isfinite(error) and error > 0.0):
         return max(error, energy)
