@@ -11,7 +11,7 @@ from typing import Any
 
 from uqsphere.attend import attend
 from uqsphere.bench.command import command_bench as command_bench
-from uqsphere.console import plain, say, table
+from uqsphere.console import plain, say, screen_width, table
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
@@ -93,7 +93,7 @@ def command_check(chosen: argparse.Namespace) -> int:
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
         rows.append((name, text, law.kind if law else "fixed", _short(source.text) if source else "study"))
-    print(table(("number", "mean", "law", "source"), rows))
+    print(table(("number", "mean", "law", "source"), rows, screen_width()))
     print()
     if not study.black_box:
         numbers = plan["scene"]
@@ -183,7 +183,7 @@ def command_history(chosen: argparse.Namespace) -> int:
         return 0
     print(f"{plain(study.title)}: one scene, every number at its mean\n")
     rows = [(lookup(name).meaning if name in OUTPUTS else name, text) for name, text in summary["lines"]]
-    print(table(("what", "value"), rows))
+    print(table(("what", "value"), rows, screen_width()))
     for path in summary.get("written", []):
         print(f"wrote {path}")
     return 0
@@ -217,7 +217,7 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
                 shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
                 scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
                 rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
-    return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows)
+    return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows, screen_width())
 
 
 def _models() -> tuple[list[dict[str, Any]], str]:
@@ -227,14 +227,18 @@ def _models() -> tuple[list[dict[str, Any]], str]:
         ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
         ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
     ]
-    return [{"fidelity": name, "meaning": text} for name, text in rows], table(("fidelity", "meaning"), rows)
+    return [{"fidelity": name, "meaning": text} for name, text in rows], table(
+        ("fidelity", "meaning"), rows, screen_width()
+    )
 
 
 def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     entries = [OUTPUTS[name] for name in names]
     content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
     return content, table(
-        ("quantity", "unit", "meaning"), [(e.name, e.display or e.unit or "-", e.meaning) for e in entries]
+        ("quantity", "unit", "meaning"),
+        [(e.name, e.display or e.unit or "-", e.meaning) for e in entries],
+        screen_width(),
     )
 
 
@@ -251,7 +255,7 @@ def _criteria() -> tuple[list[dict[str, Any]], str]:
                         "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
         takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
         rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
-    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows)
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width())
 
 
 def command_list(chosen: argparse.Namespace) -> int:

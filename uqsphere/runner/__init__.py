@@ -264,7 +264,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
     )
-    shared = share_variance(work, sensitivity) if dependent_names(work) else None
+    shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
     ledger.seconds["sensitivity"] = ledger.elapsed

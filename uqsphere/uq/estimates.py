@@ -133,9 +133,12 @@ def from_replicates(
         return absent("an interval needs at least two independent replicates", method, evaluations)
     if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
         return absent("a replicate gave no finite answer", method, evaluations)
+    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
+    power = int(np.frexp(np.abs(values).max())[1])
+    deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.mean(values)) if pooled is None else float(pooled)
-        error = max(float(np.std(values, ddof=1)) / math.sqrt(values.size), floor)
+        error = max(deviation / math.sqrt(values.size), floor)
     half = student(values.size) * error
     if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
         return absent("the answer is beyond floating point", method, evaluations)
