@@ -11,10 +11,11 @@ from typing import Any
 
 from uqsphere.attend import attend
 from uqsphere.bench.command import command_bench as command_bench
-from uqsphere.console import plain, say, screen_width, table
+from uqsphere.console import plain, say, screen_width, table, wrap
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
+from uqsphere.last_words import KILLED, last_words
 from uqsphere.planning.command import command_plan as command_plan
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
@@ -86,23 +87,24 @@ def command_check(chosen: argparse.Namespace) -> int:
     if chosen.json:
         _document({**study.resolved(), "hash": study.hash, "plan": plan})
         return 0
-    print(f"{plain(study.title)}: the study is valid\n")
+    width = screen_width()
+    print(wrap(f"{study.title}: the study is valid", width) + "\n")
     rows = []
     for name, value in study.at_means().items():
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
         rows.append((name, text, law.kind if law else "fixed", _short(source.text) if source else "study"))
-    print(table(("number", "mean", "law", "source"), rows, screen_width()))
+    print(table(("number", "mean", "law", "source"), rows, width))
     print()
     if not study.black_box:
         numbers = plan["scene"]
-        print(
-            f"pulse: {study.options['pulse.shape']}; bars: {'infinite' if study.options['bars.infinite'] else 'finite'}"
-        )
+        bars = "infinite" if study.options["bars.infinite"] else "finite"
+        print(f"pulse: {study.options['pulse.shape']}; bars: {bars}")
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
-        print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
-    print(plan_text(study, plan))
+        text = f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means"
+        print(wrap(text, width))
+    print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
     return 0
 
 
@@ -131,6 +133,8 @@ def command_run(chosen: argparse.Namespace) -> int:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     with contextlib.ExitStack() as opened:
         executor = None
+        if chosen.model is not None:
+            opened.enter_context(last_words(KILLED))
         if chosen.dask is not None:
             from uqsphere.runner.dask_cluster import dask_cluster
 
@@ -215,7 +219,7 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
                 stress = "p_max" if key.endswith("strength") else ""
                 known = path if path in INPUTS else stress
                 shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
-                scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
+                scatter = f"{100.0 * entry.cov:.0f} %" if entry.cov is not None else "-"
                 rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
     return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows, screen_width())
 

@@ -286,7 +286,7 @@ def describe_moments(
         reach = _skew_reach(found, count)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
     if found.largest_share > 0.4 and total >= 1000:
-        reason = f"does not converge: one sample of {total} makes {found.largest_share:.0%} of the variance"
+        reason = f"does not converge: one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         low, high = inner()
         return mean, absent(reason, method, total), 0.5 * (high - low)
     return mean, sd, found.deviation
@@ -395,9 +395,9 @@ def quantile_estimates(
 def _why(censored: Flags, failed: Flags, total: int) -> str:
     parts = []
     if censored.any():
-        parts.append(f"the censored share ({censored.sum() / total:.2%})")
+        parts.append(f"the censored share ({100.0 * censored.sum() / total:.2f} %)")
     if failed.any():
-        parts.append(f"the failed share ({failed.sum() / total:.2%})")
+        parts.append(f"the failed share ({100.0 * failed.sum() / total:.2f} %)")
     return "beyond " + " and ".join(parts)
 
 
