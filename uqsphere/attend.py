@@ -1,12 +1,14 @@
-"""A run with somebody at the terminal: progress, and an early end with what is there."""
+"""A run with somebody at the terminal: progress, an early end with what is there, and a model that never answers."""
 
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
+import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
@@ -18,8 +20,14 @@ if TYPE_CHECKING:
     from uqsphere.runner import Run
     from uqsphere.runner.executors import Executor
 
-__all__ = ["Patience", "Silence", "attend"]
+__all__ = ["KILLED", "Patience", "Silence", "attend", "last_words"]
 
+#: what is said of a run whose process is gone
+KILLED = (
+    "uqsphere: the process of this run ended before the run did: the model ended it, or it was killed, as where memory "
+    "runs out. What was evaluated is kept, and the same command goes on with it. With a time_limit in [analysis] every "
+    "evaluation is made in a process of its own, whose end is a failed evaluation."
+)
 _NOTICE = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
 
 
@@ -101,6 +109,30 @@ class Silence:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._left.set()
+
+
+@contextlib.contextmanager
+def last_words(text: str) -> Iterator[None]:
+    """Have `text` said on stderr if this process ends inside the block without leaving it.
+
+    A shell waits for the end of a pipe of which this process alone holds the other end.  Without a shell
+    nothing is said.
+    """
+    shell = shutil.which("sh")
+    if shell is None:
+        yield
+        return
+    waiting = subprocess.Popen(
+        [shell, "-c", 'read left || printf "%s\\n" "$1" >&2', "sh", text],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for the run
+    )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            waiting.communicate(b"left\n")
 
 
 def attend(

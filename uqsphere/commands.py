@@ -9,13 +9,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqsphere.attend import attend
+from uqsphere.attend import KILLED, attend, last_words
 from uqsphere.bench.command import command_bench as command_bench
 from uqsphere.console import plain, say, screen_width, table, wrap
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
-from uqsphere.last_words import KILLED, last_words
 from uqsphere.planning.command import command_plan as command_plan
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
@@ -200,9 +199,10 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
     from uqsphere.materials import library
 
     content = []
-    rows = []
+    rows: list[tuple[str, ...] | str] = []
     for kind, materials in library().items():
         for name, material in materials.items():
+            rows.append(f"{kind}: {name}")
             for key, entry in material.properties.items():
                 content.append(
                     {
@@ -220,8 +220,8 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
                 known = path if path in INPUTS else stress
                 shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
                 scatter = f"{100.0 * entry.cov:.0f} %" if entry.cov is not None else "-"
-                rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
-    return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows, screen_width())
+                rows.append((key, shown, scatter, entry.source + ("" if entry.seen else " (not seen)")))
+    return content, table(("material", "value", "cov", "source"), rows, screen_width())
 
 
 def _models() -> tuple[list[dict[str, Any]], str]:
