@@ -17,7 +17,7 @@ import uqsphere
 from uqsphere.attend import Silence, last_words
 from uqsphere.cli import main
 from uqsphere.console import Progress
-from uqsphere.errors import ModelRaised
+from uqsphere.errors import ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.runner.design import lost_designs
@@ -193,9 +193,11 @@ def test_no_last_words_where_the_block_is_left(capfd: pytest.CaptureFixture[str]
 def test_a_model_that_never_answers_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
     progress = Progress(seconds=20.0)
     silence = Silence(progress, 20.0)
+    progress("model", 8, 8)
+    capsys.readouterr()
     silence.look(progress.heard + 1e6)
     assert capsys.readouterr().err == ""  # nothing is being evaluated: the run is at its own work
-    progress("model", 0, 8)
+    progress("model", 1, 8)
     silence.look(progress.heard)
     capsys.readouterr()
     silence.look(progress.heard + 29.0)
@@ -217,7 +219,6 @@ def test_a_model_that_was_as_slow_before_is_left_in_peace(
     monkeypatch.setattr(time, "monotonic", lambda: now)
     progress = Progress(quiet=True)
     silence = Silence(progress, 1e6)
-    progress("model", 0, 8)
     now += 50.0
     progress("model", 1, 8)
     silence.look(now)
@@ -242,3 +243,14 @@ def test_tables_fit_the_terminal(
     monkeypatch.chdir(Path(__file__).parent.parent)
     assert main(command) == 0
     assert max(map(len, capsys.readouterr().out.split("\n"))) <= width
+
+
+def test_a_budget_of_no_time_is_no_interruption(tmp_path: Path) -> None:
+    """Nobody pressed Ctrl-C: exit code 2 with what to change, not 130."""
+    (tmp_path / "slow.py").write_text(
+        "import time\ndef f(rows):\n    time.sleep(0.01)\n    return {'y': rows['a']}\n", "utf-8"
+    )
+    text = STUDY.replace('methods = ["qmc", "sobol", "pce"]\n', "rows_per_call = 1\n")
+    (tmp_path / "s.toml").write_text(text, "utf-8")
+    with pytest.raises(UsageError, match="time budget ended"):
+        uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=f"{tmp_path}/slow.py:f", seconds=1e-3)

@@ -186,7 +186,7 @@ def command_history(chosen: argparse.Namespace) -> int:
         return 0
     print(f"{plain(study.title)}: one scene, every number at its mean\n")
     rows = [(lookup(name).meaning if name in OUTPUTS else name, text) for name, text in summary["lines"]]
-    print(table(("what", "value"), rows, screen_width()))
+    print(table(("what", "value"), rows))
     for path in summary.get("written", []):
         print(f"wrote {path}")
     return 0

@@ -218,8 +218,8 @@ class Progress:
     """A bar with the remaining time on a terminal, a line every few seconds elsewhere; all on stderr.
 
     `evaluations` and `seconds` are the budget, from which follows how long the run can take at most; `asked` the
-    accuracies of the study, against which the errors so far are shown.  `pending`: evaluations are being made, of which
-    one came back at `heard`, and the slowest before it took `longest` [s].
+    accuracies of the study, against which the errors so far are shown.  `pending`: evaluations are being made, as at
+    first and until all of a piece are done; the last came back at `heard`, the slowest took `longest` [s].
     """
 
     quiet: bool = False
@@ -233,7 +233,7 @@ class Progress:
     lines: int = 0
     spent: int = 0
     before: int = 0
-    pending: bool = False
+    pending: bool = True
     heard: float = field(default_factory=time.monotonic)
     longest: float = 0.0
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -241,8 +241,7 @@ class Progress:
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of the `total` rows of a piece of work of `stage` have been evaluated."""
         now = time.monotonic()
-        if done:
-            self.longest = max(self.longest, now - self.heard)
+        self.longest = max(self.longest, now - self.heard)
         self.heard, self.pending = now, done < total
         fresh = stage != self.stage
         if fresh:

@@ -180,7 +180,7 @@ def draw_forces(history: History) -> Picture:
 def _forces_finding(history: History, found: BarForces | None, reason: str) -> str:
     text = f"Records are clean up to {_micro(found.end)} at the faces." if found else f"No wave analysis: {reason}."
     balance = equilibrium(history, _LEVEL)
-    share = f"{100.0 * _LEVEL:.0f} % of their mean"
+    share = f"{_LEVEL:.0%} of their mean"
     if balance.first is None:
         return f"{text} Up to the first loading's largest force the two forces never agree within {share}."
     text += f" The two forces agree within {share} first after {_micro(balance.first)}"

@@ -208,7 +208,12 @@ def run(
             log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
             return found
     except OutOfBudget as nothing:
-        raise KeyboardInterrupt from nothing
+        if work.ledger.interrupted:
+            raise KeyboardInterrupt from nothing
+        raise UsageError(
+            "the time budget ended before there was anything to answer with; what was evaluated is kept, and a longer "
+            "--budget goes on with it"
+        ) from nothing
     finally:
         engine.close()
         store.close()

@@ -250,8 +250,6 @@ def evaluate_points(
         if work.progress is not None:
             work.progress(stage, done, len(rows))
 
-    if work.progress is not None:
-        work.progress(stage, 0, len(rows))
     found = collect(
         task,
         rows,
