@@ -217,7 +217,7 @@ def test_a_model_that_was_as_slow_before_is_left_in_peace(
 ) -> None:
     now = 1000.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    progress = Progress(quiet=True)
+    progress = Progress(quiet=True, heard=now)
     silence = Silence(progress, 1e6)
     now += 50.0
     progress("model", 1, 8)
