@@ -73,8 +73,8 @@ def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64],
     active = multi_indices > 0
     count = active.sum(axis=1)
     varying = np.where(count > 0, coefficients, 0.0)
-    # over the largest of them: the squares of 1e300 are beyond floating point
-    shares = (varying / np.abs(varying).max()) ** 2
+    # by a power of two, which rounds nothing: the squares of 1e300 are beyond floating point
+    shares = np.ldexp(varying, -np.frexp(np.abs(varying).max())[1]) ** 2
     shares = shares / shares.sum()
     rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
     inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
