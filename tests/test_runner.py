@@ -259,7 +259,7 @@ def test_bound_counts_failures_both_ways(study_from: Callable[..., Study], tmp_p
 
 
 def test_drop_gives_up_above_one_per_cent(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    with pytest.raises(TooManyFailures, match="more than 1%"):
+    with pytest.raises(TooManyFailures, match="more than 1 %"):
         uqsphere.run(study_from(*WIDE, 'analysis.on_failure="drop"', quick=True), out=tmp_path / "r")
     rare = 'sphere.radius={dist="normal", mean="5 mm", sd="0.4 mm", lower="3 mm", upper="7 mm"}'
     results = checked(uqsphere.run(study_from(rare, 'analysis.on_failure="drop"', quick=True), out=tmp_path / "few"))

@@ -1,10 +1,14 @@
-"""A run with somebody at the terminal: progress, and an early end with what is there."""
+"""A run with somebody at the terminal: progress, an early end with what is there, and a model that never answers."""
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 import signal
+import subprocess
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
@@ -16,8 +20,14 @@ if TYPE_CHECKING:
     from uqsphere.runner import Run
     from uqsphere.runner.executors import Executor
 
-__all__ = ["Patience", "attend"]
+__all__ = ["KILLED", "Patience", "Silence", "attend", "last_words"]
 
+#: what is said of a run whose process is gone
+KILLED = (
+    "uqsphere: the process of this run ended before the run did: the model ended it, or it was killed, as where memory "
+    "runs out. What was evaluated is kept, and the same command goes on with it. With a time_limit in [analysis] every "
+    "evaluation is made in a process of its own, whose end is a failed evaluation."
+)
 _NOTICE = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
 
 
@@ -54,6 +64,77 @@ class Patience:
             signal.signal(signal.SIGINT, self._before)
 
 
+class Silence:
+    """Says that no evaluation has come back for long: a call of the model cannot be ended from outside.
+
+    `look` says so after `LONG` seconds, and again after twice as long each time; a model that was as slow before is
+    left in peace for three times its slowest.  While it is in force a thread looks every second.
+    """
+
+    LONG = 30.0
+
+    def __init__(self, progress: Progress, budget: float) -> None:
+        self.progress = progress
+        self.budget = budget
+        self._heard = progress.heard
+        self._next = self.LONG
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def look(self, now: float) -> None:
+        """Say it, if it is time."""
+        progress = self.progress
+        if progress.heard != self._heard or not progress.pending:
+            self._heard, self._next = progress.heard, max(self.LONG, 3.0 * progress.longest)
+            return
+        silent = now - self._heard
+        if silent < self._next:
+            return
+        self._next = 2.0 * silent
+        over = f"the time budget of {self.budget:g} s is over, and " if now - progress.started > self.budget else ""
+        progress.say(
+            f"{over}no evaluation has come back for {silent:.0f} s: the run waits for the model. Ctrl-C twice ends it "
+            "and keeps what was evaluated; analysis.time_limit ends an evaluation that takes too long"
+        )
+
+    def _watch(self) -> None:
+        while not self._left.wait(1.0):
+            self.look(time.monotonic())
+
+    def __enter__(self) -> Silence:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._left.set()
+
+
+@contextlib.contextmanager
+def last_words(text: str) -> Iterator[None]:
+    """Have `text` said on stderr if this process ends inside the block without leaving it.
+
+    A shell waits for the end of a pipe of which this process alone holds the other end.  Without a shell
+    nothing is said.
+    """
+    shell = shutil.which("sh")
+    if shell is None:
+        yield
+        return
+    waiting = subprocess.Popen(
+        [shell, "-c", 'read left || printf "%s\\n" "$1" >&2', "sh", text],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for the run
+    )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            waiting.communicate(b"left\n")
+
+
 def attend(
     study: Study,
     *,
@@ -77,7 +158,9 @@ def attend(
         seconds=budget.time if seconds is None else seconds,
         asked=vars(study.analysis.accuracy),
     )
-    with Patience(_NOTICE, progress.say) as patience:
+    # the impact model takes its time to compile, and always comes back
+    silence = contextlib.nullcontext() if model is None else Silence(progress, progress.seconds)
+    with Patience(_NOTICE, progress.say) as patience, silence:
         found = run(
             study,
             out=out,

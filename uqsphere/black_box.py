@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from uqsphere.errors import AccessError, ModelError, UsageError
 
-__all__ = ["BlackBox", "load_black_box", "model_digest", "prints_to_stderr"]
+__all__ = ["BlackBox", "load_black_box", "model_digest", "prints_to_stderr", "where_raised"]
 
 BlackBox = Callable[[dict[str, npt.NDArray[np.float64]]], Mapping[str, Any]]
 
@@ -76,6 +76,14 @@ def load_black_box(reference: str) -> BlackBox:
     if not callable(function):
         raise UsageError(f"{file} has no function {name!r}")
     return function  # type: ignore[no-any-return]
+
+
+def where_raised(error: BaseException) -> str:
+    """Where in the user's code an exception began: " (bad.py, line 3)", or nothing where that is not known."""
+    import traceback
+
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent != Path(__file__).parent]
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
 
 def model_digest(model: str | BlackBox) -> str:

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqsphere.attend import attend
+from uqsphere.attend import KILLED, attend, last_words
 from uqsphere.bench.command import command_bench as command_bench
-from uqsphere.console import plain, say, table
+from uqsphere.console import plain, say, screen_width, table, wrap
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
@@ -86,23 +86,24 @@ def command_check(chosen: argparse.Namespace) -> int:
     if chosen.json:
         _document({**study.resolved(), "hash": study.hash, "plan": plan})
         return 0
-    print(f"{plain(study.title)}: the study is valid\n")
+    width = screen_width()
+    print(wrap(f"{study.title}: the study is valid", width) + "\n")
     rows = []
     for name, value in study.at_means().items():
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
         rows.append((name, text, law.kind if law else "fixed", _short(source.text) if source else "study"))
-    print(table(("number", "mean", "law", "source"), rows))
+    print(table(("number", "mean", "law", "source"), rows, width))
     print()
     if not study.black_box:
         numbers = plan["scene"]
-        print(
-            f"pulse: {study.options['pulse.shape']}; bars: {'infinite' if study.options['bars.infinite'] else 'finite'}"
-        )
+        bars = "infinite" if study.options["bars.infinite"] else "finite"
+        print(f"pulse: {study.options['pulse.shape']}; bars: {bars}")
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
-        print(f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means")
-    print(plan_text(study, plan))
+        text = f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means"
+        print(wrap(text, width))
+    print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
     return 0
 
 
@@ -131,6 +132,8 @@ def command_run(chosen: argparse.Namespace) -> int:
         raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
     with contextlib.ExitStack() as opened:
         executor = None
+        if chosen.model is not None:
+            opened.enter_context(last_words(KILLED))
         if chosen.dask is not None:
             from uqsphere.runner.dask_cluster import dask_cluster
 
@@ -196,9 +199,10 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
     from uqsphere.materials import library
 
     content = []
-    rows = []
+    rows: list[tuple[str, ...] | str] = []
     for kind, materials in library().items():
         for name, material in materials.items():
+            rows.append(f"{kind}: {name}")
             for key, entry in material.properties.items():
                 content.append(
                     {
@@ -215,9 +219,9 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
                 stress = "p_max" if key.endswith("strength") else ""
                 known = path if path in INPUTS else stress
                 shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
-                scatter = f"{entry.cov:.0%}" if entry.cov is not None else "-"
-                rows.append((kind, name, key, shown, scatter, "" if entry.seen else "not seen", entry.source))
-    return content, table(("for", "material", "property", "value", "cov", "source", "from"), rows)
+                scatter = f"{100.0 * entry.cov:.0f} %" if entry.cov is not None else "-"
+                rows.append((key, shown, scatter, entry.source + ("" if entry.seen else " (not seen)")))
+    return content, table(("material", "value", "cov", "source"), rows, screen_width())
 
 
 def _models() -> tuple[list[dict[str, Any]], str]:
@@ -227,14 +231,18 @@ def _models() -> tuple[list[dict[str, Any]], str]:
         ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
         ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
     ]
-    return [{"fidelity": name, "meaning": text} for name, text in rows], table(("fidelity", "meaning"), rows)
+    return [{"fidelity": name, "meaning": text} for name, text in rows], table(
+        ("fidelity", "meaning"), rows, screen_width()
+    )
 
 
 def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     entries = [OUTPUTS[name] for name in names]
     content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
     return content, table(
-        ("quantity", "unit", "meaning"), [(e.name, e.display or e.unit or "-", e.meaning) for e in entries]
+        ("quantity", "unit", "meaning"),
+        [(e.name, e.display or e.unit or "-", e.meaning) for e in entries],
+        screen_width(),
     )
 
 
@@ -251,7 +259,7 @@ def _criteria() -> tuple[list[dict[str, Any]], str]:
                         "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
         takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
         rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
-    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows)
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width())
 
 
 def command_list(chosen: argparse.Namespace) -> int:

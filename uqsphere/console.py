@@ -31,6 +31,8 @@ _LINE_EVERY = 5.0
 #: seconds between two bars where there is one
 _DRAW_EVERY = 0.1
 _BAR = 24
+#: stages whose name says nothing to a user
+_STAGES = {"dear": "model"}
 #: columns below which no table can be set; to which a column of names shrinks; and any other
 _NARROWEST, _NAME, _LEAST = 40, 16, 8
 #: where a long name may be parted; what a column of numbers begins with
@@ -216,7 +218,8 @@ class Progress:
     """A bar with the remaining time on a terminal, a line every few seconds elsewhere; all on stderr.
 
     `evaluations` and `seconds` are the budget, from which follows how long the run can take at most; `asked` the
-    accuracies of the study, against which the errors so far are shown.
+    accuracies of the study, against which the errors so far are shown.  `pending`: evaluations are being made, as at
+    first and until all of a piece are done; the last came back at `heard`, the slowest took `longest` [s].
     """
 
     quiet: bool = False
@@ -230,11 +233,16 @@ class Progress:
     lines: int = 0
     spent: int = 0
     before: int = 0
+    pending: bool = True
+    heard: float = field(default_factory=time.monotonic)
+    longest: float = 0.0
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of the `total` rows of a piece of work of `stage` have been evaluated."""
         now = time.monotonic()
+        self.longest = max(self.longest, now - self.heard)
+        self.heard, self.pending = now, done < total
         fresh = stage != self.stage
         if fresh:
             self.stage, self.began, self.before = stage, now, 0
@@ -252,9 +260,9 @@ class Progress:
             if not fresh and now - self.shown < _DRAW_EVERY:
                 return
             self.shown = now
-            self._draw(share, [f"{stage}: {count}", left.removesuffix(" in this stage"), most])
+            self._draw(share, [f"{_STAGES.get(stage, stage)}: {count}", left.removesuffix(" in this stage"), most])
         elif now - self.shown > _LINE_EVERY:
-            pieces = [f"{stage}: {count}", left, most]
+            pieces = [f"{_STAGES.get(stage, stage)}: {count}", left, most]
             accuracy = self._accuracy(4)
             text = ", ".join(piece for piece in pieces if piece) + (f"; {accuracy}" if accuracy else "")
             print(plain(text), file=sys.stderr, flush=True)

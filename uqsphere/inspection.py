@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from uqsphere.console import plain, print_document, table
+from uqsphere.console import plain, print_document, screen_width, table
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.summary import summary_of
 
@@ -129,8 +129,8 @@ def command_doctor(chosen: argparse.Namespace) -> int:
     if chosen.json:
         print_document(found)
     else:
-        print(table(("package", "version"), list(found["versions"].items())))
+        print(table(("package", "version"), list(found["versions"].items()), screen_width()))
         print()
         rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
-        print(table(("check", "", "found"), rows))
+        print(table(("check", "", "found"), rows, screen_width()))
     return 0 if all(entry["ok"] for entry in found["checks"]) else 1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr
+from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr, where_raised
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
@@ -201,7 +201,7 @@ def _answer_black_box(
         with prints_to_stderr():
             found = box(given)
     except (Exception, SystemExit) as error:
-        raise ModelRaised(f"the model raised {type(error).__name__}: {error}") from error
+        raise ModelRaised(f"the model raised {type(error).__name__}: {error}{where_raised(error)}") from error
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
     columns = []
@@ -218,7 +218,10 @@ def _answer_black_box(
         except (TypeError, ValueError) as error:
             raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
         if column.shape != (len(rows),):
-            raise ModelError(f"the model's {name!r} must have shape ({len(rows)},), found {column.shape}")
+            raise ModelError(
+                f"the model's {name!r} must have shape ({len(rows)},), one number for each row of its inputs, found "
+                f"{column.shape}"
+            )
         columns.append(column)
     values = np.stack(columns, axis=1)
     known = np.isfinite(values)

@@ -7,12 +7,14 @@ from typing import Any, Final
 
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import reading_units
+from uqsphere.report.drivers import first_to_measure
 from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, turns, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
     MOST_DIGITS,
+    WITHOUT_FAILED,
     Estimate,
     estimate_text,
     plain_percent,
@@ -46,7 +48,9 @@ def _cautions(results: dict[str, Any]) -> list[str]:
     """What weakens the answers, as the report says it at length."""
     found = []
     if results["model"]["failures"]:
-        found.append(f"{results['model']['failures']:,} evaluations failed")
+        failed, whole = results["model"]["failures"], sum(results["model"]["evaluations"].values())
+        share = plain_percent(float(f"{failed / max(whole, 1):.2g}"))
+        found.append(f"{failed:,} evaluations failed, {share} of all: {WITHOUT_FAILED}")
     for check in results["validity"]:
         for grade, share in (
             ("failure", check.get("share_failure", 0.0)),
@@ -173,11 +177,14 @@ def _governing(results: dict[str, Any], width: int) -> list[str]:
         for key in sorted(shares, key=lambda key: -shares[key])[:_MOST]:
             rows.append((key, f"{shares[key]:6.1%}".replace("%", " %"), bar(shares[key])))
         measured = limit.get("measure_first") or {}
-        first = measured.get("rows") or []
-        if first:
-            tests, known = first[0]["tests"], plain_percent(measured["wanted"])
+        first = first_to_measure(measured)
+        if first is not None:
+            tests, known = first["tests"], plain_percent(measured["wanted"])
             count = f"{tests:,} specimen{'' if tests == 1 else 's'} to know the probability to {known}"
-            advice.append(wrap(f"to measure first for {name}: {first[0]['input']} ({count})", width))
+            advice.append(wrap(f"to measure first for {name}: {first['input']} ({count})", width))
+        elif measured.get("rows"):
+            why = "the mean of none moves the probability by more than chance would show"
+            advice.append(wrap(f"to measure first for {name}: no input ({why})", width))
     parts = [table(("hangs on", " share", ""), rows, width)] if rows else []
     return [*parts, *advice, ""] if parts or advice else []
 

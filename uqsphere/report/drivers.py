@@ -27,6 +27,7 @@ __all__ = [
     "distances_table",
     "failure_finding",
     "failure_table",
+    "first_to_measure",
     "given_failure_table",
     "measure_finding",
     "measure_table",
@@ -225,12 +226,27 @@ def _scaled(estimate: Mapping[str, Any], factor: float) -> dict[str, Any]:
     return {**estimate, **ends}
 
 
+def first_to_measure(entry: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """The row of the input that is worth most, None where no input can be told from one that does nothing.
+
+    Of several inputs that do nothing one always comes first, by chance: three standard errors let hardly any pass.
+    """
+    for row in (entry or {}).get("rows") or []:
+        found = row.get("sway") or row["share"]
+        if abs(found["value"] or 0.0) > 3.0 * (found["std_error"] or 0.0):
+            return dict(row)
+    return None
+
+
 def measure_finding(entry: Mapping[str, Any] | None) -> str:
     """Which input to measure first, and how often."""
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    first, wanted = rows[0], f"{100.0 * entry['wanted']:g} %"
+    first, wanted = first_to_measure(entry), f"{100.0 * entry['wanted']:g} %"
+    if first is None:
+        of = "moves the probability" if entry["of"] == "probability" else "has a part in the variance"
+        return f"No input is worth measuring by itself: none {of} by more than chance would show."
     tests = thousands(first["tests"]) + f" test{'s' if first['tests'] != 1 else ''}"
     text = f"Measure {input_name(first['input'])} first: "
     if entry["of"] == "probability":

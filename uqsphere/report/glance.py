@@ -10,7 +10,7 @@ from uqsphere.report import event, reach
 from uqsphere.report.bearing import breach, check_name, grave, warned
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding, margin_word
-from uqsphere.report.drivers import measure_finding
+from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.figures import sensitivity_finding
 from uqsphere.report.margin_verdict import at_most, no_common_value, settling_text, tests_text
 from uqsphere.report.wording import (
@@ -141,11 +141,11 @@ def _measure_limit(contents: Contents, name: str) -> str:
     """What settles the target first, then which input is worth most."""
     limit, entry = contents.results["limits"][name], contents.results["margins"].get(name)
     text = tests_text(entry, limit, contents) if entry else settling_text(contents, limit)
-    rows = (limit.get("measure_first") or {}).get("rows") or []
+    first = first_to_measure(limit.get("measure_first"))
     if not text:
         return _measure(limit.get("measure_first"))
-    if rows and rows[0]["input"] != f"limits.{name}.strength":
-        text += f"Of the laws, that of {input_name(rows[0]['input'])} is worth most."
+    if first is not None and first["input"] != f"limits.{name}.strength":
+        text += f"Of the laws, that of {input_name(first['input'])} is worth most."
     return text.strip()
 
 

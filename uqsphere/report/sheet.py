@@ -15,7 +15,7 @@ _LONGEST: Final = 90
 #: letters of an interval that is kept on one line: a longer one would not fit a narrow column
 _WHOLE: Final = 34
 
-_UNIT: Final = re.compile(r"(?<=\d) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
+_UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 _POWER: Final = re.compile(r"(?<=\d) × (?=10)")
 _INTERVAL: Final = re.compile(r"\([−\d][^()]* to [^()]*\)")
 _COMMAS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\w,]|\.\d)")
@@ -26,6 +26,8 @@ def unbroken(text: str) -> str:
 
     >>> unbroken("1,234 runs, 1.2 × 10⁻⁴ (1.1 × 10⁻⁴ to 1.3 × 10⁻⁴)").replace("\u00a0", "~").replace("\u202f", "_")
     '1_234 runs, 1.2~×~10⁻⁴ (1.1~×~10⁻⁴~to~1.3~×~10⁻⁴)'
+    >>> unbroken("1.447 (1.445 to 1.449) %").replace("\u00a0", "~")
+    '1.447 (1.445~to~1.449)~%'
     """
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))

@@ -16,6 +16,7 @@ from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.wording import (
+    WITHOUT_FAILED,
     absent_reason,
     begin,
     call,
@@ -340,4 +341,4 @@ def _failures(contents: Contents) -> list[str]:
     policy = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
     how = policy[contents.resolved["analysis"]["on_failure"]]
     text = f"{model['failures']} evaluations failed ({how})"
-    return [text + (": " + "; ".join(reasons) if reasons else "") + "."]
+    return [text + (": " + "; ".join(reasons) if reasons else "") + f". {capital(WITHOUT_FAILED)}."]

@@ -40,6 +40,11 @@ MOST_DIGITS: Final = 5
 Estimate = Mapping[str, Any]
 
 ABSENT: Final = "–"
+#: what an answer of a run in which evaluations failed is
+WITHOUT_FAILED: Final = (
+    "mean, standard deviation and indices are those of the others, and another matter than the whole model's wherever "
+    "failing has to do with the inputs"
+)
 #: a width of 0.1 is not to count as 0.0999999
 _ROUND: Final = 1e-9
 _UNITS: Final = {"um": "µm", "us": "µs", "uJ": "µJ", "kg/m3": "kg/m³"}

@@ -208,7 +208,12 @@ def run(
             log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
             return found
     except OutOfBudget as nothing:
-        raise KeyboardInterrupt from nothing
+        if work.ledger.interrupted:
+            raise KeyboardInterrupt from nothing
+        raise UsageError(
+            "the time budget ended before there was anything to answer with; what was evaluated is kept, and a longer "
+            "--budget goes on with it"
+        ) from nothing
     finally:
         engine.close()
         store.close()
@@ -264,7 +269,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
     )
-    shared = share_variance(work, sensitivity) if dependent_names(work) else None
+    shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
     ledger.seconds["sensitivity"] = ledger.elapsed

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.work import REPLICATES, Work, evaluate_points, sub_inputs
+from uqsphere.runner.work import MOST_DROPPED, REPLICATES, Work, evaluate_points, sub_inputs
 from uqsphere.uq.blocks import Blocks, uniform_halves
 
-__all__ = ["blocks_of", "clean", "helpers_of", "pick_and_freeze", "surrogate_outputs"]
+__all__ = ["blocks_of", "clean", "helpers_of", "lost_designs", "pick_and_freeze", "surrogate_outputs"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -80,6 +80,20 @@ def helpers_of(chaoses: Mapping[str, Chaos], blocks: Blocks, outputs: Array | No
 
     made = {q: chaos_surrogate(chaos, blocks, outputs[..., k]) for k, (q, chaos) in enumerate(chaoses.items())}
     return {q: surrogate for q, surrogate in made.items() if surrogate is not None}
+
+
+def lost_designs(failed: Flags) -> str:
+    """Why no design of indices is made: too many of its runs would fail; or an empty text.
+
+    A design of pairs loses a base point with any of its runs, and an expansion sees nothing where the model has no
+    answer, so that both would answer for laws that nobody gave.
+    """
+    if failed.mean() <= MOST_DROPPED:
+        return ""
+    return (
+        f"{100.0 * failed.mean():.2g} % of the evaluations failed, and indices of the others would be those of other "
+        f"laws; they are given up to {100.0 * MOST_DROPPED:g} %: narrow the inputs to where the model answers"
+    )
 
 
 def clean(values: Array, failed: Flags) -> Array:

@@ -110,7 +110,7 @@ def _bars(found: History) -> dict[str, Any]:
     from uqsphere.mechanics.waves import BARS
 
     balance = equilibrium(found)
-    level = f"{balance.level:.0%}"
+    level = f"{100.0 * balance.level:.0f} %"
     lines = [
         (f"forces first within {level} of their mean", _when(balance.first)),
         ("  for good, up to the first loading's largest", _when(balance.lasting)),
@@ -122,7 +122,7 @@ def _bars(found: History) -> dict[str, Any]:
         text = "none" if tension is None else f"{tension.time * 1e6:.4g} us, {tension.position:.4g} m from the sphere"
         lines.append((f"first tension in the {bar} bar", text))
     if found.solution.scene.record is not None:
-        share = f"above {tension_level(found):.1%} of the pulse: less is the noise of its record"
+        share = f"above {100.0 * tension_level(found):.1f} % of the pulse: less is the noise of its record"
         lines.append(("  counted as tension", share))
     gauges = []
     for record in found.gauges:

@@ -161,7 +161,7 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(distinct)
     lost = float((result.first < 0).mean())
     if lost > MOST_LOST:
-        return {"reason": f"the loading of {lost:.0%} of the specimens could not be followed"}
+        return {"reason": f"the loading of {100.0 * lost:.0f} % of the specimens could not be followed"}
     weights, evaluations = drawn.weights, int(flat.size)
     known = {
         "time": result.time,

@@ -101,7 +101,7 @@ def propose(pilot: Pilot) -> Control:
             used=False,
             text=f"a control variate was considered and not tried: the correlation of {candidate.fidelity} with full "
             f"in {worst} is {tie} and a row of it costs {candidate.cost:.2g} of one of full, so that at best "
-            f"{cost:.0%} of the cost would be left",
+            f"{100.0 * cost:.0f} % of the cost would be left",
         )
     rho = min(abs(r) for r in candidate.correlation.values() if r is not None)
     wanted = min(best_ratio(rho, candidate.cost), MOST_COST / candidate.cost, MOST_RATIO)

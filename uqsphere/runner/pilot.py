@@ -338,7 +338,7 @@ def _why(
         return (
             f"its error on the pilot sample, {_worst(measured):.2g} of the standard deviation, is below the "
             f"{bound:.2g} that the accuracy asked for allows once rows whose estimated error is larger are left to "
-            f"full ({taken.fallback_share:.0%} of them)"
+            f"full ({100.0 * taken.fallback_share:.0f} % of them)"
         )
     if taken:
         return (

@@ -24,6 +24,8 @@ FIRST = 128
 LEAST = 2
 #: points of each replicate from which on an accuracy may be given up
 JUDGED = 512
+#: what is said of an accuracy that failed rows prevent
+FOR_FAILED = " (the failed evaluations leave that open, and no further ones would narrow it)"
 #: share of the budget that sampling may take where sensitivities and margins are still to come
 SHARE = 0.7
 
@@ -175,6 +177,29 @@ def _course_of(text: str) -> str:
     return f"limits.{head.removeprefix('limit ')}.{which}" if head.startswith("limit ") else head
 
 
+def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description], texts: list[str]) -> set[str]:
+    """Those of the missed accuracies that the failed rows alone prevent: no number of evaluations reaches them."""
+    analysis = work.study.analysis
+    if analysis.on_failure != "bound" or not sample.failed.any():
+        return set()
+    found = set()
+    for k, name in enumerate(work.quantities):
+        without = describe(
+            sample.values[:, :, k],
+            censored=sample.censored[:, :, k],
+            failed=sample.failed,
+            on_failure="drop",
+            quantiles=analysis.quantiles,
+            method=METHOD,
+        )
+        for p, estimate in descriptions[name].quantiles.items():
+            # what the interval is wider by than the same samples without the failed ones have it
+            wider = estimate.half_width - without.quantiles[p].half_width
+            if estimate.value is None or wider > analysis.accuracy.quantile * without.scale:
+                found |= {text for text in texts if text.startswith(f"{name}: quantile {p:g}: ")}
+    return found
+
+
 def _late(course: list[tuple[int, float]]) -> list[tuple[int, float]]:
     """The part of a course that a verdict may rest on."""
     return [point for point in course if point[0] >= JUDGED * REPLICATES]
@@ -287,12 +312,15 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             break
     assert points is not None
     assert sample is not None
+    never = _left_open(work, sample, descriptions, missed)
     return Sampled(
         points=points,
         sample=sample,
         descriptions=descriptions,
         limits=limits,
-        missed=[text + cost_text(course.get(_course_of(text), [])) for text in missed],
+        missed=[
+            text + (FOR_FAILED if text in never else cost_text(course.get(_course_of(text), []))) for text in missed
+        ],
         stopped=stopped,
         history=history,
         seconds=seconds,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.design import blocks_of, clean, helpers_of, pick_and_freeze, surrogate_outputs
+from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import out_of_reach
@@ -192,6 +192,10 @@ def find_sensitivity(
     if not names:
         refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
         return refused, [], [], "accuracy", IndexControl(used=False), None
+    lost = lost_designs(sampled.sample.failed)
+    if lost:
+        refused = {q: replace(_refused(work, lost), missed=[f"indices: {lost}"]) for q in work.quantities}
+        return refused, [], [], "failures", IndexControl(used=False), None
     tied = dependent_names(work)
     if tied:
         reason = (

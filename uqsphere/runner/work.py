@@ -306,8 +306,8 @@ def _account(work: Work, fidelity: str, answered: Answered) -> None:
         )
     if policy == "drop" and failed > MOST_DROPPED * ledger.total and ledger.total >= 1000:
         raise TooManyFailures(
-            f"{failed} of {ledger.total} evaluations failed ({reasons}), more than {MOST_DROPPED:.0%} of them: "
-            'too many to leave out; narrow the inputs, or choose on_failure = "bound"'
+            f"{failed} of {ledger.total} evaluations failed ({reasons}), more than {100.0 * MOST_DROPPED:.0f} % of "
+            'them: too many to leave out; narrow the inputs, or choose on_failure = "bound"'
         )
 
 

@@ -133,9 +133,12 @@ def from_replicates(
         return absent("an interval needs at least two independent replicates", method, evaluations)
     if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
         return absent("a replicate gave no finite answer", method, evaluations)
+    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
+    power = int(np.frexp(np.abs(values).max())[1])
+    deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.mean(values)) if pooled is None else float(pooled)
-        error = max(float(np.std(values, ddof=1)) / math.sqrt(values.size), floor)
+        error = max(deviation / math.sqrt(values.size), floor)
     half = student(values.size) * error
     if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
         return absent("the answer is beyond floating point", method, evaluations)
@@ -283,7 +286,7 @@ def describe_moments(
         reach = _skew_reach(found, count)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
     if found.largest_share > 0.4 and total >= 1000:
-        reason = f"does not converge: one sample of {total} makes {found.largest_share:.0%} of the variance"
+        reason = f"does not converge: one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         low, high = inner()
         return mean, absent(reason, method, total), 0.5 * (high - low)
     return mean, sd, found.deviation
@@ -392,9 +395,9 @@ def quantile_estimates(
 def _why(censored: Flags, failed: Flags, total: int) -> str:
     parts = []
     if censored.any():
-        parts.append(f"the censored share ({censored.sum() / total:.2%})")
+        parts.append(f"the censored share ({100.0 * censored.sum() / total:.2f} %)")
     if failed.any():
-        parts.append(f"the failed share ({failed.sum() / total:.2%})")
+        parts.append(f"the failed share ({100.0 * failed.sum() / total:.2f} %)")
     return "beyond " + " and ".join(parts)
 
 

@@ -210,7 +210,7 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
         method += f", interval widened for {' and '.join(named)} rows"
     largest = float(event.max()) / float(event.sum()) if event.sum() > 0.0 else 0.0
     if largest > 0.2:
-        method += f", one sample carries {largest:.0%}"
+        method += f", one sample carries {100.0 * largest:.0f} %"
     return Estimate(value=value, low=min(low, value), high=max(high, value), std_error=error,
                     method=method, evaluations=total)  # fmt: skip
 

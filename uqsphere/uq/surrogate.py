@@ -72,7 +72,9 @@ def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64],
     """
     active = multi_indices > 0
     count = active.sum(axis=1)
-    shares = np.where(count > 0, coefficients**2, 0.0)
+    varying = np.where(count > 0, coefficients, 0.0)
+    # by a power of two, which rounds nothing: the squares of 1e300 are beyond floating point
+    shares = np.ldexp(varying, -np.frexp(np.abs(varying).max())[1]) ** 2
     shares = shares / shares.sum()
     rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
     inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
@@ -110,6 +112,6 @@ def chaos_outputs(chaos: Chaos, blocks: Blocks, halves: Sequence[Array]) -> Arra
 
 def chaos_surrogate(chaos: Chaos, blocks: Blocks, outputs: Array) -> Surrogate | None:
     """An expansion with its `chaos_outputs` (R, N, blocks.count) as a surrogate; None where it is a constant."""
-    if not math.fsum(chaos.coefficients[chaos.multi_indices.any(axis=1)] ** 2) > 0.0:
+    if not chaos.coefficients[chaos.multi_indices.any(axis=1)].any():
         return None
     return Surrogate(outputs=outputs, indices=expansion_indices(chaos.coefficients, chaos.multi_indices, blocks))

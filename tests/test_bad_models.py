@@ -1,0 +1,256 @@
+"""Models that fail, end their process, never answer, or answer out of all scale: told of, no silent nonsense."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.attend import Silence, last_words
+from uqsphere.cli import main
+from uqsphere.console import Progress
+from uqsphere.errors import ModelRaised, UsageError
+from uqsphere.model import answer
+from uqsphere.report.drivers import first_to_measure, measure_finding
+from uqsphere.runner.design import lost_designs
+from uqsphere.study import Study, load_study
+from uqsphere.summary import summary_of
+from uqsphere.uq.blocks import Blocks
+from uqsphere.uq.estimates import from_replicates
+from uqsphere.uq.surrogate import expansion_indices
+
+Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]
+
+STUDY = """
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "uniform", lower = -1.0, upper = 1.0 }
+[outputs]
+names = ["y"]
+[analysis]
+methods = ["qmc", "sobol", "pce"]
+on_failure = "bound"
+accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.05, probability = 0.2 }
+budget = { evaluations = 20_000 }
+"""
+
+
+def smooth(rows: Rows) -> Rows:
+    return {"y": rows["a"] + 2.0 * rows["b"] + 0.3 * rows["a"] * rows["b"]}
+
+
+def failing(share: float) -> Callable[[Rows], Rows]:
+    """The model without an answer in that share of the law of b."""
+    return lambda rows: {"y": np.where(rows["b"] > 1.0 - 2.0 * share, np.nan, smooth(rows)["y"])}
+
+
+def written(folder: Path) -> Study:
+    (folder / "s.toml").write_text(STUDY, "utf-8")
+    return load_study(folder / "s.toml")
+
+
+def run(box: Callable[[Rows], Rows], out: Path) -> dict[str, Any]:
+    return dict(uqsphere.run(written(out.parent), out=out, model=box).results)
+
+
+# --- failures -------------------------------------------------------------------------------------------
+
+
+def test_indices_of_a_model_that_fails_often_are_refused(tmp_path: Path) -> None:
+    """A smooth surrogate would go on through where the model has no answer, and the pairs that are left agree."""
+    results = run(failing(0.2), tmp_path / "r")
+    for order in ("first", "total"):
+        for estimate in results["sensitivity"]["y"][order].values():
+            assert estimate["value"] is None
+            assert "20 % of the evaluations failed" in estimate["reason"]
+    missed = [text for text in results["accuracy"]["missed"] if text.startswith("y: indices")]
+    assert len(missed) == 1
+
+
+def test_indices_stay_where_hardly_a_row_fails(tmp_path: Path) -> None:
+    results = run(failing(0.002), tmp_path / "r")
+    assert results["sensitivity"]["y"]["total"]["b"]["value"] is not None
+    assert results["model"]["failures"] > 0
+
+
+def test_the_share_that_designs_can_lose() -> None:
+    failed = np.zeros((4, 1000), dtype=bool)
+    failed[:, :10] = True
+    assert lost_designs(failed) == ""
+    failed[0, 10] = True
+    assert "other laws" in lost_designs(failed)
+
+
+def test_what_failed_evaluations_leave_open_is_not_promised(tmp_path: Path) -> None:
+    """The wide interval of a quantile is made by the failures: more of the same evaluations would not narrow it."""
+    missed = run(failing(0.1), tmp_path / "r")["accuracy"]["missed"]
+    quantiles = [text for text in missed if "quantile 0.5:" in text]
+    assert len(quantiles) == 1
+    assert "no further ones would narrow it" in quantiles[0]
+    assert "would reach it" not in quantiles[0]
+
+
+def test_the_terminal_says_what_is_left_without_the_failed(tmp_path: Path) -> None:
+    text = " ".join(summary_of(run(failing(0.2), tmp_path / "r"), 80).split())
+    assert "20 % of all: mean, standard deviation and indices are those of the others" in text
+
+
+# --- scale ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("power", [-1000, -400, 0, 400, 1000])
+def test_intervals_have_the_scale_of_their_values(power: int) -> None:
+    values = np.array([1.0, 2.0, 4.0, 1.5])
+    plain, scaled = from_replicates(values, "mean", 4), from_replicates(np.ldexp(values, power), "mean", 4)
+    for key in ("value", "low", "high", "std_error"):
+        assert getattr(scaled, key) == math.ldexp(getattr(plain, key), power)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
+def test_indices_of_an_expansion_have_no_scale(scale: float) -> None:
+    degrees = np.array([[0, 0], [1, 0], [1, 1]])
+    found = expansion_indices(scale * np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2))
+    assert found["first"] == pytest.approx([0.9, 0.0], abs=1e-12)
+    assert found["total"] == pytest.approx([1.0, 0.1], abs=1e-12)
+
+
+@pytest.mark.parametrize("power", [-900, 990])
+def test_a_run_has_the_answers_of_its_scale(power: int, tmp_path: Path) -> None:
+    def scaled(rows: Rows) -> Rows:
+        return {"y": np.ldexp(smooth(rows)["y"], power)}
+
+    plain, found = (run(box, tmp_path / name) for name, box in (("plain", smooth), ("scaled", scaled)))
+    for key in ("mean", "sd"):
+        for end in ("value", "low", "high"):
+            expected = plain["quantities"]["y"][key][end]
+            assert math.ldexp(found["quantities"]["y"][key][end], -power) == pytest.approx(expected, rel=1e-9)
+    total = {name: e["value"] for name, e in plain["sensitivity"]["y"]["total"].items()}
+    assert {n: e["value"] for n, e in found["sensitivity"]["y"]["total"].items()} == pytest.approx(total, abs=1e-6)
+
+
+# --- what to measure ------------------------------------------------------------------------------------
+
+
+def _row(name: str, value: float, error: float) -> dict[str, Any]:
+    sway = {"value": value, "low": value - 2.0 * error, "high": value + 2.0 * error, "std_error": error}
+    return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
+
+
+def test_an_input_that_does_nothing_is_not_worth_measuring() -> None:
+    """Of inputs that do nothing one has the largest sway all the same."""
+    entry = {"of": "probability", "wanted": 0.1, "rows": [_row("d", 0.02, 0.01), _row("a", -0.01, 0.01)]}
+    assert first_to_measure(entry) is None
+    assert "No input is worth measuring" in measure_finding(entry)
+    entry["rows"] = [_row("d", 0.05, 0.03), _row("a", 0.04, 0.001)]
+    found = first_to_measure(entry)
+    assert found is not None
+    assert found["input"] == "a"
+    assert measure_finding(entry).startswith("Measure a first")
+
+
+# --- models that raise, end, or never come back ---------------------------------------------------------
+
+
+def test_an_exception_is_told_with_its_place(tmp_path: Path) -> None:
+    def bad(rows: Rows) -> Rows:
+        raise RuntimeError("no convergence")
+
+    study = written(tmp_path)
+    line = bad.__code__.co_firstlineno + 1
+    with pytest.raises(ModelRaised, match=rf"no convergence \(test_bad_models.py, line {line}\)"):
+        answer(study, ("a", "b"), np.zeros((2, 2)), ("y",), black_box=bad)
+
+
+def test_a_model_that_ends_the_process_has_last_words(tmp_path: Path) -> None:
+    (tmp_path / "ending.py").write_text("import os\ndef f(rows): os._exit(7)\n", "utf-8")
+    written(tmp_path)
+    found = subprocess.run(
+        [sys.executable, "-m", "uqsphere", "run", "s.toml", "--model", "ending.py:f", "--out", "r"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert found.returncode == 7
+    assert "the model ended it" in found.stderr
+    assert "time_limit" in found.stderr
+
+
+def test_no_last_words_where_the_block_is_left(capfd: pytest.CaptureFixture[str]) -> None:
+    with last_words("gone"):
+        pass
+    with pytest.raises(ValueError, match="left"), last_words("gone"):
+        raise ValueError("left")
+    assert capfd.readouterr().err == ""
+
+
+def test_a_model_that_never_answers_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    progress = Progress(seconds=20.0)
+    silence = Silence(progress, 20.0)
+    progress("model", 8, 8)
+    capsys.readouterr()
+    silence.look(progress.heard + 1e6)
+    assert capsys.readouterr().err == ""  # nothing is being evaluated: the run is at its own work
+    progress("model", 1, 8)
+    silence.look(progress.heard)
+    capsys.readouterr()
+    silence.look(progress.heard + 29.0)
+    assert capsys.readouterr().err == ""
+    silence.look(progress.heard + 31.0)
+    text = capsys.readouterr().err
+    assert "the time budget of 20 s is over" in text
+    assert "for 31 s" in text
+    silence.look(progress.heard + 60.0)
+    assert capsys.readouterr().err == ""
+    silence.look(progress.heard + 63.0)
+    assert "for 63 s" in capsys.readouterr().err
+
+
+def test_a_model_that_was_as_slow_before_is_left_in_peace(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    progress = Progress(quiet=True, heard=now)
+    silence = Silence(progress, 1e6)
+    now += 50.0
+    progress("model", 1, 8)
+    silence.look(now)
+    silence.look(now + 140.0)
+    assert capsys.readouterr().err == ""
+    silence.look(now + 160.0)
+    assert "for 160 s" in capsys.readouterr().err
+
+
+# --- the width of a terminal ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize(
+    "command", [["check", "studies/granite.toml"], ["list", "materials"], ["list", "criteria"], ["list", "quantities"],
+                ["list", "models"]]
+)  # fmt: skip
+def test_tables_fit_the_terminal(
+    command: list[str], width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.chdir(Path(__file__).parent.parent)
+    assert main(command) == 0
+    assert max(map(len, capsys.readouterr().out.split("\n"))) <= width
+
+
+def test_a_budget_of_no_time_is_no_interruption(tmp_path: Path) -> None:
+    """Nobody pressed Ctrl-C: exit code 2 with what to change, not 130."""
+    (tmp_path / "slow.py").write_text(
+        "import time\ndef f(rows):\n    time.sleep(0.01)\n    return {'y': rows['a']}\n", "utf-8"
+    )
+    text = STUDY.replace('methods = ["qmc", "sobol", "pce"]\n', "rows_per_call = 1\n")
+    (tmp_path / "s.toml").write_text(text, "utf-8")
+    with pytest.raises(UsageError, match="time budget ended"):
+        uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=f"{tmp_path}/slow.py:f", seconds=1e-3)
