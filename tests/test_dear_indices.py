@@ -76,6 +76,27 @@ def test_moves_of_a_transformed_fit_are_those_of_fits_without_the_run() -> None:
     assert moved == pytest.approx(moves[run, 0], rel=0.2)
 
 
+def test_moves_of_a_transformed_fit_hold_interactions_of_high_degree() -> None:
+    u = sobol_points(dimension=3, count=128, seed=2006, task="dear", replicate=0)
+    points = 2.0 * u - 1.0
+    outputs = 1.0 / (1.6 + points[:, 0] + 0.4 * points[:, 1] * points[:, 2]) + 0.1 * points[:, 1]
+    chaos = fit_chaos(points, outputs, ("uniform",) * 3)
+    piece = chaos.pieces[0]
+    assert piece.transform is not None
+    moves = left_out_moves(chaos, points, outputs, [with_second])
+    assert moves is not None
+    largest = np.argsort(-np.abs(moves[:, 0]))[:6]
+    moved = []
+    for run in largest:
+        keep = np.arange(128) != run
+        rows = piece_rows(chaos, piece, points[keep])
+        coefficients = np.linalg.lstsq(rows.T, piece.transform.forward(outputs[keep]), rcond=None)[0]
+        again = replace(chaos, pieces=(replace(piece, coefficients=coefficients),))
+        moved.append(law_shares(again, [[1]], 0)[0, 1] - law_shares(chaos, [[1]], 0)[0, 1])
+    told = moves[largest, 0]
+    assert float(told @ moved) == pytest.approx(float(told @ told), rel=0.1)
+
+
 def test_shares_of_a_fit_with_a_kink_do_not_run_away() -> None:
     model, points, outputs = runs("kinked", 128, seed=2000)
     chaos = fit_chaos(points, outputs, model.germs)

@@ -45,10 +45,8 @@ TOTAL: Final = 3.8
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
 _MOST_MOVED: Final = 50.0
-#: points of the law that derivatives are averaged over; degree and terms that tell the parts of each index there
+#: points of the law that derivatives are averaged over
 _POINTS: Final = 4096
-_DEGREE: Final = 6
-_TERMS: Final = 120
 
 #: which terms (P,) belong to an index, from which inputs (P, d) each term has
 Terms: TypeAlias = Callable[[Flags], Flags]
@@ -101,7 +99,7 @@ def left_out_moves(chaos: Chaos, points: Array, outputs: Array, asked: Sequence[
     varying = values / unit - float(np.mean(values / unit))
     scale = float(np.std(varying)) * unit
     whole = varying * (unit / scale)
-    companion = Companion(chaos, there, whole, _DEGREE, _TERMS)
+    companion = Companion(chaos, there, whole)
     masks = np.array([terms(companion.active) for terms in asked])
     parts = (masks * companion.coefficients) @ companion.rows(there)
     shares = np.mean(parts**2, axis=1)

@@ -35,10 +35,10 @@ class Companion:
     `coefficients` (P,) of the terms, and which inputs each has, `active` (P, d).
     """
 
-    def __init__(self, chaos: Chaos, points: Array, values: Array, degree: int = _DEGREE, terms: int = _TERMS) -> None:
+    def __init__(self, chaos: Chaos, points: Array, values: Array) -> None:
         self._inputs = active_inputs(chaos)
         self._germs = chaos.germs
-        found = nested(len(self._inputs), 0.75, degree, terms)
+        found = nested(len(self._inputs), 0.75, _DEGREE, _TERMS)
         self._indices = np.zeros((1, len(self._inputs)), dtype=np.int64) if found is None else found[0]
         self.active: Flags = np.zeros((len(self._indices), len(chaos.germs)), dtype=bool)
         self.active[:, list(self._inputs)] = self._indices > 0
