@@ -41,7 +41,7 @@ def trusted_of(name: str, n: int, seed: int = 3) -> tuple[CoverageModel, Trusted
 
 
 def alone(active: Flags) -> Flags:
-    return active[:, 0] & (active.sum(axis=1) == 1)
+    return np.asarray(active[:, 0] & (active.sum(axis=1) == 1))
 
 
 def with_second(active: Flags) -> Flags:
@@ -70,7 +70,9 @@ def test_moves_of_a_transformed_fit_are_those_of_fits_without_the_run() -> None:
     run = int(np.argmax(np.abs(moves[:, 0])))
     keep = np.arange(64) != run
     rows = piece_rows(chaos, piece, points[keep])
-    coefficients = np.linalg.lstsq(rows.T, piece.transform.forward(outputs[keep]), rcond=None)[0]
+    coefficients = np.asarray(
+        np.linalg.lstsq(rows.T, piece.transform.forward(outputs[keep]), rcond=None)[0], dtype=float
+    )
     again = replace(chaos, pieces=(replace(piece, coefficients=coefficients),))
     moved = law_shares(again, [[0]], 0)[0, 0] - law_shares(chaos, [[0]], 0)[0, 0]
     assert moved == pytest.approx(moves[run, 0], rel=0.2)
@@ -90,7 +92,9 @@ def test_moves_of_a_transformed_fit_hold_interactions_of_high_degree() -> None:
     for run in largest:
         keep = np.arange(128) != run
         rows = piece_rows(chaos, piece, points[keep])
-        coefficients = np.linalg.lstsq(rows.T, piece.transform.forward(outputs[keep]), rcond=None)[0]
+        coefficients = np.asarray(
+            np.linalg.lstsq(rows.T, piece.transform.forward(outputs[keep]), rcond=None)[0], dtype=float
+        )
         again = replace(chaos, pieces=(replace(piece, coefficients=coefficients),))
         moved.append(law_shares(again, [[1]], 0)[0, 1] - law_shares(chaos, [[1]], 0)[0, 1])
     told = moves[largest, 0]
