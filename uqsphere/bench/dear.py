@@ -9,7 +9,8 @@ import numpy as np
 
 from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
-from uqsphere.uq.augmented import Trusted, indices_of, joined, trust, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, joined, trust, widened, with_residuals
+from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
 from uqsphere.uq.families import Array
@@ -75,7 +76,7 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
         exceeded = ("probability", probability, 1.0 - max(QUANTILES))
         for kind, estimate, truth in [*_answers(model, description), exceeded]:
             hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
-        indices = indices_of(trusted)
+        indices = trusted_indices(trusted, seed)
         for order, truths in (("first", model.first), ("total", model.total)):
             for j, (estimate, truth) in enumerate(zip(indices[order], truths, strict=True)):
                 hits.append(coverage_hit(f"{order} index", WAY, model.name, f"x{j + 1}", n, estimate, truth))

@@ -16,7 +16,8 @@ from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Draw, Sample, Work, draw
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted, indices_of, joined, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, joined, widened, with_residuals
+from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import Description, Estimate, absent, describe
 from uqsphere.uq.reliability import reliability_index, tails, target_met
@@ -73,9 +74,9 @@ def dear_sets(work: Work, one: Trusted | None, reason: str) -> dict[str, Any]:
         nothing = absent(reason, augmented.METHOD, 0)
         return {"second": dict.fromkeys(labels, nothing), "group_first": dict.fromkeys(analysis.groups, nothing),
                 "group_total": dict.fromkeys(analysis.groups, nothing)}  # fmt: skip
-    first, total = group_indices(one, groups) if groups else ([], [])
+    first, total = group_indices(one, groups, work.study.seed) if groups else ([], [])
     return {
-        "second": dict(zip(labels, pair_indices(one, pairs) if pairs else [], strict=True)),
+        "second": dict(zip(labels, pair_indices(one, pairs, work.study.seed) if pairs else [], strict=True)),
         "group_first": dict(zip(analysis.groups, first, strict=True)),
         "group_total": dict(zip(analysis.groups, total, strict=True)),
     }
@@ -88,7 +89,7 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     """
     indices = {}
     if not dependent_names(work):
-        indices = {quantity: indices_of(trusted[k]) for k, quantity in enumerate(work.quantities)}
+        indices = {quantity: trusted_indices(trusted[k], work.study.seed) for k, quantity in enumerate(work.quantities)}
     descriptions, limits, alone = _described(work, design, trusted, LARGE)
     if alone:
         descriptions, limits, _ = _described(work, design, trusted, LARGER)

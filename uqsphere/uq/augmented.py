@@ -34,6 +34,8 @@ __all__ = [
     "indices_of",
     "joined",
     "left_out",
+    "piece_rows",
+    "piece_values",
     "trust",
     "widened",
     "with_residuals",
@@ -66,6 +68,8 @@ class Trusted:
     scatter : root mean square of the residuals, as widened.
     error : its square over the variance of the runs.
     seen_by_none : error of the fit before on runs that it had not seen; None for the first fit.
+    points : (N, d) germs of the runs.
+    before : the fit before; None for the first fit.
     """
 
     chaos: Chaos
@@ -74,6 +78,8 @@ class Trusted:
     scatter: float
     error: float
     seen_by_none: float | None
+    points: Array
+    before: Chaos | None = None
 
     @property
     def usable(self) -> bool:
@@ -89,11 +95,21 @@ class Trusted:
         return f"refused: it leaves {self.error:.2g} of the variance unexplained, more than {MOST:g} ({terms})"
 
 
-def _fit_left_out(piece: Piece, chaos: Chaos, points: Array, outputs: Array) -> Array:
-    """Predictions (n,) of a piece of expansion, each output left out of the least squares in turn."""
+def piece_rows(chaos: Chaos, piece: Piece, points: Array) -> Array:
+    """Values (P, n) of the products of one piece of an expansion at germ points (n, d)."""
     highest = piece.multi_indices.max(axis=0)
     tables = [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
-    rows = products(tables, piece.multi_indices)
+    return np.asarray(products(tables, piece.multi_indices))
+
+
+def piece_values(chaos: Chaos, piece: Piece, points: Array) -> Array:
+    """Outputs (n,) that one piece of an expansion gives at germ points (n, d), on its side of the border or not."""
+    return np.asarray(piece.back(piece.coefficients @ piece_rows(chaos, piece, points)))
+
+
+def _fit_left_out(piece: Piece, chaos: Chaos, points: Array, outputs: Array) -> Array:
+    """Predictions (n,) of a piece of expansion, each output left out of the least squares in turn."""
+    rows = piece_rows(chaos, piece, points)
     z = outputs if piece.transform is None else piece.transform.forward(outputs)
     if rows.shape[0] >= rows.shape[1]:
         return np.full(len(outputs), float(np.mean(outputs)))
@@ -110,19 +126,13 @@ def left_out(chaos: Chaos, points: Array, outputs: Array) -> Array:
     """
     if chaos.border is None:
         return _fit_left_out(chaos.pieces[0], chaos, points, outputs)
-    values = [_values(chaos, piece, points) for piece in chaos.pieces]
+    values = [piece_values(chaos, piece, points) for piece in chaos.pieces]
     side = chaos.border.side(points, values)
     found = np.empty(len(outputs))
     for which, piece in ((~side, chaos.pieces[0]), (side, chaos.pieces[1])):
         if which.any():
             found[which] = _fit_left_out(piece, chaos, points[which], outputs[which])
     return found
-
-
-def _values(chaos: Chaos, piece: Piece, points: Array) -> Array:
-    highest = piece.multi_indices.max(axis=0)
-    tables = [orthonormal_values(germ, points[:, j], int(highest[j])) for j, germ in enumerate(chaos.germs)]
-    return np.asarray(piece.back(piece.coefficients @ products(tables, piece.multi_indices)))
 
 
 def trust(chaos: Chaos, points: Array, outputs: Array, before: Chaos | None = None) -> Trusted:
@@ -133,7 +143,8 @@ def trust(chaos: Chaos, points: Array, outputs: Array, before: Chaos | None = No
     spread = float(np.std(outputs))
     if not spread > 0.0 or spread <= 1e-14 * abs(float(np.mean(outputs))):
         zero = np.zeros(len(outputs))
-        return Trusted(chaos=chaos, levels=outputs, residuals=zero, scatter=0.0, error=0.0, seen_by_none=None)
+        return Trusted(chaos=chaos, levels=outputs, residuals=zero, scatter=0.0, error=0.0, seen_by_none=None,
+                       points=points)  # fmt: skip
     levels = left_out(chaos, points, outputs)
     residuals = outputs - levels
     own = float(np.mean((residuals / spread) ** 2))
@@ -153,6 +164,8 @@ def trust(chaos: Chaos, points: Array, outputs: Array, before: Chaos | None = No
         scatter=math.sqrt(error) * spread,
         error=error,
         seen_by_none=seen_by_none,
+        points=points,
+        before=before,
     )
 
 
