@@ -22,7 +22,9 @@ _SHEET: Final = """
   @bottom-right { content: counter(page) " / " counter(pages); font: 8pt "DejaVu Sans", sans-serif; } }
 :root { color-scheme: light; }
 html, body { background: #ffffff; color: #000000; }
-.skip, nav { display: none; }
+.skip { display: none; }
+nav ul { display: block; columns: 2; column-gap: 8mm; }
+nav a::after { content: leader(".") target-counter(attr(href), page); }
 .scroll, .drawing { overflow: visible; }
 figure svg { min-width: 0; max-width: 100%; width: 165mm; }
 table { font-size: 8pt; }
