@@ -68,8 +68,9 @@ def _twin(contents: Contents, name: str) -> str:
     """An earlier limit whose curve over the free scalar is the same; empty where there is none."""
     margins = contents.results["margins"]
     earlier = list(margins)[: list(margins).index(name)]
-    same = (n for n in earlier if all(margins[n].get(key) == margins[name].get(key) for key in ("values", "family")))
-    return next((n for n in same if margins[n]["values"]), "")
+    own = margins[name]
+    same = (n for n in earlier if margins[n]["solve"] == own["solve"] and margins[n]["curve"] == own["curve"])
+    return next((n for n in same if margins[n]["values"].keys() == own["values"].keys() and own["curve"]), "")
 
 
 def _fragility(contents: Contents, name: str) -> Block:

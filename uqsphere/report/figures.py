@@ -266,7 +266,8 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
             Patch(facecolor="none", edgecolor=RED, hatch="///", label=f"{plain_percent(share)} outlast the record")
         )
     for strength in _apart(strengths)[:3]:
-        names = listed([limit_name(s.name, 24) for s in strengths if _alike(s, strength)][:3])
+        alike = [limit_name(s.name, 24) for s in strengths if _alike(s, strength)]
+        names = listed(alike) if len(alike) == 1 or len(listed(alike)) <= 26 else f"{len(alike)} limits"
         handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {names}"))
     axes.legend(
         handles=handles,
