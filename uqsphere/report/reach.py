@@ -86,12 +86,15 @@ def cases_text(share: float) -> str:
 
     >>> cases_text(0.0341), cases_text(2.8e-28), cases_text(1.0 - 1e-14)
     ('in 3.4 % of the cases', 'in none of the cases', 'in all cases')
+    >>> cases_text(0.99868)
+    'in 99.86 % of the cases'
     """
     if share < _NEVER:
         return "in none of the cases"
     if share > 1.0 - _NEVER:
         return "in all cases"
-    return f"in {plain_percent(float(f'{share:.2g}'))} of the cases"
+    # two digits, which must not make all of nearly all
+    return f"in {plain_percent(share if share > 0.99 else float(f'{share:.2g}'))} of the cases"
 
 
 def answer_checks(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
