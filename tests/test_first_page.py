@@ -258,7 +258,7 @@ def test_the_table_of_margins_says_where_the_bars_yield(two: Contents) -> None:
     assert table.rows[0][3] == "in 56 % of the cases"
     checks = answer_checks_table(two, "y")
     assert checks is not None
-    assert "at the answer for “y”, 1.79 m/s, on 128 scenes" in checks.caption
+    assert "at the answer for “y”, 1.793 m/s, on 128 scenes" in checks.caption
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,11 @@ from typing import Any, Final
 
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import reading_units
-from uqsphere.report.drivers import first_to_measure
+from uqsphere.report.drivers import first_to_measure, specimens
 from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, turns, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
+from uqsphere.report.reach import answer_checks
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
     MOST_DIGITS,
@@ -108,8 +109,7 @@ def _answer_checks(results: dict[str, Any]) -> list[str]:
     return [
         f"at the answer for {plain(name)}, {entry['solve']} {_answer(results, name)}: {plain(check['text'])}"
         for name, entry in results["margins"].items()
-        for told in [entry.get("validity") or {}]
-        for check in told.get("checks", ())
+        for check in answer_checks(entry)
         if check["check"].startswith("bar_yield") and check["share"] > 0.0
     ]
 
@@ -179,8 +179,9 @@ def _governing(results: dict[str, Any], width: int) -> list[str]:
         measured = limit.get("measure_first") or {}
         first = first_to_measure(measured)
         if first is not None:
-            tests, known = first["tests"], plain_percent(measured["wanted"])
-            count = f"{tests:,} specimen{'' if tests == 1 else 's'} to know the probability to {known}"
+            tests, known = specimens(measured, first) or 0, plain_percent(measured["wanted"])
+            side = " to the contrary" if (measured.get("probability") or 0.0) > 0.5 else ""
+            count = f"{tests:,} specimen{'' if tests == 1 else 's'} to know the probability{side} to {known}"
             advice.append(wrap(f"to measure first for {name}: {first['input']} ({count})", width))
         elif measured.get("rows"):
             why = "the mean of none moves the probability by more than chance would show"

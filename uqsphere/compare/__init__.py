@@ -21,6 +21,7 @@ from typing import Any, Final
 from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.errors import FolderError
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
+from uqsphere.report.granted import instead_text
 from uqsphere.report.wording import Estimate, estimate_text, number_text, rounded
 
 __all__ = ["Change", "compare_folders", "comparison_text", "difference_interval", "judge_together"]
@@ -100,6 +101,9 @@ def _answers(results: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str],
     """Every answer of a run: (section, name, statistic), unit, estimate."""
     for name, limit in results["limits"].items():
         yield (f"limits.{name}", "limits", "probability of missing the aim"), "", limit["miss"]
+        for row in limit.get("assumed") or ():
+            words = f"probability of missing the aim {instead_text(row)}"
+            yield (f"limits.{name}", "limits", words), "", row["miss"]
         if limit["aim"] == "break":  # else it is the same number
             yield (f"limits.{name}", "limits", "probability of exceeding the strength"), "", limit["exceedance"]
         for key, estimate in limit["margin"].items():

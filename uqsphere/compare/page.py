@@ -104,7 +104,7 @@ def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
 
 
 def _cell(change: Mapping[str, Any], side: str) -> str:
-    if change["statistic"] in ("censored share", "probability of missing the aim"):
+    if str(change["statistic"]).startswith(("censored share", "probability of missing the aim")):
         return probability_text(change[side])
     return estimate_text(change[side], subject_of(change))
 

@@ -14,6 +14,7 @@ from uqsphere.report import (
     drivers,
     fracture,
     granted,
+    headings,
     limit_surface,
     sections,
     swings,
@@ -31,7 +32,6 @@ from uqsphere.report.energy_curve import energy_block
 from uqsphere.report.fragility_family import (
     family_figure,
     family_finding,
-    family_name,
     family_table,
     lognormal_remarks,
 )
@@ -64,9 +64,28 @@ def build_chapters(contents: Contents) -> list[Chapter]:
 # --- the decision and its margins -----------------------------------------------------------------------
 
 
+def _twin(contents: Contents, name: str) -> str:
+    """An earlier limit whose curve over the free scalar is the same; empty where there is none."""
+    margins = contents.results["margins"]
+    earlier = list(margins)[: list(margins).index(name)]
+    own = margins[name]
+    same = (n for n in earlier if margins[n]["solve"] == own["solve"] and margins[n]["curve"] == own["curve"])
+    return next((n for n in same if margins[n]["values"].keys() == own["values"].keys() and own["curve"]), "")
+
+
 def _fragility(contents: Contents, name: str) -> Block:
+    twin = _twin(contents, name)
+    if twin:
+        # the target is another one, and so is the answer; the values and their curve stand there already
+        return Block(
+            heading=headings.fragility_heading(contents, name),
+            finding=f"The curve and its values are those of {limit_name(twin)}; the target is another one.",
+            picture=decision.fragility_figure(contents, name),
+            table=sections.margins_table(contents, name, only_own=True),
+            files=("tables/margins.csv", "tables/fragility.csv"),
+        )
     return Block(
-        heading=f"Fragility of {limit_name(name)}",
+        heading=headings.fragility_heading(contents, name),
         finding=decision.fragility_finding(contents, name),
         picture=decision.fragility_figure(contents, name),
         table=sections.margins_table(contents, name),
@@ -78,9 +97,11 @@ def _fragility(contents: Contents, name: str) -> Block:
 def _family(contents: Contents, name: str) -> list[Block]:
     if not contents.results["margins"][name].get("family"):
         return []
+    if _twin(contents, name):
+        return []
     return [
         Block(
-            heading=f"Fragility of {limit_name(name)} over {family_name(contents, name)}",
+            heading=headings.family_heading(contents, name),
             finding=family_finding(contents, name),
             picture=family_figure(contents, name),
             table=family_table(contents, name),
@@ -94,7 +115,7 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks += [block for name in contents.results["margins"] for block in energy_block(contents, name)]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [distribution_block(contents, name) for name in decided(contents)]
-    blocks.append(granted.granted_block(contents))
+    blocks.append(granted.granted_block(contents, headings.granted_heading(contents)))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -118,7 +139,7 @@ def margins_chapter(contents: Contents) -> Chapter:
     if limits:
         blocks.append(
             Block(
-                heading="Strength over demand",
+                heading=headings.demand_heading(contents),
                 finding=" ".join(
                     decision.margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()
                 ),
@@ -130,12 +151,12 @@ def margins_chapter(contents: Contents) -> Chapter:
         )
     for name in contents.results["margins"]:
         parts = parts_table(contents, name)
-        heading = f"What the margin of {limit_name(name)} is made of"
+        heading = headings.parts_heading(contents, name)
         blocks.append(Block(heading=heading, finding=parts_finding(contents, name) if parts else "", table=parts))
     if contents.results.get("fracture"):
         blocks.append(
             Block(
-                heading="Fracture",
+                heading=headings.fracture_heading(contents),
                 finding=fracture.fracture_finding(contents),
                 picture=fracture.interplay_figure(contents),
                 table=fracture.fracture_table(contents),
@@ -149,7 +170,7 @@ def margins_chapter(contents: Contents) -> Chapter:
         heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
         blocks += [
             Block(
-                heading=f"Where the margin of {limit_name(name)} goes",
+                heading=swings.waterfall_heading(contents, name),
                 finding=swings.waterfall_finding(contents, name),
                 picture=swings.waterfall_figure(contents, name),
                 table=swings.waterfall_table(contents, name),
@@ -190,7 +211,7 @@ def drivers_chapter(contents: Contents) -> Chapter:
         if table is not None:
             blocks.append(
                 Block(
-                    heading=f"Missing the aim of {limit_name(name)}",
+                    heading=headings.failure_heading(contents, name),
                     finding=drivers.failure_finding(contents, name),
                     table=table,
                     files=("tables/drivers.csv",),

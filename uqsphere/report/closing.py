@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from uqsphere.report import force_band, hardest_scene, method, origins, progress
+from uqsphere.report import force_band, hardest_scene, method, origins, progress, reach
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
+from uqsphere.report.headings import accuracy_heading, checks_heading
 from uqsphere.report.subjects import (
     beyond_blocks,
     decided,
@@ -33,7 +34,7 @@ def quantities_chapter(contents: Contents) -> Chapter:
     heading = "The quantities in full" if blocks else "Force and stress over time"
     blocks.append(
         Block(
-            heading="Force over time",
+            heading=force_band.force_band_heading(contents),
             finding=force_band.force_band_finding(contents),
             picture=force_band.force_band_figure(contents),
             table=force_band.hardest_table(contents),
@@ -65,14 +66,17 @@ def computed_chapter(contents: Contents) -> Chapter:
     missed = tuple(str(text) for text in contents.results["accuracy"]["missed"])[:200]
     blocks = [
         Block(
-            heading="Validity of the model",
+            heading=checks_heading(contents.results["validity"], "Validity of the model"),
             table=method.checks_table(contents) if contents.results["validity"] else None,
             kind="checks notes",
             files=("tables/validity.csv",),
         ),
         *(
             Block(
-                heading=f"Validity of the model at the answer for {limit_name(name)}",
+                heading=checks_heading(
+                    reach.answer_checks(contents.results["margins"][name]),
+                    f"Validity of the model at the answer for {limit_name(name)}",
+                ),
                 table=method.answer_checks_table(contents, name),
                 kind="checks notes",
             )
@@ -85,13 +89,13 @@ def computed_chapter(contents: Contents) -> Chapter:
             files=("tables/paper.csv",),
         ),
         Block(
-            heading="Model chosen",
+            heading=f"Model chosen: {contents.results['model']['chosen']}",
             finding=f"The model is {contents.results['model']['chosen']}: {contents.results['model']['why']}.",
             table=method.model_table(contents),
             appendix=True,
         ),
         Block(
-            heading="What was asked, what was reached",
+            heading=accuracy_heading(contents),
             finding=progress.progress_finding(contents),
             table=method.accuracy_table(contents),
             remarks=tuple(f"Not reached: {powers(text)}" for text in missed),

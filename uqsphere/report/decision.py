@@ -178,8 +178,8 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         x_scale(axes, x)
         rising = bool(curve[-1, 1] >= curve[0, 1])
         _lognormal_line(axes, entry, curve[kept, :2], factor)
-        _asked_points(axes, entry, factor, x, rising, subject)
-        _target_line(axes, limit, rising)
+        _asked_points(axes, entry, factor, x, subject, limit["aim"])
+        _target_line(axes, limit, rising, _crossing(axes, curve[kept, :2], factor, limit))
         bottom, top = axes.get_ylim()
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
@@ -286,39 +286,56 @@ def _yielding_bars(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array
     )
 
 
-def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, rising: bool, subject: str) -> None:
-    """The values at the probabilities asked for, each labelled below its point, away from the curve."""
-    labelled: float | None = None
-    for p, estimate in entry["values"].items():
+def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, subject: str, aim: str) -> None:
+    """The values at the probabilities asked for, labelled below the curve; the answer first, and as it is told."""
+    labelled: list[float] = []
+    rising, own = bool(entry["curve"][-1][1] >= entry["curve"][0][1]), entry.get("probability")
+    for p, estimate in sorted(entry["values"].items(), key=lambda item: float(item[0]) != own):
         if estimate["value"] is None or not x[0] <= estimate["value"] * factor <= x[-1]:
             continue
         place = estimate["value"] * factor, float(score(float(p)))
-        near = labelled is not None and abs(place[1] - labelled) < 0.45
-        labelled = labelled if near else place[1]
         axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
-        if near:
+        if any(abs(place[1] - other) < 0.45 for other in labelled):
             continue
+        labelled.append(place[1])
+        answer = float(p) == own
+        most = event.at_most(entry, aim)
+        text = event.safe_side(estimate, subject, at_most=most) if answer else rounded(estimate, subject, 3)
         axes.annotate(
-            rounded(estimate, subject, 3),
+            text,
             place,
             xytext=(7 if rising else -7, -3),
             textcoords="offset points",
             va="top",
             ha="left" if rising else "right",
             fontsize=9.0,
+            fontweight="bold" if answer else "normal",
             bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
         )
 
 
-def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool) -> None:
-    """The accepted probability, labelled at the end where the curve is far from it."""
+def _crossing(axes: Axes, curve: Array, factor: float, limit: Mapping[str, Any]) -> float:
+    """Where across the drawing (0 to 1) the curve (K, 2) reaches the accepted probability; its middle if nowhere."""
+    if limit["target"] is None:
+        return 0.5
+    accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
+    above = np.flatnonzero((curve[:-1, 1] - accepted) * (curve[1:, 1] - accepted) <= 0.0)
+    if not len(above):
+        return 0.5
+    place = axes.transData.transform((curve[above[0], 0] * factor, 0.0))
+    return float(axes.transAxes.inverted().transform(place)[0])
+
+
+def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool, crossing: float) -> None:
+    """The accepted probability, labelled where the curve lies below it if there is room, else at the other end."""
     if limit["target"] is None:
         return
     accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
     y = float(score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
     word = "at most" if limit["aim"] == "survive" else "at least"
-    left = rising == (accepted > 0.5)
+    # labels of points lie where the curve is above the line
+    left = rising == ((crossing if rising else 1.0 - crossing) > 0.4)
     axes.annotate(
         f"target: {word} {plain_percent(accepted)}",
         (0.0 if left else 1.0, y),

@@ -33,6 +33,7 @@ __all__ = [
     "measure_table",
     "mostly_missed",
     "shapley_table",
+    "specimens",
 ]
 
 
@@ -176,6 +177,22 @@ def _range(low: float, high: float, subject: str) -> str:
 # --- what to measure first ------------------------------------------------------------------------------
 
 
+def specimens(entry: Mapping[str, Any], row: Mapping[str, Any]) -> int | None:
+    """Specimens after which the mean of an input leaves the smaller side of a probability known as wanted.
+
+    What is stored counts to a tenth, say, of the probability itself: of one near 1 any single specimen tells that,
+    and nothing is learnt about how near it is.
+
+    >>> row = {"tests": 1, "sway": {"value": 1.83149e-4}}
+    >>> specimens({"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5}, row)
+    1692
+    """
+    p, sway = entry.get("probability"), (row.get("sway") or {}).get("value")
+    if entry["of"] != "probability" or p is None or not 0.5 < p < 1.0 or sway is None:
+        return None if row["tests"] is None else int(row["tests"])
+    return max(1, math.ceil((float(sway) / (float(entry["wanted"]) * (1.0 - float(p)))) ** 2))
+
+
 def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None:
     """Inputs by what knowing them better is worth, with the number of specimens."""
     if not entry or not entry.get("rows"):
@@ -187,9 +204,8 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
     power = math.floor(math.log10(largest)) if 0.0 < largest < 0.1 else 0
     for row in entry["rows"]:
         seen = row["observations"]
-        tests = (thousands(row["tests"]) if row["tests"] else "none") + (
-            "" if seen is None else f" (the law rests on {seen})"
-        )
+        count = specimens(entry, row)
+        tests = (thousands(count) if count else "none") + ("" if seen is None else f" (the law rests on {seen})")
         if probability:
             rows.append(
                 (
@@ -208,7 +224,7 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
             "change of the probability per standard deviation"
             + (f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""),
             "share in its uncertainty",
-            f"tests until its error moves the probability by {wanted} of its value",
+            f"tests until its error moves {_side(entry)} by {wanted} of its value",
         )
     else:
         header = ("input", "share of the variance", f"tests until {wanted} of today’s variance is left to it")
@@ -238,6 +254,11 @@ def first_to_measure(entry: Mapping[str, Any] | None) -> Mapping[str, Any] | Non
     return None
 
 
+def _side(entry: Mapping[str, Any]) -> str:
+    """Of which probability a tenth, say, is to be known."""
+    return "the probability to the contrary" if (entry.get("probability") or 0.0) > 0.5 else "the probability"
+
+
 def measure_finding(entry: Mapping[str, Any] | None) -> str:
     """Which input to measure first, and how often."""
     rows = (entry or {}).get("rows") or []
@@ -247,11 +268,12 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     if first is None:
         of = "moves the probability" if entry["of"] == "probability" else "has a part in the variance"
         return f"No input is worth measuring by itself: none {of} by more than chance would show."
-    tests = thousands(first["tests"]) + f" test{'s' if first['tests'] != 1 else ''}"
+    count = specimens(entry, first) or 0
+    tests = thousands(count) + f" test{'s' if count != 1 else ''}"
     text = f"Measure {input_name(first['input'])} first: "
     if entry["of"] == "probability":
         return text + (
-            f"the probability itself is known to {wanted} (one standard error) after {tests} of it in all, if only its "
+            f"{_side(entry)} itself is known to {wanted} (one standard error) after {tests} of it in all, if only its "
             "mean is unknown; how many tests settle the target is another question, and stands above."
         )
     return text + f"after {tests} its part in the variance is {wanted} of today’s whole variance."

@@ -82,6 +82,16 @@ def _strengths(contents: Contents, quantity: str) -> list[_Strength]:
     return found
 
 
+def _alike(one: _Strength, other: _Strength) -> bool:
+    """Whether two limits have the same strength, so that one curve stands for both."""
+    return one.law == other.law and one.value == other.value
+
+
+def _apart(strengths: list[_Strength]) -> list[_Strength]:
+    """The strengths that differ from all before them."""
+    return [s for k, s in enumerate(strengths) if not any(_alike(s, other) for other in strengths[:k])]
+
+
 def _range(values: Array, strengths: list[_Strength]) -> tuple[float, float, bool]:
     """Ends of the axis (SI), and whether it is logarithmic."""
     low, high = (float(x) for x in np.quantile(values, [0.0005, 0.9995]))
@@ -113,7 +123,7 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
             axes.set_xscale("log")
             _log_ticks(axes.xaxis)
         tallest = _density(axes, samples, (low, high), logarithmic, factor)
-        for strength in strengths:
+        for strength in _apart(strengths):
             tallest = max(tallest, _strength_curve(axes, strength, (low, high), logarithmic, factor))
         axes.set_xlim(low * factor, high * factor)
         axes.set_ylim(0.0, 1.22 * tallest)
@@ -255,8 +265,10 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
         handles.append(
             Patch(facecolor="none", edgecolor=RED, hatch="///", label=f"{plain_percent(share)} outlast the record")
         )
-    for strength in strengths[:3]:
-        handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {limit_name(strength.name, 24)}"))
+    for strength in _apart(strengths)[:3]:
+        alike = [limit_name(s.name, 24) for s in strengths if _alike(s, strength)]
+        names = listed(alike) if len(alike) == 1 or len(listed(alike)) <= 26 else f"{len(alike)} limits"
+        handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {names}"))
     axes.legend(
         handles=handles,
         loc="lower left",

@@ -17,7 +17,7 @@ from uqsphere.report.wording import input_name, value_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["force_band_figure", "force_band_finding", "hardest_table", "hardest_words"]
+__all__ = ["force_band_figure", "force_band_finding", "force_band_heading", "hardest_table", "hardest_words"]
 
 #: contact pressure over the yield strength of the bars at which they yield
 YIELD_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
@@ -86,6 +86,14 @@ def force_band_finding(contents: Contents) -> str:
         f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. {hardest_words(contents)} "
         f"reaches {value_text(hardest, 'P_max', 4)}.{beyond_yield(contents)}"
     )
+
+
+def force_band_heading(contents: Contents) -> str:
+    """The heading over the forces, with the largest median."""
+    if contents.courses is None:
+        return "Force over time"
+    largest = max(float(np.max(contents.courses[face]["0.5"])) for face, _, _ in _FACES)
+    return f"Force over time: in the median up to {value_text(largest, 'P_max', 4)}"
 
 
 def hardest_words(contents: Contents) -> str:

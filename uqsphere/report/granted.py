@@ -35,6 +35,10 @@ __all__ = [
 _LAWS = {"weibull": "Weibull", "student_t": "Student’s t", "gumbel": "Gumbel", "frechet": "Fréchet"}
 
 
+#: a probability beyond which its digits are not told
+_SURE = 0.999999
+
+
 def verdict_word(met: bool | None) -> str:
     """Whether a target is kept, in a word."""
     return {True: "met", False: "not met", None: "undecided"}[met]
@@ -143,20 +147,24 @@ def granted_table(contents: Contents) -> Table | None:
             tests = listed([f"{entry['tests']} tests" for entry in opened["from"]])
             text = probability_range(*opened["miss"])
             rows.append((*own, f"by all laws that the {tests} allow (95 %)", text, _word(limit, opened["met"])))
-        rows += [
-            (*own, instead_text(row), cell(row["miss"], probability=True), _word(limit, row["met"])) for row in known
-        ]
+        rows += [(*own, instead_text(row), _chance(row["miss"]), _word(limit, row["met"])) for row in known]
     if not rows:
         return None
     header = (*(("limit",) if several else ()), "what is assumed", "probability of missing the aim", "target")
     return Table(caption="What the verdict takes for granted of the strength", header=header, rows=tuple(rows))
 
 
-def granted_block(contents: Contents) -> Block:
+def _chance(miss: Mapping[str, Any]) -> str:
+    """A probability with its interval; how many nines one has is of no use beyond six."""
+    low = miss["low"]
+    return f"more than {plain_percent(_SURE)}" if low is not None and low > _SURE else cell(miss, probability=True)
+
+
+def granted_block(contents: Contents, heading: str) -> Block:
     """The table under its heading; empty where nothing is assumed of a strength."""
     table = granted_table(contents)
     files = ("tables/limits.csv",) if table else ()
-    return Block(heading="What the verdict takes for granted", table=table, files=files)
+    return Block(heading=heading, table=table, files=files)
 
 
 def _word(limit: Mapping[str, Any], met: bool | None) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from uqsphere.report import event
 from uqsphere.report.contents import Contents
-from uqsphere.report.margin_verdict import reserve
+from uqsphere.report.margin_verdict import down, reserve
 from uqsphere.report.tables import Table, cell
 from uqsphere.report.wording import (
     input_name,
@@ -41,7 +41,7 @@ def parts_finding(contents: Contents, name: str) -> str:
     ])  # fmt: skip
     return (
         f"Half of the specimens of {limit_name(name)} break at {value_text(middle, subject)}; between that and "
-        f"{value_text(value['value'], subject)} lies a factor of {factor:.2f}, made up of {lost}."
+        f"{event.answer_text(contents, name)} lies a factor of {factor:.2f}, made up of {lost}."
     )
 
 
@@ -64,7 +64,8 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     factor = reserve(contents, entry, limit)
     if factor is not None:
         word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
-        rows.append((f"{word} in {input_name(entry['solve'])}: the answer against the planned value", f"{factor:.3g}"))
+        told = down(factor) if factor >= 1.0 else f"{factor:.3g}"
+        rows.append((f"{word} in {input_name(entry['solve'])}: the answer against the planned value", told))
     factors = entry["factors"]
     if "medians" in factors:
         of = factors["fractiles_of"]

@@ -9,6 +9,8 @@ from typing import Any
 from uqsphere.quantities import OUTPUTS
 from uqsphere.report.bearing import check_name
 from uqsphere.report.contents import Contents
+from uqsphere.report.event import answer_text
+from uqsphere.report.reach import answer_checks
 from uqsphere.report.tables import Table, thousands
 from uqsphere.report.wording import (
     ABSENT,
@@ -42,9 +44,11 @@ def answer_checks_table(contents: Contents, name: str) -> Table | None:
     told = entry.get("validity")
     if not told:
         return None
-    at = value_text(told["value"], contents.subject(entry["solve"]), 3)
+    at = answer_text(contents, name)
     caption = f"The same at the answer for {limit_name(name)}, {at}, on {told['samples']} scenes"
-    return _checks(told["checks"], caption)
+    if (entry.get("bars") or {}).get("yields_at"):
+        caption += "; how often the bars yield, of all cases of the curve"
+    return _checks(answer_checks(entry), caption)
 
 
 def checks_table(contents: Contents) -> Table:

@@ -6,12 +6,12 @@ import io
 import logging
 import re
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from uqsphere.errors import UsageError
 from uqsphere.store import write_atomically
 
-__all__ = ["build_pdf", "check_pdf"]
+__all__ = ["build_pdf", "check_pdf", "typeset"]
 
 #: what a browser takes from the theme and a typesetter does not know
 _VARIABLE: Final = re.compile(r"var\(--[a-z]+, (#[0-9a-f]{6})\)")
@@ -22,7 +22,8 @@ _SHEET: Final = """
   @bottom-right { content: counter(page) " / " counter(pages); font: 8pt "DejaVu Sans", sans-serif; } }
 :root { color-scheme: light; }
 html, body { background: #ffffff; color: #000000; }
-.skip, nav { display: none; }
+.skip { display: none; }
+nav a::after { content: " " target-counter(attr(href), page); }
 .scroll, .drawing { overflow: visible; }
 figure svg { min-width: 0; max-width: 100%; width: 165mm; }
 table { font-size: 8pt; }
@@ -59,8 +60,6 @@ def build_pdf(folder: Path) -> Path:
         When the file cannot be written.
     """
     check_pdf()
-    from weasyprint import CSS, HTML
-
     text = _VARIABLE.sub(r"\1", (folder / "report.html").read_text(encoding="utf-8"))
     # the typesetter's remarks on styles of the screen are nobody's business
     log = logging.getLogger("weasyprint")
@@ -68,13 +67,19 @@ def build_pdf(folder: Path) -> Path:
     log.setLevel(logging.ERROR)
     try:
         buffer = io.BytesIO()
-        document = HTML(string=text, url_fetcher=_refuse, media_type="print")
-        document.write_pdf(buffer, stylesheets=[CSS(string=_SHEET)], uncompressed_pdf=False)
+        typeset(text).write_pdf(buffer, uncompressed_pdf=False)
     finally:
         log.setLevel(before)
     path = folder / "report.pdf"
     write_atomically(path, buffer.getvalue())
     return path
+
+
+def typeset(text: str) -> Any:
+    """The page laid out on paper, a `weasyprint.Document`: chapters in the list on the first pages have their page."""
+    from weasyprint import CSS, HTML
+
+    return HTML(string=text, url_fetcher=_refuse, media_type="print").render(stylesheets=[CSS(string=_SHEET)])
 
 
 def _refuse(address: str, *arguments: object, **keywords: object) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +17,9 @@ from uqsphere.uq.laws import ppf
 
 __all__ = [
     "answer_breaches",
+    "answer_checks",
     "beyond_bars",
+    "cases_text",
     "extrapolation_cautions",
     "judged_cautions",
     "reach_cautions",
@@ -24,6 +27,8 @@ __all__ = [
     "yields_at",
 ]
 
+#: a share of the cases below this is none
+_NEVER = 1e-6
 #: what a broken check says of a scene
 _FOUND = {
     "bar_yield_contact": "the bars yield under the sphere",
@@ -73,7 +78,41 @@ def beyond_bars(entry: Mapping[str, Any], subject: str) -> str:
 
 
 def _cases(share: float | None) -> str:
-    return "" if share is None else f" in {plain_percent(float(f'{share:.2g}'))} of the cases"
+    return "" if share is None else f" {cases_text(share)}"
+
+
+def cases_text(share: float) -> str:
+    """In how many of the cases something happens; what is computed of a law alone may be too small to be said.
+
+    >>> cases_text(0.0341), cases_text(2.8e-28), cases_text(1.0 - 1e-14)
+    ('in 3.4 % of the cases', 'in none of the cases', 'in all cases')
+    >>> cases_text(0.99868)
+    'in 99.86 % of the cases'
+    """
+    if share < _NEVER:
+        return "in none of the cases"
+    if share > 1.0 - _NEVER:
+        return "in all cases"
+    # two digits, which must not make all of nearly all
+    return f"in {plain_percent(share if share > 0.99 else float(f'{share:.2g}'))} of the cases"
+
+
+def answer_checks(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The checks at the answer of an inverse question, with the share of the curve's own cases where it is known.
+
+    A check follows a hundred scenes or so; how often the bars yield is known better, of all cases of the curve, and
+    is told with one number everywhere.
+    """
+    found: list[Mapping[str, Any]] = []
+    for check in (entry.get("validity") or {}).get("checks", ()):
+        share = yields_at(entry, format(entry["probability"], ".15g"))
+        if check["check"] != "bar_yield_contact" or share is None or not check["share"]:
+            found.append(check)
+            continue
+        text = re.sub(r"^in (all|[\d.]+ % of the) scenes", cases_text(share), str(check["text"]))
+        rounded_share = {} if text == check["text"] else {"share_warning": float(f"{share:.2g}")}
+        found.append({**check, **rounded_share, "text": text})
+    return found
 
 
 def answer_breaches(contents: Contents) -> list[tuple[str, list[Mapping[str, Any]]]]:
@@ -95,7 +134,7 @@ def breach_text(contents: Contents, name: str, check: Mapping[str, Any]) -> str:
         known = yields_at(entry, format(entry["probability"], ".15g"))
         share = share if known is None else known
     words = _FOUND.get(check["check"], check_name(check["check"]))
-    return f"{words} (in {plain_percent(float(f'{share:.2g}'))} of the cases)"
+    return f"{words} ({cases_text(share)})"
 
 
 def reach_cautions(contents: Contents) -> list[str]:

@@ -101,8 +101,8 @@ def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows + [(limit_name(name), "check", str(text)) for text in limit.get("checks") or ()]
 
 
-def margins_table(contents: Contents, name: str) -> Table:
-    """Values of the free scalar at the probabilities asked for."""
+def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> Table:
+    """Values of the free scalar at the probabilities asked for, or at the one of the limit's target alone."""
     entry = contents.results["margins"][name]
     solve = entry["solve"]
     subject = contents.subject(solve)
@@ -115,13 +115,15 @@ def margins_table(contents: Contents, name: str) -> Table:
     header += ["bars yield under the sphere"] if yields else []
     rows = []
     for p, e in entry["values"].items():
+        if only_own and p != decisive:
+            continue
         row = [plain_percent(float(p)), cell(e, subject)]
         if tested:
             ends = f"{value_text(opened['low'], subject, 3)} to {value_text(opened['high'], subject, 3)}"
             row[1:1] = [ends if p == decisive else ABSENT]
         if yields:
             share = reach.yields_at(entry, p)
-            row.append(ABSENT if share is None else f"in {plain_percent(float(f'{share:.2g}'))} of the cases")
+            row.append(ABSENT if share is None else reach.cases_text(share))
         rows.append(tuple(row))
     return Table(
         caption=f"{capital(input_name(solve))} at which {what} with a given probability",

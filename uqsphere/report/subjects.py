@@ -5,7 +5,8 @@ from __future__ import annotations
 from uqsphere.report import directions, drivers, figures, pair_figures, sections, swings
 from uqsphere.report.blocks import Block
 from uqsphere.report.contents import Contents
-from uqsphere.report.wording import begin, call, capital, limit_name, powers, symbol
+from uqsphere.report.headings import distribution_heading, indices_heading, measure_heading, swings_heading
+from uqsphere.report.wording import capital, limit_name, powers, symbol
 
 __all__ = [
     "beyond_blocks",
@@ -23,7 +24,7 @@ def distribution_block(contents: Contents, name: str) -> Block:
     single = figures.single_value(contents, name)
     finding = f"One value: {single}." if single else _without_name(figures.distribution_finding(contents, name))
     return Block(
-        heading=begin(name, call(name)),
+        heading=distribution_heading(contents, name),
         finding=finding,
         picture=figures.distribution_figure(contents, name),
         table=sections.quantity_table(contents, name),
@@ -60,7 +61,7 @@ def indices_block(contents: Contents, name: str) -> Block:
     if hidden > 0:
         remarks.append(f"The figure shows the {figures.MOST_INPUTS} largest; {hidden} more are in the table.")
     return Block(
-        heading=symbol(name),
+        heading=indices_heading(contents, name),
         finding=figures.sensitivity_finding(contents, name),
         picture=picture,
         table=sections.index_table(contents, name) or drivers.shapley_table(contents, name),
@@ -90,7 +91,7 @@ def beyond_blocks(contents: Contents, name: str) -> list[Block]:
             files=("tables/sensitivity.csv",),
         ),
         Block(
-            heading=f"{symbol(name)}: how far each input moves it",
+            heading=swings_heading(contents, name, swings.furthest(contents, name)),
             finding=swings.tornado_finding(contents, name) if swings.swings(contents, name) else "",
             picture=swings.tornado_figure(contents, name),
             table=swings.tornado_table(contents, name),
@@ -118,13 +119,16 @@ def measure_block(contents: Contents, kind: str, name: str) -> Block:
     words = limit_name(name) if limit else symbol(name)
     caption = f"What better known laws are worth, {words}" if limit else f"What the variance of {words} would lose"
     table = drivers.measure_table(first, caption)
-    heading = f"What to measure first for {words}"
+    heading = measure_heading(contents, words, first)
     if table is None or first is None:
         return Block(heading=heading)
+    method = str(first["method"])
+    if (first.get("probability") or 0.0) > 0.5:
+        method = method.replace("(0.1 p))^2", "(0.1 p))^2, p the smaller side of the probability", 1)
     return Block(
         heading=heading,
         finding=drivers.measure_finding(first),
         table=table,
-        remarks=(str(first["method"]), *directions.measure_remarks(contents, name, kind)),
+        remarks=(method, *directions.measure_remarks(contents, name, kind)),
         files=("tables/drivers.csv",),
     )

@@ -32,8 +32,8 @@ from uqsphere.uq.failure_shares import BY_INFORMATION
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Swing", "swings", "tornado_figure", "tornado_finding", "tornado_table", "waterfall_figure",
-           "waterfall_finding", "waterfall_table"]  # fmt: skip
+__all__ = ["Swing", "furthest", "swings", "tornado_figure", "tornado_finding", "tornado_table", "waterfall_figure",
+           "waterfall_finding", "waterfall_heading", "waterfall_table"]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 
@@ -192,6 +192,11 @@ def tornado_finding(contents: Contents, quantity: str) -> str:
     return text
 
 
+def furthest(contents: Contents, quantity: str) -> str:
+    """The input that moves the median of a quantity furthest; empty where none is seen to."""
+    return next((s.name for s in swings(contents, quantity) if s.seen), "")
+
+
 def tornado_table(contents: Contents, quantity: str) -> Table | None:
     """Medians at both ends of every input."""
     found = swings(contents, quantity)
@@ -313,6 +318,16 @@ def waterfall_finding(contents: Contents, name: str) -> str:
     )
     missed = end_at < 1.0 if limit["aim"] == "survive" else end_at > 1.0
     return text + (" There the aim is missed." if missed else "")
+
+
+def waterfall_heading(contents: Contents, name: str) -> str:
+    """The heading over the waterfall, with the input that takes most."""
+    subject = f"Where the margin of {limit_name(name)} goes"
+    begin_at, end_at, steps = _steps(contents.results["limits"][name])
+    if not steps:
+        return subject
+    first, factor = steps[0]
+    return f"{subject}: {100.0 * math.log(factor) / math.log(end_at / begin_at):.0f} % to the {_step_name(first)}"
 
 
 def waterfall_table(contents: Contents, name: str) -> Table | None:

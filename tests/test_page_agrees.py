@@ -1,0 +1,184 @@
+"""What terminal, page, figures and tables say of one answer agrees, and headings say it too."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.text import Text
+from report_folders import estimate, limit, write_folder
+
+from uqsphere.compare import compare_folders
+from uqsphere.report import build_report
+from uqsphere.report.canvas import Picture
+from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.decision import fragility_figure
+from uqsphere.report.figures import distribution_figure
+from uqsphere.summary import summary_of
+
+
+def solved(folder: Path, **limits: dict[str, Any]) -> Path:
+    """A folder with answers to the inverse questions, whose bars yield there in 3.41 % of the curve's cases."""
+    path = write_folder(folder, limits=limits) / "results.json"
+    results = json.loads(path.read_text(encoding="utf-8"))
+    for name, entry in results["margins"].items():
+        p = results["limits"][name]["target"] if results["limits"][name]["aim"] == "survive" else 0.9
+        value = {"value": 0.65852, "low": 0.6573, "high": 0.6597, "std_error": 6e-4, "method": "x", "evaluations": 9}
+        entry["values"] = {
+            "0.01": value,
+            "0.5": estimate(1.5),
+            "0.9": {**value, "value": 2.8, "low": 2.79, "high": 2.81},
+        }
+        check = {
+            "check": "bar_yield_contact", "share": 0.0234, "share_information": 0.0, "share_warning": 0.0234,
+            "share_failure": 0.0, "worst": 1.7, "text": "in 2.34 % of the scenes the bars yield under the sphere",
+        }  # fmt: skip
+        results["margins"][name] = {
+            **entry,
+            "probability": p,
+            "value": entry["values"][format(p, ".15g")],
+            "bars": {
+                "yield_strength": 1.9e9,
+                "pulse_stress": 5.8e6,
+                "pulse_elastic": True,
+                "pulse_value": 97.5,
+                "contact_probability": 0.01,
+                "contact": estimate(0.63),
+                "yields_at": {"0.01": 0.0341, "0.5": 2.8e-28, "0.9": 0.0341},
+            },
+            "validity": {"value": 0.65852, "samples": 128, "checks": [check]},
+            "lost_to": {"shares": {"sphere.E": 0.1, f"limits.{name}.strength": 0.9}, "partial": {}},
+            "factors": {},
+        }
+    path.write_text(json.dumps(results), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def chute(tmp_path: Path) -> Contents:
+    return read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+
+
+def words(picture: Picture | None) -> list[str]:
+    assert picture is not None
+    found = [text.get_text() for text in picture.figure.findobj(Text)]
+    return [text for text in found if text]
+
+
+def headings(folder: Path) -> list[str]:
+    page = build_report(folder).read_text(encoding="utf-8")
+    return [
+        html.unescape(re.sub("<[^>]+>", "", found)).replace("\u00a0", " ").strip()
+        for found in re.findall("<h3>(.*?)</h3>", page)
+    ]
+
+
+def test_the_figure_rounds_its_answer_to_the_safe_side(chute: Contents) -> None:
+    labels = words(fragility_figure(chute, "chute"))
+    assert "0.658 m/s" in labels
+    assert "0.659 m/s" not in labels
+
+
+def test_the_answer_keeps_its_label_beside_a_neighbour(tmp_path: Path) -> None:
+    path = solved(tmp_path, crusher=limit(0.2, 0.1, False, aim="break")) / "results.json"
+    results = json.loads(path.read_text(encoding="utf-8"))
+    values = results["margins"]["crusher"]["values"]
+    # 0.88 stands before it and is no answer
+    results["margins"]["crusher"]["values"] = {"0.88": estimate(2.7), **values}
+    path.write_text(json.dumps(results), encoding="utf-8")
+    labels = words(fragility_figure(read_contents(tmp_path), "crusher"))
+    assert "2.80 m/s" in labels
+    assert "2.70 m/s" not in labels
+
+
+def test_how_often_the_bars_yield_at_the_answer_is_one_number(tmp_path: Path) -> None:
+    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    page = build_report(folder).read_text(encoding="utf-8").replace("\u00a0", " ")
+    text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
+    for said in (page, text):
+        assert "in 3.4 % of the cases the bars yield under the sphere" in said
+        assert "2.34 %" not in said
+    assert "in none of the cases" in page
+    assert "10⁻²⁸" not in page
+
+
+def test_headings_say_the_finding(tmp_path: Path) -> None:
+    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    found = headings(folder)
+    for heading in (
+        "Fragility of “chute”: 1 % at 0.658 m/s",
+        "Strength over demand: 1.50 in the median case",
+        "What the margin of “chute” is made of: 90 % by the strength of “chute”",
+        "Young's modulus of the sphere drives p_max: 50 % of its variance by itself",
+        "Validity of the model: no check is broken",
+        "Validity of the model at the answer for “chute”: 1 of 1 checks is broken somewhere",
+        "Model chosen: full",
+        "What was asked, what was reached: all of it",
+    ):
+        assert heading in found, found
+    assert any(
+        re.fullmatch(r"Largest contact pressure .*: 2\.4\d GPa to 3\.1\d GPa in nine cases of ten", h) for h in found
+    )
+
+
+def test_a_curve_that_two_limits_share_is_tabled_once(tmp_path: Path) -> None:
+    chute, crusher = limit(0.0075, 0.01, True), limit(0.9, 0.1, False, aim="break")
+    folder = solved(tmp_path, chute=chute, crusher=crusher)
+    page = build_report(folder).read_text(encoding="utf-8").replace("\u00a0", " ")
+    table = page.partition("Fragility of “crusher”")[2].partition("</article>")[0]
+    assert "those of “chute”" in table
+    assert re.findall(r'<th scope="row">(.*?)</th>', table) == ["90 %"]
+    whole = page.partition("Fragility of “chute”")[2].partition("</article>")[0]
+    assert re.findall(r'<th scope="row">(.*?)</th>', whole) == ["1 %", "50 %", "90 %"]
+
+
+def test_a_strength_that_two_limits_share_is_drawn_once(tmp_path: Path) -> None:
+    one, other = limit(0.0075, 0.01, True), limit(0.9925, 0.05, False, aim="break")
+    contents = read_contents(write_folder(tmp_path, limits={"chute": one, "crusher": other}))
+    assert [t for t in words(distribution_figure(contents, "p_max")) if "strength" in t] == [
+        "strength of “chute” and “crusher”"
+    ]
+
+
+def test_specimens_count_for_the_rarer_outcome(tmp_path: Path) -> None:
+    row = {"input": "limits.crusher.strength", "share": 0.98, "tests": 1, "observations": None}
+    row["sway"] = {**estimate(1.83149e-4, 1e-9)}
+    entry = {"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5, "rows": [row], "reason": "",
+             "method": "n = (sway/(0.1 p))^2."}  # fmt: skip
+    crusher = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
+    folder = write_folder(tmp_path, limits={"crusher": crusher})
+    text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
+    assert "limits.crusher.strength (1,692 specimens to know the probability to the contrary to 10 %)" in text
+    page = re.sub(r"[\u00a0\u202f]", " ", build_report(folder).read_text(encoding="utf-8"))
+    assert "the probability to the contrary itself is known to 10 % (one standard error) after 1 692 tests" in page
+    assert "What to measure first for “crusher”: strength of “crusher”" in page
+
+
+def test_a_comparison_shows_what_the_verdicts_take_for_granted(tmp_path: Path) -> None:
+    folders = []
+    for name, miss in (("before", 0.0105), ("after", 0.0305)):
+        row = {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(miss, 1e-5), "met": False}
+        assumed = {**limit(0.002, 0.01, True), "assumed": [row]}
+        folders.append(write_folder(tmp_path / name, limits={"crushing": assumed}))
+    found = compare_folders(*folders)
+    (change,) = [c for c in found["changes"] if "without the assumed dependence" in c["statistic"]]
+    assert (change["before"]["value"], change["after"]["value"]) == (0.0105, 0.0305)
+    assert change["verdict"] == "changed"
+
+
+def test_the_typeset_document_lists_its_chapters_with_their_pages(tmp_path: Path) -> None:
+    pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
+    from uqsphere.report.pdf import typeset
+
+    page = build_report(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        document = typeset(page.read_text(encoding="utf-8"))
+    chapters = {str(link[1]).lstrip("#") for sheet in document.pages for link in sheet.links if link[0] == "internal"}
+    # nothing but the list leads there
+    assert {"repeat", "methods"} <= chapters
