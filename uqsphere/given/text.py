@@ -78,7 +78,10 @@ def _inputs(found: Mapping[str, Any]) -> list[str]:
     parts += [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
     tied = [pair for pair in found["dependence"] if pair["dependent"]]
     for pair in tied[:_MANY]:
-        parts.append(f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}")
+        copula = pair.get("copula")
+        taken = "" if copula in (None, "gaussian") else f", taken for a {copula.capitalize()} copula"
+        said = f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}{taken}"
+        parts.append(said)
     if len(tied) > _MANY:
         parts.append(f"and {len(tied) - _MANY} pairs more")
     if not tied and found["dependence"]:
@@ -154,6 +157,8 @@ def study_text(found: Mapping[str, Any]) -> str:
         if pair["dependent"]:
             names = ", ".join(_quoted(name) for name in pair["of"])
             lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {pair['spearman']['value']:.4f}"]
+            if pair.get("copula") not in (None, "gaussian"):
+                lines.append(f'copula = "{pair["copula"]}"')
     lines += ["", "[outputs]", f"names = [{', '.join(_quoted(name) for name in found['outputs'])}]"]
     return "\n".join(lines) + "\n"
 
