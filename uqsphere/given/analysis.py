@@ -36,6 +36,8 @@ _MOST_FITTED: Final = 2000
 #: a law that so few samples of its own would lie as far from is doubted
 _DOUBT: Final = 0.01
 _LAWS: Final = 400
+#: so few different values are levels
+_LEVELS: Final = 10
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 #: a rank correlation from which on two inputs tell the same
 _SAME: Final = 0.999
@@ -177,6 +179,9 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         entry["parameters"] = dict(law.parameters)
         entry["weights"] = {}
         entry["reason"] = f"no family fits: even the best, {best.law.kind}, has a p-value of {best.p_value:.2g}"
+        levels = np.unique(values).size
+        if levels <= _LEVELS:
+            entry["reason"] = f"it has {levels} values only, and the kernel density fills the gaps between them"
         others = possible_laws(law, 100, generator) if values.size <= 500 else []
     else:
         others = plausible_laws(fits, _LAWS, generator)
@@ -286,9 +291,31 @@ def _answered(
         "sd": _scaled(output["sd"], unit),
         "quantiles": {p: _scaled(e, unit) for p, e in output["quantiles"].items()},
         "expansion": told,
+        "notes": _looks(y / unit, unit),
     }
     apart = _apart(ranks, chaos, scaled)
     return scaled, {"ranks": {n: e.as_dict() for n, e in ranks.items()}, "chaos": chaos, "disagree": apart}
+
+
+def _looks(values: Array, unit: float) -> list[str]:
+    """What is to be said of an output before its numbers are believed."""
+    n = values.size
+    told: list[str] = []
+    if np.ptp(values) == 0.0:
+        return told
+    for end, called in ((values.max(), "largest"), (values.min(), "smallest")):
+        count = int((values == end).sum())
+        if count >= max(3.0, 0.02 * n) and np.unique(values).size > _LEVELS:
+            told.append(
+                f"{count} of {n} runs have the {called} value, {end * unit:.4g}: if a record ends there, mean and "
+                "standard deviation are those of what was recorded, and quantiles there are not known"
+            )
+    off = ((values - values.mean()) / np.abs(values).max()) ** 2
+    share = float(off.max() / off.sum())
+    if n >= 20 and share > 0.3:
+        told.append(f"one run makes {share:.0%} of the variance: tails are heavy, and mean, standard deviation and "
+                    "shares of the variance are not settled")  # fmt: skip
+    return told
 
 
 def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:

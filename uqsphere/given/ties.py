@@ -132,13 +132,17 @@ def left_open(
 
 
 def _assigned(tables: Array, rehearsed: Array) -> npt.NDArray[np.int64]:
-    """Which table (of M, grid) goes with which rehearsal (K, rows): the like in location and width, one each."""
-    from scipy.optimize import linear_sum_assignment
+    """Which table (of M, grid) goes with which rehearsal (K, rows): the like in mean and width, one each.
 
-    grid = np.linspace(-8.0, 8.0, tables.shape[1])
-    below, above = (np.array([np.interp(z, grid, table) for table in tables]) for z in (-1.0, 1.0))
-    offered = _whitened(np.column_stack([0.5 * (above + below), 0.5 * (above - below)]))
-    asked = _whitened(np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1)]))
+    Runs that came out low, or narrow, leave open a law that is higher, or wider.
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.special import ndtri
+
+    grid, normal = np.linspace(-8.0, 8.0, tables.shape[1]), np.asarray(ndtri((np.arange(200) + 0.5) / 200.0))
+    values = np.array([np.interp(normal, table, grid) for table in tables])
+    offered = _whitened(np.column_stack([values.mean(axis=1), values.std(axis=1)]))
+    asked = _whitened(-np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1)]))
     distances = ((asked[:, None, :] - offered[None, :, :]) ** 2).sum(axis=2)
     return np.asarray(linear_sum_assignment(distances)[1], dtype=np.int64)
 
