@@ -187,10 +187,16 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         others = plausible_laws(fits, _LAWS, generator)
     entry["mean"], entry["sd"] = mean(law), sd(law)
     for what, of in (("mean", mean), ("sd", sd)):
-        found = np.array([of(other) for other in others])
+        # of a sum of kernels both are closed forms
+        found = np.array([_of_kernels(other)[what] if law.kind == "empirical" else of(other) for other in others])
         found = found[np.isfinite(found)]
         entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
     return entry, law, others
+
+
+def _of_kernels(law: Law) -> dict[str, float]:
+    data = np.asarray(law.data)
+    return {"mean": float(data.mean()), "sd": math.hypot(float(data.std()), law.parameters["bandwidth"])}
 
 
 def _kernels(values: Array) -> Law:
