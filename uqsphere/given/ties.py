@@ -111,18 +111,16 @@ def left_open(
         return None
     at = {name: k for k, name in enumerate(inputs.names)}
     pairs = [(at[every[tie.columns[0]]], at[every[tie.columns[1]]]) for tie in ties]
-    tied = sorted({k for pair in pairs for k in pair})
-    tables = [
-        score_table(law, open_[: _OFFERED if k in tied else LAWS])
-        for k, (law, open_) in enumerate(zip(inputs.laws, others, strict=True))
-    ]
+    tables = [score_table(law, open_[:_OFFERED]) for law, open_ in zip(inputs.laws, others, strict=True)]
+    rows = min(n, _ROWS)
+    drawn = normal_scores(inputs, generator.standard_normal((LAWS * rows, len(inputs.names))))
+    rehearsed = drawn.reshape(LAWS, rows, -1)
+    means = _steadied(rehearsed.mean(axis=1), drawn)
+    widths = _steadied(rehearsed.std(axis=1), drawn**2)
+    for k, table in enumerate(tables):
+        tables[k] = table[_assigned(table, -np.column_stack([means[:, k], widths[:, k]]))]
     moved = [inputs] * LAWS
-    if tied:
-        rows = min(n, _ROWS)
-        drawn = normal_scores(inputs, generator.standard_normal((LAWS * rows, len(inputs.names))))
-        rehearsed = drawn.reshape(LAWS, rows, -1)
-        for k in tied:
-            tables[k] = tables[k][_assigned(tables[k], rehearsed[:, :, k])]
+    if pairs:
         shifts = [_shifts(rehearsed[:, :, list(pair)], math.sqrt(rows / n)) for pair in pairs]
         moved = _moved(inputs, [_open(tie, shift, generator) for tie, shift in zip(ties, shifts, strict=True)],
                        [(every[i], every[j]) for i, j in (tie.columns for tie in ties)])  # fmt: skip
@@ -131,8 +129,21 @@ def left_open(
     )
 
 
-def _assigned(tables: Array, rehearsed: Array) -> npt.NDArray[np.int64]:
-    """Which table (of M, grid) goes with which rehearsal (K, rows): the like in mean and width, one each.
+def _steadied(told: Array, rows: Array) -> Array:
+    """What rehearsals tell (K, d), with mean zero and the very correlations of `rows` (n, d), of which they are means.
+
+    Some dozens of rehearsals have correlations by chance, which would be those of every analysis.
+    """
+    centred = told - told.mean(axis=0)
+    scatter = np.atleast_2d(np.cov(centred, rowvar=False))
+    due = np.atleast_2d(np.corrcoef(rows, rowvar=False))
+    if min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in (scatter, due)) <= 1e-12:
+        return np.asarray(centred / centred.std(axis=0))
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(scatter), centred.T).T @ np.linalg.cholesky(due).T)
+
+
+def _assigned(tables: Array, asked: Array) -> npt.NDArray[np.int64]:
+    """Which table (of M, grid) goes with which mean and width that is asked for (K, 2): the like of it, one each.
 
     Runs that came out low, or narrow, leave open a law that is higher, or wider.
     """
@@ -142,8 +153,7 @@ def _assigned(tables: Array, rehearsed: Array) -> npt.NDArray[np.int64]:
     grid, normal = np.linspace(-8.0, 8.0, tables.shape[1]), np.asarray(ndtri((np.arange(200) + 0.5) / 200.0))
     values = np.array([np.interp(normal, table, grid) for table in tables])
     offered = _whitened(np.column_stack([values.mean(axis=1), values.std(axis=1)]))
-    asked = _whitened(-np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1)]))
-    distances = ((asked[:, None, :] - offered[None, :, :]) ** 2).sum(axis=2)
+    distances = ((_whitened(asked)[:, None, :] - offered[None, :, :]) ** 2).sum(axis=2)
     return np.asarray(linear_sum_assignment(distances)[1], dtype=np.int64)
 
 
