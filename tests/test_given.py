@@ -230,7 +230,7 @@ def test_dependent_inputs_share_out_the_variance_by_shapley_effects(tmp_path: Pa
             entry = chaos[order][name]["whole"]
             assert entry["low"] <= truth / 4.4 <= entry["high"]
             assert entry["high"] - entry["low"] < 0.2
-    assert "Shapley effect, by expansion" in analysis_text(found)
+    assert "Shapley effect, by expansion" in analysis_text(found, 160)
 
 
 def test_dependence_that_no_gaussian_copula_has_is_told(tmp_path: Path) -> None:

@@ -209,4 +209,8 @@ def figures(content: dict[str, Any]) -> list[Picture]:
 
     from uqsphere.bench.uncertainty_figures import coverage_figure
 
-    return [replace(coverage_figure([CoverageRow(**row) for row in content["cells"]]), name="given_coverage")]
+    # names beside the axis leave it room
+    short = {"laws fitted, inputs dependent": "tied", "laws fitted": "free", "kernel density": "kernels"}
+    rows = [CoverageRow(**row) for row in content["cells"]]
+    rows = [replace(row, way=short.get(row.way, row.way), kind=row.kind.replace("runs alone", "alone")) for row in rows]
+    return [replace(coverage_figure(rows), name="given_coverage", title="Coverage of intervals from given runs")]
