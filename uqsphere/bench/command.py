@@ -21,7 +21,7 @@ def add_bench(bench: argparse.ArgumentParser) -> None:
         nargs="?",
         const="all",
         metavar="PARTS",
-        help="the uncertainty engine instead: all, or some of chaos,coverage,overhead,granite,rough,studies",
+        help="the uncertainty engine instead: all, or some of chaos,coverage,given,overhead,granite,rough,studies",
     )
     bench.add_argument("--reliability", type=int, nargs="?", const=10, metavar="N",
                        help="rare-event methods on public problems instead, N runs each (default 10)")  # fmt: skip

@@ -3,38 +3,84 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
+from uqsphere.bench.coverage import LEAST, POOLED, CoverageRow, Hit, Tally, coverage_hit, coverage_text, pooled
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
+from uqsphere.bench.given_models import BUILT, GivenModel
 from uqsphere.given import Data, analyse_data
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Inputs
-from uqsphere.uq.laws import from_normal, make_law
+from uqsphere.uq.inputs import Inputs, physical_from_normal
+from uqsphere.uq.laws import make_law
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["MODELS", "SIZES", "given_rows"]
+if TYPE_CHECKING:
+    from uqsphere.report.canvas import Picture
 
-#: smooth, with true zeros and kinks, linear, and of eight inputs with three families
-MODELS = ("ishigami", "g-function", "linear", "borehole")
-SIZES = (100, 400)
-WAYS = {False: "laws fitted to the runs", True: "laws known"}
+__all__ = ["MODELS", "SIZES", "figures", "given_rows", "measure", "model_of", "text"]
+
+#: smooth, with true zeros and kinks, linear, and of eight inputs with three families; then dependent inputs, and one
+#: whose law no family fits
+MODELS: Final = (
+    "ishigami", "g-function", "linear", "borehole", "linear, Gaussian ties", "product, Gaussian ties",
+    "linear, Clayton tie", "linear, Gumbel tie", "two humps, kernel density",
+)  # fmt: skip
+SIZES: Final = (100, 400)
+#: repetitions of a cell, from this seed on, and those of a quick look
+REPETITIONS: Final = 200
+FIRST_SEED: Final = 1000
+_QUICK: Final = 3
+_WAYS: Final = {False: "laws fitted", True: "laws known"}
 
 
-def _inputs(model: CoverageModel) -> Inputs:
-    """The laws that the runs are drawn from, where they stand in a study."""
-    names = tuple(f"x{j + 1}" for j in range(model.dimension))
+def _independent(model: CoverageModel) -> GivenModel:
+    """A model of the coverage table with laws that its inputs could have in a study."""
     laws = [
         make_law("normal", {"mean": 3.0, "sd": 0.4}) if germ == "normal" else make_law("uniform", {}, -1.0, 4.0)
         for germ in model.germs
     ]
-    return Inputs(names=names, laws=tuple(laws))
+    inputs = Inputs(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
+
+    def function(x: Array) -> Array:
+        from uqsphere.uq.laws import cdf
+
+        return model.function(np.column_stack([cdf(law, x[:, k]) for k, law in enumerate(laws)]))
+
+    return GivenModel(
+        name=model.name,
+        inputs=inputs,
+        function=function,
+        mean=model.mean,
+        sd=model.sd,
+        quantiles=model.quantiles,
+        indices={"first": model.first, "total": model.total},
+    )
 
 
-def _answers(model: CoverageModel, found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any], float]]:
+def model_of(name: str) -> GivenModel:
+    """A model by its name."""
+    if name in BUILT:
+        return BUILT[name]()
+    return _independent({model.name: model for model in coverage_models()}[name])
+
+
+def _way(model: GivenModel, known: bool) -> str:
+    """What the cells of a model are pooled with."""
+    if model.transform is not None:
+        return "kernel density"
+    if "shapley" not in model.indices:
+        return _WAYS[known]
+    return f"{_WAYS[known]}, inputs dependent"
+
+
+_KINDS: Final = {"shapley": "Shapley effect", "first": "first index", "total": "total index"}
+
+
+def _answers(model: GivenModel, found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any], float]]:
     """(kind, of what, estimate, truth) of everything that an analysis prints."""
     chaos, output = found["sensitivity"]["y"]["chaos"], found["outputs"]["y"]
     truths = {"mean": model.mean, "sd": model.sd, **{f"{p:g}": truth for p, truth in model.quantiles.items()}}
@@ -44,27 +90,28 @@ def _answers(model: CoverageModel, found: dict[str, Any]) -> Iterator[tuple[str,
         yield f"{kind}, runs alone", "y", alone, truth
         if output["expansion"] is not None:
             yield kind, "y", output["expansion"][what]["whole"], truth
-    for j, truth in enumerate(model.first):
+    for j, truth in enumerate(model.indices["first"]):
         yield "first index, by ranks", f"x{j + 1}", found["sensitivity"]["y"]["ranks"][f"x{j + 1}"], truth
-    for order, row in (("first", model.first), ("total", model.total)):
+    for order, row in model.indices.items():
+        # where the dependence was not seen, Sobol' indices are printed, and they are not Kucherenko's
         for j, truth in enumerate(row):
             if order in chaos:
-                yield f"{order} index", f"x{j + 1}", chaos[order][f"x{j + 1}"]["whole"], truth
+                yield _KINDS[order], f"x{j + 1}", chaos[order][f"x{j + 1}"]["whole"], truth
 
 
-def _runs(model: CoverageModel, n: int, seed: int) -> Data:
-    """Independent draws of the laws."""
-    from scipy.special import ndtri
+def _runs(model: GivenModel, n: int, seed: int) -> Data:
+    """Independent draws of the inputs."""
+    generator = random_generator(seed=seed, task=f"given runs {model.name} {n}")
+    x = physical_from_normal(model.inputs, generator.standard_normal((n, len(model.inputs.names))))
+    if model.transform is not None:
+        x = model.transform(x)
+    names = tuple(f"x{j + 1}" for j in range(x.shape[1]))
+    return Data(inputs=names, outputs=("y",), x=x, y=model.function(x)[:, None])
 
-    uniforms: Array = random_generator(seed=seed, task=f"given runs {model.name} {n}").random((n, model.dimension))
-    inputs = _inputs(model)
-    x = np.column_stack([from_normal(law, ndtri(u)) for law, u in zip(inputs.laws, uniforms.T, strict=True)])
-    return Data(inputs=inputs.names, outputs=("y",), x=x, y=model.function(uniforms)[:, None])
 
-
-def _repeat(model: CoverageModel, n: int, known: bool, seed: int) -> tuple[list[Hit], bool, bool]:
+def _repeat(model: GivenModel, n: int, known: bool, seed: int) -> tuple[list[Hit], bool, bool]:
     """What one table of runs answers, whether the expansion was used, and whether a disagreement was told."""
-    found = analyse_data(_runs(model, n, seed), known=_inputs(model) if known else None)
+    found = analyse_data(_runs(model, n, seed), known=model.inputs if known else None)
     hits = []
     for kind, what, entry, truth in _answers(model, found):
         if entry["value"] is None:
@@ -72,7 +119,7 @@ def _repeat(model: CoverageModel, n: int, known: bool, seed: int) -> tuple[list[
         estimate = Estimate(
             **{key: entry[key] for key in ("value", "low", "high", "std_error", "method", "evaluations")}
         )
-        hits.append(coverage_hit(kind, WAYS[known], model.name, what, n, estimate, truth))
+        hits.append(coverage_hit(kind, _way(model, known), model.name, what, n, estimate, truth))
     sensitivity = found["sensitivity"]["y"]
     return hits, bool(sensitivity["chaos"]["usable"]), bool(sensitivity["disagree"])
 
@@ -88,19 +135,82 @@ def given_rows(
 ) -> list[CoverageRow]:
     """Cells of tables of random runs: what the runs tell alone, and by an expansion where it passes its check.
 
-    The inputs of a model are drawn as independent uniforms and carried to laws by their scores, so that the answers
-    are those of `coverage_models`.  How often the expansion was used, and how often runs and expansion were said to
-    disagree, goes to `notice`.
+    How often the expansion was used, and how often runs and expansion were said to disagree, goes to `notice`.
     """
-    table = {model.name: model for model in coverage_models()}
     tally = Tally()
     for name in models:
+        model = model_of(name)
         for n in sizes:
             for which in known:
+                if which and model.transform is not None:
+                    continue
                 used = apart = 0
                 for seed in range(first_seed, first_seed + repetitions):
-                    hits, usable, disagree = _repeat(table[name], n, which, seed)
+                    hits, usable, disagree = _repeat(model, n, which, seed)
                     tally.add(hits)
                     used, apart = used + usable, apart + disagree
-                notice(f"{name}, {n} runs, {WAYS[which]}: expansion used {used} of {repetitions}, disagreement {apart}")
+                told = f"expansion used {used} of {repetitions}, disagreement {apart}"
+                notice(f"{name}, {n} runs, {_WAYS[which]}: {told}")
     return tally.rows()
+
+
+# --- the part of the benchmark ----------------------------------------------------------------------------------
+
+
+def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
+    """All models with fitted laws; `quick` has two of them, a few repetitions and the smaller size."""
+    few: dict[str, Any] = {"repetitions": _QUICK, "models": ("linear", "linear, Gaussian ties"), "sizes": SIZES[:1]}
+    told: list[str] = []
+
+    def tell(line: str) -> None:
+        told.append(line)
+        notice(line)
+
+    rows = given_rows(**(few if quick else {"repetitions": REPETITIONS}), known=(False,), first_seed=FIRST_SEED,
+                      notice=tell)  # fmt: skip
+    return content_of(rows, told)
+
+
+def content_of(rows: Sequence[CoverageRow], told: Sequence[str]) -> dict[str, Any]:
+    """What JSON holds of cells and of what was told of them."""
+    return {
+        "cells": [asdict(row) for row in rows],
+        "pooled": [asdict(row) for row in pooled(rows)],
+        "told": list(told),
+    }
+
+
+def text(content: dict[str, Any]) -> str:
+    """The table as Markdown, what lies outside of what is due, and how often there was an expansion."""
+    cells = [CoverageRow(**row) for row in content["cells"]]
+    living = [row for row in cells if not row.exact]
+    lowest = min(living, key=lambda row: row.covered)
+    low, high = POOLED
+    due = pooled(cells)
+    inside = sum(low <= row.covered <= high for row in due)
+    return "\n".join([
+        "How often the nominal 95 % intervals of `uqsphere analyse` hold the truth: runs drawn at random, laws and "
+        "dependence fitted to the same runs. Pooled rows first, the mean over the models, then every cell below "
+        f"{LEAST:.0%}.",
+        "",
+        coverage_text(cells, cells=False),
+        "",
+        f"Pooled between {low:.1%} and {high:.0%}: {inside} of {len(due)} kinds. Lowest of {len(living)} cells: "
+        f"{lowest.covered:.1%} ({lowest.kind}, {lowest.way}, {lowest.model} {lowest.answer}, {lowest.points} runs, "
+        f"{lowest.repetitions:,} repetitions); {sum(row.covered < LEAST for row in living)} below {LEAST:.0%}.",
+        "",
+        *(f"- {line}" for line in content["told"]),
+    ])  # fmt: skip
+
+
+def figures(content: dict[str, Any]) -> list[Picture]:
+    """Shares of every cell, kind by kind."""
+    from dataclasses import replace
+
+    from uqsphere.bench.uncertainty_figures import coverage_figure
+
+    # names beside the axis leave it room
+    short = {"laws fitted, inputs dependent": "tied", "laws fitted": "free", "kernel density": "kernels"}
+    rows = [CoverageRow(**row) for row in content["cells"]]
+    rows = [replace(row, way=short.get(row.way, row.way), kind=row.kind.replace("runs alone", "alone")) for row in rows]
+    return [replace(coverage_figure(rows), name="given_coverage", title="Coverage of intervals from given runs")]

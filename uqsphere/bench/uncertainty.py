@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.bench import chaos, chaos_rival, coverage, overhead, rough, study_runs, surrogates
+from uqsphere.bench import chaos, chaos_rival, coverage, given, overhead, rough, study_runs, surrogates
 from uqsphere.bench.chaos_models import MODELS
 from uqsphere.errors import FolderError, UsageError
 
@@ -139,6 +139,9 @@ PARTS: Final[dict[str, Part]] = {
     "chaos": Part(title="Polynomial chaos", measure=_measure_chaos, text=_chaos_text, figures=_chaos_figures),
     "coverage": Part(
         title="Coverage of the intervals", measure=_measure_coverage, text=_coverage_text, figures=_coverage_figures
+    ),
+    "given": Part(
+        title="Coverage from given runs", measure=given.measure, text=given.text, figures=given.figures
     ),
     "overhead": Part(
         title="What indices cost beside the model", measure=overhead.measure, text=overhead.text,

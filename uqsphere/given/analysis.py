@@ -13,16 +13,14 @@ import numpy.typing as npt
 
 from uqsphere.errors import UsageError
 from uqsphere.given.table import Data
+from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.given import (
-    LAWS,
-    LeftOpen,
     germs_of,
     given_answers,
     law_scores,
     least_runs,
     odd_pairs,
-    score_table,
     trusted_from,
 )
 from uqsphere.uq.inputs import Inputs
@@ -38,6 +36,8 @@ _MOST_FITTED: Final = 2000
 #: a law that so few samples of its own would lie as far from is doubted
 _DOUBT: Final = 0.01
 _LAWS: Final = 400
+#: so few different values are levels
+_LEVELS: Final = 10
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 #: a rank correlation from which on two inputs tell the same
 _SAME: Final = 0.999
@@ -96,12 +96,15 @@ def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
     pairs = rank_correlations(data.x[:, varying]) if len(varying) > 1 else []
     pairs = [(varying[i], varying[j], e) for i, j, e in pairs]
     clear = {(i, j) for i, j, _ in tied(pairs)}
-    dependence = [
+    dependence: list[dict[str, Any]] = [
         {"of": [data.inputs[i], data.inputs[j]], "spearman": e.as_dict(), "dependent": (i, j) in clear}
         for i, j, e in pairs
     ]
-    ties = {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear}
+    ties = ties_of(data.x, {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear})
     if known is None:
+        copulas = {tie.columns: tie.copula for tie in ties}
+        for entry, (i, j, _) in zip(dependence, pairs, strict=True):
+            entry["copula"] = copulas.get((i, j))
         laws = _tied(data, laws, ties)
     outputs, sensitivity = {}, {}
     for k, name in enumerate(data.outputs):
@@ -136,7 +139,7 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
             continue
         columns.append(k)
         laws.append(law)
-        others.append((law,) * LAWS if law.kind == "empirical" else tuple(open_[:LAWS]))
+        others.append((law,) * _LAWS if law.kind == "empirical" else tuple(open_))
     names = tuple(data.inputs[k] for k in columns)
     reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
     inputs = None if reason else Inputs(names=names, laws=tuple(laws))
@@ -147,7 +150,6 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
     """One input: every law that was tried, which is taken, and what the observations leave open of it."""
     from uqsphere.uq.distribution import mean, sd
     from uqsphere.uq.ignorance import possible_laws
-    from uqsphere.uq.laws import make_law
     from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws
 
     try:
@@ -172,20 +174,43 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
     }
     law = best.law
     if best.p_value < _DOUBT:
-        law = make_law("empirical", {}, data=values[:5000].tolist(), fit="kde")
+        law = _kernels(values[:5000])
         entry["chosen"] = "kde"
         entry["parameters"] = dict(law.parameters)
         entry["weights"] = {}
         entry["reason"] = f"no family fits: even the best, {best.law.kind}, has a p-value of {best.p_value:.2g}"
+        levels = np.unique(values).size
+        if levels <= _LEVELS:
+            entry["reason"] = f"it has {levels} values only, and the kernel density fills the gaps between them"
         others = possible_laws(law, 100, generator) if values.size <= 500 else []
     else:
         others = plausible_laws(fits, _LAWS, generator)
     entry["mean"], entry["sd"] = mean(law), sd(law)
     for what, of in (("mean", mean), ("sd", sd)):
-        found = np.array([of(other) for other in others])
+        # of a sum of kernels both are closed forms
+        found = np.array([_of_kernels(other)[what] if law.kind == "empirical" else of(other) for other in others])
         found = found[np.isfinite(found)]
         entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
     return entry, law, others
+
+
+def _of_kernels(law: Law) -> dict[str, float]:
+    data = np.asarray(law.data)
+    return {"mean": float(data.mean()), "sd": math.hypot(float(data.std()), law.parameters["bandwidth"])}
+
+
+def _kernels(values: Array) -> Law:
+    """A kernel density with the mean and the variance of the observations.
+
+    Kernels of width h would widen it by h², a tenth of the variance where 100 observations lie in two humps; the
+    observations move inward by that much (B. W. Silverman, G. A. Young, Biometrika 74, 1987, 469).
+    """
+    from uqsphere.uq.laws import make_law
+
+    law = make_law("empirical", {}, data=values.tolist(), fit="kde")
+    centre, spread = float(values.mean()), float(values.std(ddof=1))
+    inward = spread / math.hypot(spread, law.parameters["bandwidth"])
+    return make_law("empirical", {}, data=(centre + inward * (values - centre)).tolist(), fit="kde")
 
 
 def _parameters(law: Law) -> dict[str, float]:
@@ -220,54 +245,28 @@ def _given(data: Data, known: Inputs) -> tuple[dict[str, Any], _Laws]:
     return marginals, _Laws(columns=tuple(range(len(known.names))), inputs=known, others=())
 
 
-def _tied(data: Data, laws: _Laws, ties: Mapping[tuple[int, int], float]) -> _Laws:
-    """The laws with a Gaussian copula of the pairs that depend on each other, or why there is none."""
-    from uqsphere.uq.inputs import correlation_from_spearman
-
+def _tied(data: Data, laws: _Laws, ties: Sequence[TiedPair]) -> _Laws:
+    """The laws with copulas of the pairs that depend on each other, or why there are none."""
     if laws.inputs is None or not ties:
         return laws
-    same = [(i, j) for (i, j), value in ties.items() if abs(value) > _SAME]
-    if same:
-        i, j = same[0]
-        reason = f"{data.inputs[j]} tells the same as {data.inputs[i]}: leave one of them out"
-        return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
-    groups = [((data.inputs[i], data.inputs[j]), value) for (i, j), value in ties.items()]
+    for tie in ties:
+        if abs(tie.spearman) > _SAME:
+            one, other = (data.inputs[k] for k in tie.columns)
+            reason = f"{other} tells the same as {one}: leave one of them out"
+            return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
     try:
-        correlation = correlation_from_spearman(laws.inputs.names, groups)
-        inputs = Inputs(names=laws.inputs.names, laws=laws.inputs.laws, correlation=correlation)
+        inputs = with_ties(laws.inputs.names, laws.inputs.laws, ties, data.inputs)
     except LawError as error:
         reason = f"the dependences of the inputs cannot be followed: {error}"
         return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
     return _Laws(columns=laws.columns, inputs=inputs, others=laws.others)
 
 
-def _left_open(
-    inputs: Inputs, others: Sequence[Sequence[Law]], scores: Array, n: int, generator: np.random.Generator
-) -> LeftOpen | None:
-    """Laws and correlations that n runs leave open, in the form that the answers are asked in."""
-    if not others:
-        return None
-    tables = np.stack([score_table(law, open_) for law, open_ in zip(inputs.laws, others, strict=True)], axis=1)
-    moved = []
-    for _ in range(len(tables)):
-        correlation = inputs.correlation
-        if correlation is not None:
-            off = np.triu(generator.standard_normal(correlation.shape), 1) * math.sqrt(1.06 / (n - 3))
-            shifted = np.tanh(
-                np.arctanh(np.clip(correlation - np.eye(len(correlation)), -0.9999, 0.9999)) + off + off.T
-            )
-            tied = np.where(correlation == 0.0, 0.0, shifted)
-            np.fill_diagonal(tied, 1.0)
-            correlation = tied if float(np.linalg.eigvalsh(tied)[0]) > 1e-6 else correlation
-        moved.append(Inputs(names=inputs.names, laws=inputs.laws, correlation=correlation))
-    return LeftOpen(tables=tables, inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0))
-
-
 # --- outputs ---------------------------------------------------------------------------------------------------
 
 
 def _answered(
-    data: Data, column: int, laws: _Laws, ties: Mapping[tuple[int, int], float], seed: int
+    data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """What is known of one output: its distribution, and what drives it."""
     from uqsphere.uq.ranks import rank_indices
@@ -298,9 +297,31 @@ def _answered(
         "sd": _scaled(output["sd"], unit),
         "quantiles": {p: _scaled(e, unit) for p, e in output["quantiles"].items()},
         "expansion": told,
+        "notes": _looks(y / unit, unit),
     }
     apart = _apart(ranks, chaos, scaled)
     return scaled, {"ranks": {n: e.as_dict() for n, e in ranks.items()}, "chaos": chaos, "disagree": apart}
+
+
+def _looks(values: Array, unit: float) -> list[str]:
+    """What is to be said of an output before its numbers are believed."""
+    n = values.size
+    told: list[str] = []
+    if np.ptp(values) == 0.0:
+        return told
+    for end, called in ((values.max(), "largest"), (values.min(), "smallest")):
+        count = int((values == end).sum())
+        if count >= max(3.0, 0.02 * n) and np.unique(values).size > _LEVELS:
+            told.append(
+                f"{count} of {n} runs have the {called} value, {end * unit:.4g}: if a record ends there, mean and "
+                "standard deviation are those of what was recorded, and quantiles there are not known"
+            )
+    off = ((values - values.mean()) / np.abs(values).max()) ** 2
+    share = float(off.max() / off.sum())
+    if n >= 20 and share > 0.3:
+        told.append(f"one run makes {share:.0%} of the variance: tails are heavy, and mean, standard deviation and "
+                    "shares of the variance are not settled")  # fmt: skip
+    return told
 
 
 def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
@@ -316,33 +337,27 @@ def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
 
 def _output(values: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of independent runs."""
-    from uqsphere.uq.estimates import student
+    from uqsphere.uq.alone import mean_alone, sd_alone
     from uqsphere.uq.marginals import quantile_interval
 
     n = values.size
-    centre, spread = float(values.mean()), float(values.std(ddof=1))
-    half = student(n) * spread / math.sqrt(n)
-    kurtosis = float(((values - centre) ** 4).mean() / max(float(values.var()) ** 2, 1e-300))
-    error = math.sqrt(max(kurtosis - (n - 3.0) / (n - 1.0), 0.0) / n) / 2.0
     quantiles = {}
     for p in _QUANTILES:
         found = quantile_interval(values, p)
         reason = f"{n} runs are too few for an interval of the {p:g} quantile"
         quantiles[f"{p:g}"] = (found or absent(reason, "order statistics", n)).as_dict()
     return {
-        "mean": Estimate(value=centre, low=centre - half, high=centre + half, std_error=spread / math.sqrt(n),
-                         method="independent runs", evaluations=n).as_dict(),
-        "sd": Estimate(value=spread, low=spread * math.exp(-1.96 * error), high=spread * math.exp(1.96 * error),
-                       std_error=spread * error, method="independent runs", evaluations=n).as_dict(),
+        "mean": mean_alone(values).as_dict(),
+        "sd": sd_alone(values).as_dict(),
         "quantiles": quantiles,
-    }  # fmt: skip
+    }
 
 
 # --- the expansion ---------------------------------------------------------------------------------------------
 
 
 def _expansion(
-    data: Data, y: Array, laws: _Laws, ties: Mapping[tuple[int, int], float], key: tuple[int, str]
+    data: Data, y: Array, laws: _Laws, ties: Sequence[TiedPair], key: tuple[int, str]
 ) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """What an expansion tells, where it passes its check, and what there is to say about it."""
     from uqsphere.uq.sampling import random_generator
@@ -370,17 +385,15 @@ def _expansion(
     dependent = laws.inputs.correlation is not None or bool(laws.inputs.groups)
     notes = []
     if dependent:
-        tied = sorted({data.inputs[i] for pair in ties for i in pair}) or list(laws.inputs.names)
+        tied = sorted({data.inputs[i] for tie in ties for i in tie.columns}) or list(laws.inputs.names)
         notes.append(
             f"{', '.join(tied)} depend on each other: Sobol' indices would not share out the variance; Shapley effects "
             "do, and first and total are Kucherenko's, whose total may lie below the first"
         )
-        at = {column: k for k, column in enumerate(laws.columns)}
-        odd = odd_pairs(scores, [(at[i], at[j]) for i, j in ties])
-        notes += [f"{laws.inputs.names[i]} and {laws.inputs.names[j]} depend on each other otherwise than the Gaussian "
-                  "copula that is taken here: the shares are in doubt" for i, j in odd]  # fmt: skip
-    left_open = _left_open(laws.inputs, laws.others, scores, len(data.x), generator)
-    answers = given_answers(trusted, laws.inputs, left_open, quantiles=_QUANTILES, seed=seed, task=name)
+        notes += [f"{one} and {other} depend on each other otherwise than the {kind} copula that is taken here: the "
+                  "shares are in doubt" for one, other, kind in odd_pairs(laws.inputs, scores)]  # fmt: skip
+    opened = left_open(laws.inputs, laws.others, ties, data.inputs, scores, len(data.x), generator)
+    answers = given_answers(trusted, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
         order: {
             label: {"whole": a.whole.as_dict(), "surrogate": a.surrogate.as_dict(), "left_open": a.left_open}

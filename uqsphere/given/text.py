@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from uqsphere.console import screen_width, table, wrap
+from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.quantities import format_estimate
 
 __all__ = ["analysis_text", "study_text"]
@@ -34,15 +34,17 @@ def _range(ends: Sequence[float] | None) -> str:
     return f"{ends[0]:.4g} to {ends[1]:.4g}" if ends else "-"
 
 
-def analysis_text(found: Mapping[str, Any]) -> str:
-    """The analysis for the terminal: sentences in lines that fit it, tables as wide as they are."""
-    parts = [f"{found['rows']:,} rows", "", *_inputs(found), "", _outputs(found), "", _drivers(found)]
+def analysis_text(found: Mapping[str, Any], width: int | None = None) -> str:
+    """The analysis for the terminal: no line is longer than `width` columns, those of the terminal where it is None."""
+    columns = screen_width() if width is None else width
+    parts = [f"{found['rows']:,} rows", "", *_inputs(found, columns), "", _outputs(found, columns), ""]
+    parts.append(_drivers(found, columns))
     for name, entry in found["sensitivity"].items():
         chaos = entry["chaos"]
         parts += (
             ["", f"{name}: {_said(found, name)}"] if chaos["usable"] else ["", f"{name}: expansion: {chaos['reason']}"]
         )
-        parts += [f"{name}: {note}" for note in chaos.get("notes", ())]
+        parts += [f"{name}: {note}" for note in [*found["outputs"][name]["notes"], *chaos.get("notes", ())]]
         if entry["disagree"]:
             parts.append(
                 f"{name}: WARNING: runs and expansion disagree by more than chance: {'; '.join(entry['disagree'])}. "
@@ -50,10 +52,10 @@ def analysis_text(found: Mapping[str, Any]) -> str:
                 "believe neither before that is settled"
             )
     # a text of one line is a sentence, one of several a table
-    return "\n".join(text if "\n" in text else wrap(text, screen_width()) for text in parts)
+    return writable("\n".join(text if "\n" in text else wrap(text, columns) for text in parts))
 
 
-def _inputs(found: Mapping[str, Any]) -> list[str]:
+def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
     rows: list[tuple[str, ...]] = []
     for name, entry in found["inputs"].items():
         if entry["chosen"] is None:
@@ -63,13 +65,14 @@ def _inputs(found: Mapping[str, Any]) -> list[str]:
         opened = [_range(entry[f"{what}_left_open"]) for what in ("mean", "sd")]
         judged = f"{entry['fits'][0]['p_value']:.2g}"
         rows.append((name, entry["chosen"], judged, f"{entry['mean']:.5g}", opened[0], f"{entry['sd']:.4g}", opened[1],
-                     ", ".join(others[:3]) or "-"))  # fmt: skip
+                     ", ".join(others[:3])))  # fmt: skip
     if found["laws"] == "known":
-        parts = [table(("input", "law", "fit (p)", "mean", "sd: scatter"), [(*r[:4], r[5]) for r in rows])]
+        parts = [table(("input", "law", "fit (p)", "mean", "sd: scatter"), [(*r[:4], r[5]) for r in rows], width)]
         parts += ["fit (p): how often runs drawn from the law would lie as far from it"]
     else:
-        header = ("input", "law", "fit (p)", "mean", "left open (95 %)", "sd: scatter", "left open (95 %)", "or")
-        parts = [table(header, rows)]
+        header = ("input", "law", "fit (p)", "mean", "left open (95 %)", "sd: scatter", "left open (95 %)")
+        parts = [table(header, [row[:-1] for row in rows], width)]
+        parts += [f"{row[0]} may also be {row[-1]}" for row in rows if row[-1]]
         parts += [
             "fit (p): how often runs of the law itself would lie as far from it; below 0.01 it is refused",
             f"left open: what {found['rows']:,} runs do not know of the law, its family included; more runs narrow it, "
@@ -78,7 +81,10 @@ def _inputs(found: Mapping[str, Any]) -> list[str]:
     parts += [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
     tied = [pair for pair in found["dependence"] if pair["dependent"]]
     for pair in tied[:_MANY]:
-        parts.append(f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}")
+        copula = pair.get("copula")
+        taken = "" if copula in (None, "gaussian") else f", taken for a {copula.capitalize()} copula"
+        said = f"{' and '.join(pair['of'])} depend on each other: rank correlation {_share(pair['spearman'])}{taken}"
+        parts.append(said)
     if len(tied) > _MANY:
         parts.append(f"and {len(tied) - _MANY} pairs more")
     if not tied and found["dependence"]:
@@ -86,38 +92,48 @@ def _inputs(found: Mapping[str, Any]) -> list[str]:
     return parts
 
 
-def _outputs(found: Mapping[str, Any]) -> str:
+def _outputs(found: Mapping[str, Any], width: int) -> str:
     """Statistics of every output, by the runs alone and by the expansion."""
-    rows: list[tuple[str, ...]] = []
+    rows: list[tuple[str, ...] | str] = []
     for name, entry in found["outputs"].items():
         told = entry["expansion"]
         alone = [("mean", "mean", entry["mean"]), ("sd", "standard deviation", entry["sd"])]
         alone += [(p, f"{100.0 * float(p):g} % quantile", e) for p, e in entry["quantiles"].items()]
-        for k, (key, label, estimate) in enumerate(alone):
-            row: tuple[str, ...] = (name if k == 0 else "", label, _shown(estimate))
+        rows.append(name)
+        for key, label, estimate in alone:
+            row: tuple[str, ...] = (label, _shown(estimate))
             if told is not None:
                 row += (_shown(told[key]["whole"]),)
-            rows.append(row + ("-",) * (4 - len(row)))
+            rows.append(row + ("-",) * (3 - len(row)))
     if any(entry["expansion"] is not None for entry in found["outputs"].values()):
-        return table(("output", "statistic", "by the runs alone (95 %)", "by the expansion (95 %)"), rows)
-    return table(("output", "statistic", "value (95 % interval)"), [row[:3] for row in rows])
+        return table(("output", "by the runs alone (95 %)", "by the expansion (95 %)"), rows, width)
+    short = [row if isinstance(row, str) else row[:2] for row in rows]
+    return table(("output", "value (95 % interval)"), short, width)
 
 
-def _drivers(found: Mapping[str, Any]) -> str:
-    """Indices of every output, by ranks and by the expansion."""
-    kinds = {entry["chaos"].get("kind") for entry in found["sensitivity"].values()}
-    orders = ["shapley", "first", "total"] if "dependent" in kinds else ["first", "total"] if "sobol" in kinds else []
-    rows = []
-    for name, entry in found["sensitivity"].items():
-        chaos = entry["chaos"]
-        for k, (source, estimate) in enumerate(entry["ranks"].items()):
-            row = [name if k == 0 else "", source, _shown(estimate)]
-            for order in orders:
-                one = chaos.get(order, {}).get(source)
-                row.append("-" if one is None else _share(one["whole"]))
-            rows.append(tuple(row))
-    header = ("output", "input", "first, by ranks (95 %)", *(f"{_ORDERS[order]}, by expansion" for order in orders))
-    return table(header, rows)
+def _drivers(found: Mapping[str, Any], width: int) -> str:
+    """Indices of every output, by ranks and by the expansion; tables of those without one have one column less."""
+    texts = []
+    for kind, orders in (("dependent", ("shapley", "first", "total")), ("sobol", ("first", "total")), (None, ())):
+        rows: list[tuple[str, ...] | str] = []
+        for name, entry in found["sensitivity"].items():
+            if entry["chaos"].get("kind") != kind:
+                continue
+            reasons = {estimate.get("reason") for estimate in entry["ranks"].values()}
+            if len(reasons) == 1 and None not in reasons:
+                texts.append(f"{name}: no index by ranks: {reasons.pop()}")
+                continue
+            rows.append(name)
+            for source, estimate in entry["ranks"].items():
+                row = [source, _shown(estimate)]
+                for order in orders:
+                    one = entry["chaos"].get(order, {}).get(source)
+                    row.append("-" if one is None else _share(one["whole"]))
+                rows.append(tuple(row))
+        header = ("drivers", "first, by ranks (95 %)", *(f"{_ORDERS[order]}, by expansion" for order in orders))
+        if rows:
+            texts.append(table(header, rows, width))
+    return "\n\n".join(text if "\n" in text else wrap(text, width) for text in texts)
 
 
 def _said(found: Mapping[str, Any], name: str) -> str:
@@ -154,6 +170,8 @@ def study_text(found: Mapping[str, Any]) -> str:
         if pair["dependent"]:
             names = ", ".join(_quoted(name) for name in pair["of"])
             lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {pair['spearman']['value']:.4f}"]
+            if pair.get("copula") not in (None, "gaussian"):
+                lines.append(f'copula = "{pair["copula"]}"')
     lines += ["", "[outputs]", f"names = [{', '.join(_quoted(name) for name in found['outputs'])}]"]
     return "\n".join(lines) + "\n"
 

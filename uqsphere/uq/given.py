@@ -20,9 +20,10 @@ import numpy as np
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust, widened, with_residuals
 from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
+from uqsphere.uq.copulas import independent_scores, members_of
 from uqsphere.uq.estimates import Estimate, absent, describe
 from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Inputs, normal_scores
+from uqsphere.uq.inputs import Inputs, blocks_of, normal_scores
 from uqsphere.uq.laws import Law, cdf, from_normal, sf
 from uqsphere.uq.sampling import random_generator, sobol_points
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
@@ -56,6 +57,11 @@ _FURTHEST: Final = 8.0
 _GRID: Final = np.linspace(-_FURTHEST, _FURTHEST, 321)
 #: 95 % of what the other laws move an answer by, which is known from some dozens of them
 _OPEN: Final = 2.0
+#: logarithm of a factor beyond which steps are counted
+_FACTORS: Final = 2.0
+_CALLED: Final = {
+    "gaussian": "Gaussian", "student_t": "Student t", "clayton": "Clayton", "gumbel": "Gumbel", "frank": "Frank",
+}  # fmt: skip
 
 Answers = dict[str, dict[str, "Answer"]]
 
@@ -78,7 +84,7 @@ class LeftOpen:
     """Laws that the runs leave open: `tables` (laws, d, grid) by `score_table`, and the same inputs with their ties.
 
     `low`, `high` (d,) are the scores between which the runs lie: what the surrogate says beyond them, where wider laws
-    would ask it, is not known, and it is asked at the nearest run instead.
+    would ask it, is not known, and it goes on there as it came (`_going_on`).
     """
 
     tables: Array
@@ -135,20 +141,27 @@ def trusted_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Trusted
     return trust(fit_chaos(points, outputs, germs), points, outputs, before)
 
 
-def odd_pairs(scores: Array, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Pairs of columns of scores (n, d) that no Gaussian copula ties: their squares hang together otherwise.
+def odd_pairs(inputs: Inputs, scores: Array) -> list[tuple[str, str, str]]:
+    """Pairs that their copula does not tie, by dependent scores (n, d): names and the copula that was taken.
 
-    Of normal scores with correlation r the squares have correlation r²; more than 3.5 standard errors from that is odd.
+    The squares of normal scores with correlation r have correlation r², and where the copula is another one, its
+    Rosenblatt transform makes them independent; more than 3.5 standard errors from that is odd.
     """
     n = len(scores)
     found = []
-    for i, j in pairs:
-        a, b = scores[:, i] - scores[:, i].mean(), scores[:, j] - scores[:, j].mean()
-        r = float(np.corrcoef(a, b)[0, 1])
-        squares = float(np.corrcoef(a * a, b * b)[0, 1])
-        error = math.sqrt((1.0 + 10.0 * r * r) / n)
-        if abs(squares - r * r) > 3.5 * error:
-            found.append((i, j))
+    for columns, copula in blocks_of(inputs):
+        for one, i in enumerate(columns):
+            for j in columns[one + 1 :]:
+                if copula.correlation is not None and copula.correlation[one, columns.index(j)] == 0.0:
+                    continue
+                pair = scores[:, [i, j]]
+                if copula.correlation is None:
+                    pair = independent_scores(members_of(copula, [one, columns.index(j)]), pair)
+                a, b = (pair - pair.mean(axis=0)).T
+                r = float(np.corrcoef(a, b)[0, 1])
+                squares = float(np.corrcoef(a * a, b * b)[0, 1])
+                if abs(squares - r * r) > 3.5 * math.sqrt((1.0 + 10.0 * r * r) / n):
+                    found.append((inputs.names[i], inputs.names[j], _CALLED[copula.kind]))
     return found
 
 
@@ -170,32 +183,67 @@ def given_answers(
     inputs there are "shapley", "first" and "total" (Kucherenko's) in place of Sobol' indices.
     """
     dependent = inputs.correlation is not None or bool(inputs.groups)
-    answers = {"statistics": _statistics(trusted, inputs, left_open, quantiles, seed, task)}
+    moved = _moved(trusted.chaos, inputs, left_open, seed)
+    answers = {"statistics": _statistics(trusted, inputs, moved, quantiles, seed, task)}
     if trusted.chaos.constant:
         nothing = absent("the output does not vary with the inputs, or the expansion is a constant", METHOD,
                          len(trusted.residuals))  # fmt: skip
         rows = ("shapley", "first", "total") if dependent else ("first", "total")
         none = Answer(surrogate=nothing, left_open=0.0, whole=nothing)
         return answers | {row: dict.fromkeys(inputs.names, none) for row in rows}
-    shares = (
-        _shared(trusted, inputs, left_open, seed, task) if dependent else _indices(trusted, inputs, left_open, seed)
-    )
+    shares = _shared(trusted, inputs, left_open, seed, task) if dependent else _indices(trusted, inputs, moved)
     return answers | shares
+
+
+def _moved(chaos: Chaos, inputs: Inputs, left_open: LeftOpen | None, seed: int) -> list[Array]:
+    """The surrogate (n, columns) under the laws as fitted, first, and under every other, at the same points.
+
+    Of independent inputs the columns are those of `Blocks`, of dependent ones there is one.
+    """
+    if left_open is None:
+        return []
+    d, values = len(inputs.names), _surrogate(chaos, left_open)
+    points, blocks = _drawn(2 * d, _POINTS, 0, "pairs", seed), Blocks(inputs_count=d)
+    halves = points[:, :d], points[:, d:]
+    tied = inputs.correlation is not None or bool(inputs.groups)
+    found = []
+    for which in (-1, *_numbers(left_open)):
+        if tied:
+            scores = normal_scores(_under(inputs, left_open, which), np.concatenate(halves))
+        else:
+            scores = blocks.mix(*halves).reshape(-1, d)
+        found.append(values(scores, which).reshape(-1, 1 if tied else d + 2))
+    return found
 
 
 def _surrogate(chaos: Chaos, left_open: LeftOpen | None) -> Callable[[Array, int | None], Array]:
     """The surrogate of dependent normal scores (n, d): of the fitted laws, or between the runs (-1), or of others."""
 
     def values(scores: Array, which: int | None) -> Array:
-        if which is not None and left_open is not None:
-            if which >= 0:
-                tables = left_open.tables[which]
-                scores = np.column_stack(
-                    [np.interp(z, table, _GRID) for z, table in zip(scores.T, tables, strict=True)]
-                )
-            scores = np.clip(scores, left_open.low, left_open.high)
-        return np.asarray(predict(chaos, germ_points(np.clip(scores, -_FURTHEST, _FURTHEST), chaos.germs)))
+        points = np.clip(scores, -_FURTHEST, _FURTHEST)
+        if which is None or left_open is None:
+            return np.asarray(predict(chaos, germ_points(points, chaos.germs)))
+        if which >= 0:
+            tables = left_open.tables[which]
+            points = np.column_stack([np.interp(z, table, _GRID) for z, table in zip(points.T, tables, strict=True)])
+        return _going_on(chaos, germ_points(points, chaos.germs),
+                         germ_points(np.stack([left_open.low, left_open.high]), chaos.germs))  # fmt: skip
 
+    return values
+
+
+def _going_on(chaos: Chaos, points: Array, ends: Array) -> Array:
+    """The surrogate at germ points (n, d), mirrored where they lie beyond ends (2, d).
+
+    A step e beyond an end b it is 2 S(b) - S(b - e): it goes on with the slope that it has between the runs, and is
+    asked nowhere else.  Held at S(b) it would miss what wider laws do to the tails, which are what they change most.
+    """
+    inside = np.clip(points, ends[0], ends[1])
+    beyond = np.clip(points - inside, -0.5 * (ends[1] - ends[0]), 0.5 * (ends[1] - ends[0]))
+    values = np.asarray(predict(chaos, inside))
+    rows = np.flatnonzero(beyond.any(axis=1))
+    if rows.size:
+        values[rows] = 2.0 * values[rows] - predict(chaos, inside[rows] - beyond[rows])
     return values
 
 
@@ -216,64 +264,86 @@ def _numbers(left_open: LeftOpen | None) -> range:
     return range(0 if left_open is None else len(left_open.inputs))
 
 
-def _answer(estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float]) -> Answer:
-    """An answer with what it moves by under the other laws, from the same points that gave `value`."""
+def _answer(
+    estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float], *, share: bool = False
+) -> Answer:
+    """An answer with what it moves by under the other laws, from the same points that gave `value`.
+
+    A `share` of the variance, and a standard deviation (`within` from 0 up), move by factors rather than by steps:
+    their logits and logarithms are evenly spread, and more is left open above a small one than below.
+    """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
-    steps = np.asarray(moved) - value
-    unit = float(np.abs(steps).max()) or 1.0
-    left_open = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    low = estimate.value - math.hypot(estimate.value - estimate.low, left_open)
-    high = estimate.value + math.hypot(estimate.high - estimate.value, left_open)
+    below, above = _opened(estimate.value, np.asarray(moved), value, share=share, positive=within[0] == 0.0)
+    low = estimate.value - math.hypot(estimate.value - estimate.low, below)
+    high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
     whole = replace(estimate, low=low, high=high, std_error=0.25 * (high - low))
-    return Answer(surrogate=estimate, left_open=left_open, whole=whole)
+    return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
+
+
+def _opened(answer: float, moved: Array, value: float, *, share: bool, positive: bool) -> tuple[float, float]:
+    """How far below and above an answer the other laws reach."""
+    from scipy.special import expit, logit
+
+    ways = [(logit, expit)] * share + [(np.log, np.exp)] * (positive and not share)
+    for there, back in ways:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            steps, centre = there(moved) - there(value), float(there(answer))
+        half = _OPEN * float(np.sqrt(np.mean(steps**2)))
+        # what is zero but for the noise of the design is no factor of anything
+        if math.isfinite(centre) and half < _FACTORS:
+            return answer - float(back(centre - half)), float(back(centre + half)) - answer
+    steps = moved - value
+    unit = float(np.abs(steps).max()) or 1.0
+    half = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
+    return half, half
 
 
 def _statistics(
-    trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, quantiles: Sequence[float], seed: int, task: str
+    trusted: Trusted, inputs: Inputs, moved: Sequence[Array], quantiles: Sequence[float], seed: int, task: str
 ) -> dict[str, Answer]:
     d = len(inputs.names)
-    values = _surrogate(trusted.chaos, left_open)
+    values = _surrogate(trusted.chaos, None)
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
     centre = values(normal_scores(inputs, large), None).reshape(_REPLICATES, _LARGE)
-    moved, reach = with_residuals(trusted, centre, random_generator(seed=seed, task=f"given: residuals {task}"))
-    told = [describe(moved + side * reach, quantiles=quantiles, method=METHOD) for side in (0.0, -1.0, 1.0)]
+    drawn, reach = with_residuals(trusted, centre, random_generator(seed=seed, task=f"given: residuals {task}"))
+    told = [describe(drawn + side * reach, quantiles=quantiles, method=METHOD) for side in (0.0, -1.0, 1.0)]
     middle = widened(trusted, *told)
-    few = np.concatenate([_drawn(d, _POINTS, replicate, "laws", seed) for replicate in range(2)])
 
-    def told_by(which: int | None) -> list[float]:
-        y = values(normal_scores(_under(inputs, left_open, which), few), which)
+    def told_by(outputs: Array) -> list[float]:
+        y = outputs[:, [0, -1]] if outputs.shape[1] > 1 else outputs
         unit = float(np.abs(y).max()) or 1.0
         low = np.quantile(y, list(quantiles), method="hazen").tolist() if quantiles else []
         return [float((y / unit).mean()) * unit, float((y / unit).std()) * unit, *low]
 
-    own, rows = told_by(-1), [told_by(k) for k in _numbers(left_open)]
+    rows = [told_by(outputs) for outputs in moved]
     estimates = [("mean", middle.mean), ("sd", middle.sd), *((f"{p:g}", e) for p, e in middle.quantiles.items())]
     everywhere = (-math.inf, math.inf)
     return {
-        name: _answer(estimate, [row[k] for row in rows], own[k], (0.0, math.inf) if name == "sd" else everywhere)
+        name: _answer(
+            estimate,
+            [row[k] for row in rows[1:]],
+            rows[0][k] if rows else 0.0,
+            (0.0, math.inf) if name == "sd" else everywhere,
+        )
         for k, (name, estimate) in enumerate(estimates)
     }
 
 
-def _indices(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: int) -> Answers:
+def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answers:
     """Sobol' indices of independent inputs."""
     d = len(inputs.names)
-    values, blocks = _surrogate(trusted.chaos, left_open), Blocks(inputs_count=d)
-    points = _drawn(2 * d, _POINTS, 0, "pairs", seed)
-    design = blocks.mix(points[:, :d], points[:, d:]).reshape(-1, d)
-    shape = (_POINTS, len(design) // _POINTS)
-    own = _pick_freeze(values(design, -1).reshape(shape), d)
-    rows = [_pick_freeze(values(design, k).reshape(shape), d) for k in _numbers(left_open)]
+    rows = [_pick_freeze(outputs, d) for outputs in moved]
     found = indices_of(trusted)
     return {
         order: {
-            name: _answer(estimate, [row[k][j] for row in rows], float(own[k][j]), (0.0, 1.0))
+            name: _answer(estimate, [row[k][j] for row in rows[1:]], float(rows[0][k][j]) if rows else 0.0,
+                          (0.0, 1.0), share=True)
             for j, (name, estimate) in enumerate(zip(inputs.names, found[order], strict=True))
         }
         for k, order in enumerate(("first", "total"))
-    }
+    }  # fmt: skip
 
 
 def _pick_freeze(outputs: Array, d: int) -> Array:
@@ -310,5 +380,5 @@ def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: 
         for j, (label, estimate) in enumerate(zip(inputs.names, estimates, strict=True)):
             told = index_estimate(estimate, trusted.error, n, sampled=estimate.half_width)
             moved = [e for row in rows if (e := row[order][j].value) is not None]
-            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0))
+            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), share=True)
     return answer

@@ -1,0 +1,215 @@
+"""What ties the inputs of a table of runs to each other, and what the runs leave open of that and of the laws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.uq.copulas import Copula, log_density, make_copula
+from uqsphere.uq.given import LAWS, LeftOpen, score_table
+from uqsphere.uq.inputs import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
+from uqsphere.uq.laws import Law, LawError
+
+__all__ = ["CHOICES", "TiedPair", "left_open", "ties_of", "with_ties"]
+
+Array = npt.NDArray[np.float64]
+
+#: copulas that two inputs, tied to no other, may have
+CHOICES: Final = ("gaussian", "clayton", "gumbel", "frank")
+#: logarithm of the likelihood by which another copula has to beat the Gaussian
+_BETTER: Final = 2.0
+#: the same, beyond which a copula is out of the question
+_FAR: Final = 4.0
+#: laws that each input is given for the choice of those that belong together
+_OFFERED: Final = 4 * LAWS
+#: runs of a rehearsal
+_ROWS: Final = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiedPair:
+    """Two columns with Spearman's correlation, their copula, and the weights of those that the runs leave open."""
+
+    columns: tuple[int, int]
+    spearman: float
+    copula: str
+    weights: Mapping[str, float]
+
+
+def ties_of(x: Array, pairs: Mapping[tuple[int, int], float]) -> tuple[TiedPair, ...]:
+    """The copula of every pair of columns of x (n, d) that depend on each other, {(i, j): Spearman's correlation}.
+
+    All copulas have one parameter, which the rank correlation settles, and are judged by the likelihood of the ranks
+    (C. Genest, K. Ghoudi, L.-P. Rivest, Biometrika 82, 1995, 543).  Inputs of which one is tied to two others take the
+    Gaussian copula together.
+    """
+    columns = [column for pair in pairs for column in pair]
+    found = []
+    for pair, value in pairs.items():
+        weights = {"gaussian": 1.0}
+        if all(columns.count(column) == 1 for column in pair) and 0.0 < abs(value) < 0.99:
+            weights = _weights(x[:, list(pair)], value)
+        best = max(weights, key=lambda kind: weights[kind])
+        found.append(TiedPair(columns=pair, spearman=value, copula=best, weights=weights))
+    return tuple(found)
+
+
+def _weights(x: Array, spearman: float) -> dict[str, float]:
+    """Weights of the copulas by their likelihood; of the Gaussian alone where none is clearly better."""
+    from scipy.special import ndtri
+    from scipy.stats import rankdata
+
+    ranks = np.column_stack([rankdata(column, method="ordinal") for column in x.T])
+    scores = np.asarray(ndtri(ranks / (len(x) + 1.0)))
+    told = {}
+    for kind in CHOICES:
+        try:
+            told[kind] = float(log_density(make_copula(kind, 2, spearman=spearman), scores).sum())
+        except LawError:
+            continue
+    best = max(told.values())
+    if best - told["gaussian"] < _BETTER:
+        return {"gaussian": 1.0}
+    weights = {kind: math.exp(value - best) for kind, value in told.items() if value > best - _FAR}
+    whole = sum(weights.values())
+    return {kind: weight / whole for kind, weight in weights.items()}
+
+
+def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair], every: Sequence[str]) -> Inputs:
+    """Inputs with their ties; `every` names the columns of the table.  Raises LawError where they cannot hold."""
+    dependences = [
+        Dependence(of=(every[tie.columns[0]], every[tie.columns[1]]), spearman=tie.spearman, copula=tie.copula)
+        for tie in ties
+    ]
+    return make_inputs(names, laws, dependences)
+
+
+# --- what is left open ------------------------------------------------------------------------------------------
+
+
+def left_open(
+    inputs: Inputs,
+    others: Sequence[Sequence[Law]],
+    ties: Sequence[TiedPair],
+    every: Sequence[str],
+    scores: Array,
+    n: int,
+    generator: np.random.Generator,
+) -> LeftOpen | None:
+    """Laws and dependences that n runs leave open, in the form that the answers are asked in.
+
+    Inputs that depend on each other were seen in the same runs: where the mean of one came out high, so did that of
+    the other.  A rehearsal draws n runs of the inputs as they are taken to be; what these runs would make of means,
+    standard deviations and rank correlations belongs together, and every law is given to the rehearsal that it fits.
+    """
+    if not others:
+        return None
+    at = {name: k for k, name in enumerate(inputs.names)}
+    pairs = [(at[every[tie.columns[0]]], at[every[tie.columns[1]]]) for tie in ties]
+    tables = [score_table(law, open_[:_OFFERED]) for law, open_ in zip(inputs.laws, others, strict=True)]
+    rows = min(n, _ROWS)
+    drawn = normal_scores(inputs, generator.standard_normal((LAWS * rows, len(inputs.names))))
+    rehearsed = drawn.reshape(LAWS, rows, -1)
+    means = _steadied(rehearsed.mean(axis=1), drawn)
+    widths = _steadied(rehearsed.std(axis=1), drawn**2)
+    for k, table in enumerate(tables):
+        tables[k] = table[_assigned(table, -np.column_stack([means[:, k], widths[:, k]]))]
+    moved = [inputs] * LAWS
+    if pairs:
+        shifts = [_shifts(rehearsed[:, :, list(pair)], math.sqrt(rows / n)) for pair in pairs]
+        moved = _moved(inputs, [_open(tie, shift, generator) for tie, shift in zip(ties, shifts, strict=True)],
+                       [(every[i], every[j]) for i, j in (tie.columns for tie in ties)])  # fmt: skip
+    return LeftOpen(
+        tables=np.stack(tables, axis=1), inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0)
+    )
+
+
+def _steadied(told: Array, rows: Array) -> Array:
+    """What rehearsals tell (K, d), with mean zero and the very correlations of `rows` (n, d), of which they are means.
+
+    Some dozens of rehearsals have correlations by chance, which would be those of every analysis.
+    """
+    centred = told - told.mean(axis=0)
+    scatter = np.atleast_2d(np.cov(centred, rowvar=False))
+    due = np.atleast_2d(np.corrcoef(rows, rowvar=False))
+    if min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in (scatter, due)) <= 1e-12:
+        return np.asarray(centred / centred.std(axis=0))
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(scatter), centred.T).T @ np.linalg.cholesky(due).T)
+
+
+def _assigned(tables: Array, asked: Array) -> npt.NDArray[np.int64]:
+    """Which table (of M, grid) goes with which mean and width that is asked for (K, 2): the like of it, one each.
+
+    Runs that came out low, or narrow, leave open a law that is higher, or wider.
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.special import ndtri
+
+    grid, normal = np.linspace(-8.0, 8.0, tables.shape[1]), np.asarray(ndtri((np.arange(200) + 0.5) / 200.0))
+    values = np.array([np.interp(normal, table, grid) for table in tables])
+    offered = _whitened(np.column_stack([values.mean(axis=1), values.std(axis=1)]))
+    distances = ((_whitened(asked)[:, None, :] - offered[None, :, :]) ** 2).sum(axis=2)
+    return np.asarray(linear_sum_assignment(distances)[1], dtype=np.int64)
+
+
+def _whitened(columns: Array) -> Array:
+    """Columns (n, 2) with mean zero and variance one, the second without what it shares with the first."""
+    centred = columns - columns.mean(axis=0)
+    first = centred[:, 0] / max(float(centred[:, 0].std()), 1e-300)
+    second = centred[:, 1] - first * float((first * centred[:, 1]).mean())
+    return np.column_stack([first, second / max(float(second.std()), 1e-300)])
+
+
+def _shifts(pair: Array, part: float) -> Array:
+    """Fisher's transform of the rank correlations (K,) of rehearsals (K, rows, 2), less their mean, times `part`."""
+    ranks = pair.argsort(axis=1).argsort(axis=1).astype(float)
+    ranks -= ranks.mean(axis=1, keepdims=True)
+    found = (ranks[:, :, 0] * ranks[:, :, 1]).sum(axis=1) / (ranks[:, :, 0] ** 2).sum(axis=1)
+    told = np.arctanh(np.clip(found, -0.9999, 0.9999))
+    return np.asarray((told - told.mean()) * part)
+
+
+def _open(tie: TiedPair, shifts: Array, generator: np.random.Generator) -> list[tuple[str, float, float]]:
+    """Copulas that other runs would have shown: kind, Spearman's correlation, and strength of an Archimedean one."""
+    values = np.tanh(math.atanh(min(max(tie.spearman, -0.99), 0.99)) - shifts)
+    kinds = list(tie.weights)
+    drawn = generator.choice(len(kinds), size=len(values), p=list(tie.weights.values()))
+    strengths = np.zeros(len(values))
+    said = [kinds[k] for k in drawn]
+    for kind in set(said) - {"gaussian"}:
+        # the Archimedean copulas have none of the other sign
+        rows = np.array([k for k, one in enumerate(said) if one == kind and values[k] * tie.spearman > 0.01])
+        if rows.size:
+            some = np.clip(values[rows], -0.985, 0.985)
+            grid = np.linspace(float(some.min()), float(some.max()), 5 if np.ptp(some) > 1e-6 else 1)
+            # strengths are dear to solve for and smooth
+            solved = [make_copula(kind, 2, spearman=float(value)).theta for value in grid]
+            strengths[rows] = np.interp(some, grid, solved)
+    return [
+        (kind if theta else "gaussian", float(value), float(theta))
+        for kind, value, theta in zip(said, values, strengths, strict=True)
+    ]
+
+
+def _moved(
+    inputs: Inputs, ties: Sequence[Sequence[tuple[str, float, float]]], names: Sequence[tuple[str, str]]
+) -> list[Inputs]:
+    """The inputs with every set of ties in turn; as they are where those cannot hold together."""
+    found = []
+    for row in zip(*ties, strict=True):
+        gaussian = [(pair, value) for pair, (kind, value, _) in zip(names, row, strict=True) if kind == "gaussian"]
+        groups = tuple(
+            Group(members=pair, copula=Copula(kind=kind, size=2, theta=theta))
+            for pair, (kind, _, theta) in zip(names, row, strict=True)
+            if kind != "gaussian"
+        )
+        try:
+            found.append(replace(inputs, correlation=correlation_from_spearman(inputs.names, gaussian), groups=groups))
+        except LawError:
+            found.append(inputs)
+    return found
