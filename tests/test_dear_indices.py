@@ -18,8 +18,8 @@ from uqsphere.uq.augmented_indices import (
     trusted_indices,
 )
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.augmented_shares import law_shares
-from uqsphere.uq.chaos import Chaos, fit_again, fit_chaos, germ_points
+from uqsphere.uq.chaos import Chaos, chaos_indices, fit_again, fit_chaos, germ_points
+from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.estimates import Flags
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
@@ -109,6 +109,9 @@ def test_shares_of_a_fit_with_a_kink_do_not_run_away() -> None:
     shares = np.array([law_shares(chaos, [[j] for j in range(4)], k) for k in range(3)])
     truth = np.array([model.first, model.total]).T
     assert np.abs(shares - truth).max() < 0.03  # half of it at most in ten designs; a control that is not gated: 0.4
+    found = chaos_indices([chaos])
+    told = np.array([[e.value for e in found[order]] for order in ("first", "total")]).T
+    assert np.abs(told - truth).max() < 0.03
 
 
 def test_a_companion_that_is_near_sharpens_the_shares() -> None:

@@ -192,8 +192,7 @@ def find_sensitivity(
     if not names:
         refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
         return refused, [], [], "accuracy", IndexControl(used=False), None
-    lost = lost_designs(sampled.sample.failed)
-    if lost:
+    if lost := lost_designs(sampled.sample.failed):
         refused = {q: replace(_refused(work, lost), missed=[f"indices: {lost}"]) for q in work.quantities}
         return refused, [], [], "failures", IndexControl(used=False), None
     tied = dependent_names(work)

@@ -16,9 +16,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, piece_rows, piece_values
-from uqsphere.uq.augmented_shares import Companion, law_shares
 from uqsphere.uq.chaos import Chaos, predict
-from uqsphere.uq.chaos.sampled import active_inputs, law_points
+from uqsphere.uq.chaos.sampled import Companion, active_inputs, law_points, law_shares
 from uqsphere.uq.chaos.surrogate import Piece
 from uqsphere.uq.estimates import Estimate, Flags, absent, exact, student
 from uqsphere.uq.families import Array

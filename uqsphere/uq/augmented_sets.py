@@ -16,7 +16,7 @@ from uqsphere.uq.augmented_indices import (
     share_estimate,
     standard_errors,
 )
-from uqsphere.uq.augmented_shares import law_shares
+from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
 

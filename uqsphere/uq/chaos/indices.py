@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.chaos.sampled import active_inputs, sampled_moments, sampled_shares
+from uqsphere.uq.chaos.sampled import active_inputs, law_shares, sampled_moments
 from uqsphere.uq.chaos.surrogate import Chaos
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
 from uqsphere.uq.families import Array
@@ -40,8 +40,7 @@ def _shares(chaos: Chaos, replicate: int) -> tuple[Array, Array]:
     if not chaos.plain:
         first, total = np.zeros(len(chaos.germs)), np.zeros(len(chaos.germs))
         inputs = active_inputs(chaos)
-        for j, pair in zip(inputs, sampled_shares(chaos, [[j] for j in inputs], replicate), strict=True):
-            first[j], total[j] = pair
+        first[list(inputs)], total[list(inputs)] = law_shares(chaos, [[j] for j in inputs], replicate).T
         return first, total
     squares = _squares(chaos)
     active = chaos.pieces[0].multi_indices[1:] > 0
@@ -75,7 +74,7 @@ def index_of(chaos: Chaos, group: Sequence[int]) -> float:
         return float(squares[(active == wanted).all(axis=1)].sum() / squares.sum())
     # Inclusion and exclusion over the closed indices of all subsets.
     subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
-    closed = [pair[0] for pair in sampled_shares(chaos, subsets, 0)]
+    closed: list[float] = law_shares(chaos, subsets, 0)[:, 0].tolist()
     return sum((-1.0) ** (len(members) - len(subset)) * c for subset, c in zip(subsets, closed, strict=True))
 
 
