@@ -39,8 +39,10 @@ __all__ = [
 DESIGNS: Final = 4
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
 #: of few points confounds more with what the surrogate lacks.  More than 1.96 since the errors have long tails
-FIRST: Final = 3.4
-TOTAL: Final = 3.8
+FIRST: Final = 2.9
+TOTAL: Final = 3.25
+#: how much more than Student's t the few designs count by which an expansion is sampled: their errors have long tails
+_TAILS: Final = 1.3
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
 _MOST_MOVED: Final = 50.0
@@ -194,7 +196,9 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
     """
     n, error = len(trusted.residuals), trusted.error
     value = min(max(float(np.mean(shares)), 0.0), 1.0)
-    sampled = student(shares.size) * float(np.std(shares, ddof=1)) / math.sqrt(shares.size) if shares.size > 1 else 0.0
+    sampled = 0.0
+    if shares.size > 1:
+        sampled = _TAILS * student(shares.size) * float(np.std(shares, ddof=1)) / math.sqrt(shares.size)
     if spread is None:
         return index_estimate(exact(value), error, n, sampled=sampled)
     unseen = error * max(1.0 / n, error / (error + n * max(total, 0.0))) if error > 0.0 else 0.0
