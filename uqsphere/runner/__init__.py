@@ -227,6 +227,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
+    from uqsphere.runner.heavy_tails import share_heavy
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
@@ -272,6 +273,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
+    sensitivity = share_heavy(work, sampled, sensitivity)
     ledger.seconds["sensitivity"] = ledger.elapsed
     drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
     ledger.seconds["drivers"] = ledger.elapsed
