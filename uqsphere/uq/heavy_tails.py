@@ -1,7 +1,7 @@
-"""Moments of an output that do not exist because an input has none: power-law tails, and how an output grows along them.
+"""Moments of an output that do not exist because an input has none: how an output grows along power-law tails.
 
 If the law of x has no moments from order alpha on and the output grows like |x|^s along that tail, the output has none
-from order alpha / s on.  The order alpha is known from the law; the growth s is read off the rows that lie farthest out.
+from order alpha / s on.  The order alpha is known from the law; the growth s is read off the rows farthest out.
 """
 
 from __future__ import annotations
