@@ -350,14 +350,14 @@ def test_indices_of_a_rare_step_cover_or_are_refused(tmp_path: Path) -> None:
     assert all(estimate["value"] is None or estimate["value"] >= 0.0 for estimate in indices_of(rare))
     (tmp_path / "n").mkdir()
     never = run(lambda rows: {"y": (smooth(rows)["y"] > 9.0).astype(float)}, tmp_path / "n" / "r")
-    assert all("too few for shares" in estimate["reason"] for estimate in indices_of(never))
+    assert all(estimate["value"] is None for estimate in indices_of(never))
 
 
-def test_a_hundred_inputs_have_indices_within_a_small_budget(tmp_path: Path) -> None:
+def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path) -> None:
     """More inputs than an expansion of 256 points takes: it is fitted to more."""
-    laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1, upper = 1 }}' for k in range(1, 101))
-    accuracy = "accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.05 }"
-    text = f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\nbudget = {{ evaluations = 16_000 }}\n{accuracy}\n'
+    laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1, upper = 1 }}' for k in range(1, 66))
+    accuracy = "accuracy = { mean = 0.001, quantile = 0.01, sobol = 0.05 }"
+    text = f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\nbudget = {{ evaluations = 13_000 }}\n{accuracy}\n'
     (tmp_path / "s.toml").write_text(text, "utf-8")
     results = uqsphere.run(
         load_study(tmp_path / "s.toml"),
@@ -367,7 +367,7 @@ def test_a_hundred_inputs_have_indices_within_a_small_budget(tmp_path: Path) -> 
     first = results["sensitivity"]["y"]["first"]
     assert first["x1"]["value"] == pytest.approx(0.2, abs=1e-6)
     assert first["x2"]["value"] == pytest.approx(0.8, abs=1e-6)
-    assert first["x100"]["value"] == pytest.approx(0.0, abs=1e-6)
+    assert first["x65"]["value"] == pytest.approx(0.0, abs=1e-6)
 
 
 # --- accuracies out of reach -----------------------------------------------------------------------------
