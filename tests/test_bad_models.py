@@ -353,8 +353,9 @@ def test_indices_of_a_rare_step_cover_or_are_refused(tmp_path: Path) -> None:
     assert all(estimate["value"] is None for estimate in indices_of(never))
 
 
-def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path) -> None:
+def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """More inputs than an expansion of 256 points takes: it is fitted to more."""
+    monkeypatch.setattr("uqsphere.runner.sensitivity.FITS", 2)
     laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1, upper = 1 }}' for k in range(1, 66))
     accuracy = "accuracy = { mean = 0.001, quantile = 0.01, sobol = 0.05 }"
     text = f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\nbudget = {{ evaluations = 13_000 }}\n{accuracy}\n'
