@@ -21,6 +21,7 @@ from uqsphere.errors import ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.runner.design import lost_designs
+from uqsphere.runner.stopping import NO_NUMBER, cost_text, out_of_reach
 from uqsphere.study import Study, load_study
 from uqsphere.summary import summary_of
 from uqsphere.uq.blocks import Blocks
@@ -254,3 +255,125 @@ def test_a_budget_of_no_time_is_no_interruption(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(text, "utf-8")
     with pytest.raises(UsageError, match="time budget ended"):
         uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=f"{tmp_path}/slow.py:f", seconds=1e-3)
+
+
+# --- moments that do not exist ---------------------------------------------------------------------------
+
+CAUCHY = '{ dist = "student_t", dof = 1, location = 0, scale = 1 }'
+
+
+def heavy(law: str, box: Callable[[Rows], Rows], out: Path, evaluations: int = 20_000) -> dict[str, Any]:
+    """A run in which a has that law and b is standard normal."""
+    text = STUDY.replace('{ dist = "normal", mean = 0.0, sd = 1.0 }', law)
+    text = text.replace('{ dist = "uniform", lower = -1.0, upper = 1.0 }', '{ dist = "normal", mean = 0, sd = 1 }')
+    (out.parent / "s.toml").write_text(text.replace("20_000", str(evaluations)), "utf-8")
+    return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results)
+
+
+def added(rows: Rows) -> Rows:
+    return {"y": rows["a"] + rows["b"]}
+
+
+def indices_of(results: dict[str, Any]) -> list[dict[str, Any]]:
+    return [estimate for order in ("first", "total") for estimate in results["sensitivity"]["y"][order].values()]
+
+
+def test_a_cauchy_input_leaves_neither_mean_nor_indices(tmp_path: Path) -> None:
+    results = heavy(CAUCHY, added, tmp_path / "r", 9_000)
+    found = results["quantities"]["y"]
+    for estimate in (found["mean"], found["sd"], *indices_of(results)):
+        assert estimate["value"] is None
+        assert "does not exist: a has no moments from order 1 on" in estimate["reason"]
+    # no evaluations would give what is not there, and quantiles exist
+    assert not [text for text in results["accuracy"]["missed"] if "mean" in text or "indices" in text]
+    assert found["quantiles"]["0.95"]["low"] < 6.45 < found["quantiles"]["0.95"]["high"]
+
+
+def test_a_law_without_variance_keeps_its_mean(tmp_path: Path) -> None:
+    """Student's t with 2 degrees of freedom: the sample has a standard deviation, and the law has none."""
+    results = heavy(CAUCHY.replace("dof = 1", "dof = 2"), added, tmp_path / "r", 9_000)
+    found = results["quantities"]["y"]
+    assert found["mean"]["low"] < 0.0 < found["mean"]["high"]
+    assert "no moments from order 2 on" in found["sd"]["reason"]
+    assert all(estimate["value"] is None for estimate in indices_of(results))
+
+
+def test_indices_hold_what_a_variance_without_fourth_moments_leaves_open(tmp_path: Path) -> None:
+    """Fréchet with shape 2.5: variance Γ(0.2) - Γ(0.6)², of which every sample shows another part."""
+    results = heavy('{ dist = "frechet", shape = 2.5, scale = 1 }', added, tmp_path / "r", 9_000)
+    variance = math.gamma(0.2) - math.gamma(0.6) ** 2
+    for order in ("first", "total"):
+        a, b = (results["sensitivity"]["y"][order][name] for name in ("a", "b"))
+        assert a["low"] < variance / (1.0 + variance) < a["high"]
+        assert b["low"] < 1.0 / (1.0 + variance) < b["high"]
+
+
+def test_a_bounded_function_of_a_cauchy_input_has_all_its_moments(tmp_path: Path) -> None:
+    results = heavy(CAUCHY, lambda rows: {"y": np.tanh(rows["a"]) + rows["b"]}, tmp_path / "r", 9_000)
+    found = results["quantities"]["y"]
+    assert found["mean"]["value"] is not None
+    # the mean of tanh² of a Cauchy variable, by quadrature
+    grid = (np.arange(1_000_000) + 0.5) / 1_000_000
+    variance = 1.0 + float(np.mean(np.tanh(np.tan(np.pi * (grid - 0.5))) ** 2))
+    assert found["sd"]["low"] < math.sqrt(variance) < found["sd"]["high"]
+    assert all(estimate["value"] is not None for estimate in indices_of(results))
+
+
+def test_one_over_a_normal_has_no_mean_though_no_law_says_so(tmp_path: Path) -> None:
+    with np.errstate(divide="ignore"):
+        results = heavy(
+            '{ dist = "normal", mean = 0, sd = 1 }', lambda rows: {"y": 1.0 / (rows["a"] + 1e-12)}, tmp_path / "r"
+        )
+    assert results["quantities"]["y"]["mean"]["reason"].startswith("does not exist: large values are as frequent")
+    assert all(estimate["value"] is None for estimate in indices_of(results))
+
+
+def test_few_runs_of_a_cauchy_output_have_no_mean_either(tmp_path: Path) -> None:
+    found = heavy(CAUCHY, added, tmp_path / "r", 400)["quantities"]["y"]
+    assert found["mean"]["value"] is None
+    assert found["sd"]["value"] is None
+
+
+# --- few samples that carry the variance -----------------------------------------------------------------
+
+
+def test_indices_of_a_rare_step_cover_or_are_refused(tmp_path: Path) -> None:
+    """Its replicates agree that no pair was seen together, which is no index of zero."""
+    rare = run(lambda rows: {"y": (smooth(rows)["y"] > 3.9).astype(float)}, tmp_path / "r")
+    # first-order index of b: the variance of P(y = 1 | b) over that of y, by the normal law at every b
+    b = (np.arange(20_000) + 0.5) / 10_000 - 1.0
+    chance = np.array([0.5 * math.erfc(z / math.sqrt(2.0)) for z in (3.9 - 2.0 * b) / (1.0 + 0.3 * b)])
+    first = float(chance.var() / (chance.mean() * (1.0 - chance.mean())))
+    found = rare["sensitivity"]["y"]
+    for estimate, truth in ((found["first"]["b"], first), (found["total"]["a"], 1.0 - first)):
+        assert estimate["value"] is None or estimate["low"] < truth < estimate["high"]
+    assert all(estimate["value"] is None or estimate["value"] >= 0.0 for estimate in indices_of(rare))
+    (tmp_path / "n").mkdir()
+    never = run(lambda rows: {"y": (smooth(rows)["y"] > 9.0).astype(float)}, tmp_path / "n" / "r")
+    assert all(estimate["value"] is None for estimate in indices_of(never))
+
+
+def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More inputs than an expansion of 256 points takes: it is fitted to more."""
+    monkeypatch.setattr("uqsphere.runner.sensitivity.FITS", 2)
+    laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1, upper = 1 }}' for k in range(1, 66))
+    accuracy = "accuracy = { mean = 0.001, quantile = 0.01, sobol = 0.05 }"
+    text = f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\nbudget = {{ evaluations = 13_000 }}\n{accuracy}\n'
+    (tmp_path / "s.toml").write_text(text, "utf-8")
+    results = uqsphere.run(
+        load_study(tmp_path / "s.toml"),
+        out=tmp_path / "r",
+        model=lambda rows: {"y": rows["x1"] + 2.0 * rows["x2"]},
+    ).results
+    first = results["sensitivity"]["y"]["first"]
+    assert first["x1"]["value"] == pytest.approx(0.2, abs=1e-6)
+    assert first["x2"]["value"] == pytest.approx(0.8, abs=1e-6)
+    assert first["x65"]["value"] == pytest.approx(0.0, abs=1e-6)
+
+
+# --- accuracies out of reach -----------------------------------------------------------------------------
+
+
+def test_no_number_of_evaluations_is_named_that_nobody_could_make() -> None:
+    assert cost_text([(1000, 1e9), (2000, 0.7e9)]) == f" ({NO_NUMBER})"
+    assert NO_NUMBER in out_of_reach([(1000, 1e9), (2000, 0.7e9)], 1.0, 1e4)

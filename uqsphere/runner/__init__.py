@@ -227,6 +227,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
+    from uqsphere.runner.heavy_tails import share_heavy
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import find_margins
     from uqsphere.runner.multifidelity import propose
@@ -272,6 +273,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
+    sensitivity = share_heavy(work, sampled, sensitivity, pairs)
     ledger.seconds["sensitivity"] = ledger.elapsed
     drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
     ledger.seconds["drivers"] = ledger.elapsed
@@ -326,14 +328,16 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
 
 def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
     """What the surrogate way found, as every run writes it."""
+    from uqsphere.runner.heavy_tails import settle_heavy
     from uqsphere.runner.results import Findings
     from uqsphere.runner.tolerance import find_tolerance
 
     assert dear.sampled is not None
+    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity)
     return Findings(
         pilot=pilot,
-        sampled=dear.sampled,
-        sensitivity=dear.sensitivity,
+        sampled=sampled,
+        sensitivity=sensitivity,
         margins=dear.margins,
         tolerance=find_tolerance(work),
         history=dear.history,

@@ -22,6 +22,7 @@ from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
 from uqsphere.runner.rare import limits_missed
 from uqsphere.runner.sampling import METHOD, Sampled, missed_texts, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
+from uqsphere.runner.stopping import MOST_NAMED, NO_NUMBER
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import MOST, Trusted, trust
@@ -342,7 +343,9 @@ def _price_text(found: Sequence[int | None], priced: Priced) -> str:
     known = [n for n in found if n is not None]
     if known and len(known) == len(found):
         return f" (about {max(known):,} evaluations would reach it)"
-    return f" (more runs of this design would not do: sampling is forecast to take {priced.way.sampling:,} evaluations)"
+    far = priced.way.sampling > MOST_NAMED
+    text = NO_NUMBER if far else f"sampling is forecast to take {priced.way.sampling:,} evaluations"
+    return f" (more runs of this design would not do: {text})"
 
 
 def _sensitivity(

@@ -64,7 +64,9 @@ class LimitAnswer:
             return ""
         if estimate.half_width <= asked * estimate.value:
             return ""
-        relative = estimate.half_width / estimate.value if estimate.value > 0.0 else float("inf")
+        if not estimate.value > 0.0:
+            return f"{which}: none seen, at most {estimate.high:.2g}, so that it is not known to {asked:g} of itself"
+        relative = estimate.half_width / estimate.value
         return f"{which}: half-width {relative:.2g} of the probability, asked {asked:g}"
 
     def beneath(self, which: str) -> bool:

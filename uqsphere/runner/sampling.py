@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.errors import UsageError
+from uqsphere.runner.heavy_tails import describe_heavy
 from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import cost_text, out_of_reach
@@ -152,11 +153,11 @@ def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
-        ratios = [description.mean.half_width / asked.mean]
+        ratios = [description.mean.half_width / asked.mean] if description.mean.value is not None else []
         ratios += [
             e.half_width / asked.quantile for p, e in description.quantiles.items() if p not in description.exempt
         ]
-        found[name] = max(ratios) / description.scale
+        found[name] = max(ratios, default=0.0) / description.scale
     for name, limit in limits.items():
         if takes_over(work, limit):
             continue
@@ -290,6 +291,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
         if control.used:
             descriptions, limits = control.descriptions, control.limits
+        descriptions = describe_heavy(work, points, sample, descriptions)
         missed = missed_texts(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
             course.setdefault(name, []).append((sample.status.size, ratio))

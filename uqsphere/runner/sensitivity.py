@@ -94,7 +94,8 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         for law in work.study.random.values()
     )
     n = sampled.sample.values.shape[1]
-    used = min(FIT_POINTS, n)
+    least = 4 * (d + 1)
+    used = min(max(FIT_POINTS, least), n)
     outputs = sampled.sample.values[:, :, k]
     whole = ~sampled.sample.failed
     alone = not {"sobol", "auto"} & set(work.study.analysis.methods)
@@ -103,12 +104,9 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     for replicate in range(FITS):
         keep = whole[replicate, :used]
         points = germ_points(sampled.points.normals[replicate, :used, :d][keep], germs)
-        if len(points) < 4 * (d + 1):
-            return (
-                {},
-                {"kind": None, "error": None, "evaluations": 0, "reason": "too few samples without failure"},
-                None,
-            )
+        if len(points) < least:
+            reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
+            return {}, {"kind": None, "error": None, "evaluations": 0, "reason": reason}, None
         column = outputs[replicate, :used][keep]
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone

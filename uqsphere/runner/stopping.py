@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["cost_text", "evaluations_needed", "out_of_reach"]
+__all__ = ["MOST_NAMED", "NO_NUMBER", "cost_text", "evaluations_needed", "out_of_reach"]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -13,6 +13,9 @@ SLOWEST, FASTEST = 0.5, 1.2
 LONG, USUAL = 4.0, 0.75
 #: how far a forecast must lie beyond the budget before it is acted on
 CAUTION = 1.5
+#: evaluations beyond which a forecast names no number: nobody makes so many
+MOST_NAMED = 1e12
+NO_NUMBER = "no number of evaluations that could be made would reach it"
 
 
 def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> float:
@@ -44,6 +47,8 @@ def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: 
     needed = evaluations_needed(course, asked)
     if needed <= CAUTION * affordable:
         return ""
+    if needed > MOST_NAMED:
+        return f"given up: {NO_NUMBER}"
     return f"given up: it would take about {_round(needed):,} evaluations, and {int(affordable):,} are affordable"
 
 
@@ -55,7 +60,10 @@ def cost_text(course: Sequence[tuple[int, float]]) -> str:
     """
     if not course or not math.isfinite(course[-1][1]) or course[-1][1] <= 1.0:
         return ""
-    return f" (about {_round(evaluations_needed(course, 1.0)):,} evaluations would reach it)"
+    needed = evaluations_needed(course, 1.0)
+    if needed > MOST_NAMED:
+        return f" ({NO_NUMBER})"
+    return f" (about {_round(needed):,} evaluations would reach it)"
 
 
 def _round(value: float) -> int:

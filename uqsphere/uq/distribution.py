@@ -30,6 +30,7 @@ __all__ = [
     "sd",
     "sf",
     "steps_kept",
+    "tail_orders",
     "truncated_mass",
 ]
 
@@ -257,17 +258,24 @@ def nominal_mean(law: Law) -> float:
 
 def _missing(law: Law, order: int) -> float | None:
     """nan or ±inf where the moment of this order does not exist for the law in force."""
-    if law.kind == "empirical":
-        return None
-    family = FAMILIES[law.kind]
-    shapes = family.resolve(law.parameters, law.lower, law.upper)[2]
-    low = math.isinf(law.lower) and family.heavy_lower(shapes) <= order
-    high = math.isinf(law.upper) and family.heavy_upper(shapes) <= order
+    low, high = (found <= order for found in tail_orders(law))
     if low and high:
         return math.nan if order == 1 else math.inf
     if low or high:
         return math.inf if high or order == 2 else -math.inf
     return None
+
+
+def tail_orders(law: Law) -> tuple[float, float]:
+    """Order from which on the law in force has no moments, of its lower and of its upper tail; inf where it has all."""
+    if law.kind == "empirical":
+        return math.inf, math.inf
+    family = FAMILIES[law.kind]
+    shapes = family.resolve(law.parameters, law.lower, law.upper)[2]
+    return (
+        family.heavy_lower(shapes) if math.isinf(law.lower) else math.inf,
+        family.heavy_upper(shapes) if math.isinf(law.upper) else math.inf,
+    )
 
 
 def _moments(law: Law) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_
 
 __all__ = [
     "LEAST_BEYOND",
+    "NO_MOMENT",
     "Description",
     "Estimate",
     "Flags",
@@ -40,6 +41,8 @@ __all__ = [
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
+#: how the reason of a moment that does not exist begins
+NO_MOMENT: Final = "does not exist: "
 LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
 
 
@@ -407,7 +410,10 @@ def reached(description: Description, *, mean: float, quantile: float) -> tuple[
     Returns (all reached, texts of those missed).  Quantiles that censoring leaves unanswered are exempt.
     """
     missed = []
-    asked = [("mean", description.mean, mean)]
+    # a mean that does not exist is no accuracy that evaluations could reach
+    exists = description.mean.value is not None or not str(description.mean.reason).startswith(NO_MOMENT)
+    asked = [("mean", description.mean, mean)] if exists else []
+    scale = "the standard deviation" if description.sd.value is not None else "half the 16-84 % range"
     asked += [
         (f"quantile {p:g}", estimate, quantile)
         for p, estimate in description.quantiles.items()
@@ -418,5 +424,5 @@ def reached(description: Description, *, mean: float, quantile: float) -> tuple[
             missed.append(f"{name}: {estimate.reason}")
         elif estimate.half_width > max(wanted * description.scale, 1e-13 * abs(estimate.value)):
             found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
-            missed.append(f"{name}: half-width {found:.2g} of the standard deviation, asked {wanted:g}")
+            missed.append(f"{name}: half-width {found:.2g} of {scale}, asked {wanted:g}")
     return not missed, missed

@@ -1,0 +1,140 @@
+"""Answers that rest on moments which do not exist: withheld, with the reason, where a law of an input has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
+from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, widened_share, without_moments
+
+__all__ = ["describe_heavy", "settle_heavy", "share_heavy"]
+
+#: samples that must differ from the most frequent value for the variance to be shared out
+FEWEST_VARIED = 20
+#: base points that carry the variance of a design, below which its replicates do not show what they lack
+FEW_CARRIERS = 100.0
+#: an index whose half-width is above this is withheld
+WORTHLESS = 0.5
+#: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
+#: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
+NONE_SEEN = 3.0
+
+
+def _outputs(work: Work, sample: Sample, k: int) -> Array:
+    """Answers (n,) of a quantity, nan where there is none."""
+    flat: Array = np.where(sample.failed, np.nan, sample.values[:, :, k]).ravel()
+    return flat
+
+
+def _tail(work: Work, points: Draw, sample: Sample, k: int) -> HeavyTail | None:
+    d = len(work.scene_names)
+    laws = {name: work.study.random[name] for name in work.scene_names}
+    return heavy_tail(laws, points.physical[:, :, :d].reshape(-1, d), _outputs(work, sample, k))
+
+
+def describe_heavy(
+    work: Work, points: Draw, sample: Sample, descriptions: dict[str, Description]
+) -> dict[str, Description]:
+    """The same without moments that do not exist."""
+    return {
+        name: without_moments(found, _tail(work, points, sample, k), _outputs(work, sample, k))
+        for (k, name), found in zip(enumerate(work.quantities), descriptions.values(), strict=True)
+    }
+
+
+def share_heavy(
+    work: Work, sampled: Sampled, found: dict[str, Sensitivity], pairs: Pairs | None
+) -> dict[str, Sensitivity]:
+    """Indices without those of a variance that does not exist, does not converge, or rests on a handful of samples.
+
+    Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
+    of the design carry it and no expansion helps, they hold what so few may have missed.
+    """
+    answers = {}
+    for k, quantity in enumerate(work.quantities):
+        indices, sd = found[quantity], sampled.descriptions[quantity].sd
+        reason = _why_none(_outputs(work, sampled.sample, k), sd)
+        tail = _tail(work, sampled.points, sampled.sample, k)
+        if reason:
+            indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations))  # type: ignore[misc]
+            # no number of evaluations gives what is not there, so that none is missed
+            missed = [] if sd.reason is not None and sd.reason.startswith(NO_MOMENT) else [f"indices: {reason}"]
+            indices = replace(indices, text=reason, missed=missed, sampled={}, expanded={}, agree=None)
+        elif tail is not None and tail.order <= 4.0:
+            indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
+        elif pairs is not None and not indices.expanded and (count := _carriers(pairs, k)) < FEW_CARRIERS:
+            indices = _each(indices, lambda e, half=NONE_SEEN / count: _no_narrower(e, half))  # type: ignore[misc]
+        answers[quantity] = indices
+    return answers
+
+
+def settle_heavy(work: Work, sampled: Sampled, found: dict[str, Sensitivity]) -> tuple[Sampled, dict[str, Sensitivity]]:
+    """Answers of a design that is not enlarged for what does not exist: without such moments and their shares."""
+    descriptions = describe_heavy(work, sampled.points, sampled.sample, sampled.descriptions)
+    gone = tuple(f"{q}: mean: " for q, d in descriptions.items() if (d.mean.reason or "").startswith(NO_MOMENT))
+    missed = [text for text in sampled.missed if not (gone and text.startswith(gone))]
+    settled = replace(sampled, descriptions=descriptions, missed=missed)
+    return settled, share_heavy(work, settled, found, None)
+
+
+def _why_none(outputs: Array, sd: Estimate) -> str:
+    """Why the variance of outputs (n,) cannot be shared out, or an empty text."""
+    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, "does not converge")):
+        return f"the variance {sd.reason}"
+    kept = outputs[np.isfinite(outputs)]
+    varied = int((kept != np.median(kept)).sum()) if kept.size else 0
+    if kept.size > 10 * FEWEST_VARIED and varied < FEWEST_VARIED:
+        times = "none" if varied == 0 else f"{varied}"
+        return f"{times} of the {kept.size:,} samples differ from {np.median(kept):.6g}: too few for shares"
+    return ""
+
+
+def _carriers(pairs: Pairs, k: int) -> float:
+    """How many base points of a design carry the variance of quantity k, by Kish's count."""
+    outputs = pairs.values[:, :, 0, k][~pairs.failed]
+    away = np.abs(outputs - outputs.mean())
+    largest = float(away.max(initial=0.0))
+    if largest == 0.0:
+        return 1.0
+    squares = (away / largest) ** 2
+    return float(squares.sum() ** 2 / (squares**2).sum())
+
+
+def _no_narrower(estimate: Estimate, half: float) -> Estimate:
+    if estimate.value is None or estimate.half_width >= half:
+        return estimate
+    if half > WORTHLESS:
+        reason = "not known: too few samples carry the variance"
+        return absent(reason, estimate.method, estimate.evaluations)
+    value = min(max(estimate.value, 0.0), 1.0)
+    return replace(estimate, value=value, low=value - half, high=value + half, std_error=0.5 * half)
+
+
+def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate]) -> Sensitivity:
+    """Every index changed."""
+
+    def row(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
+        return {name: estimate if estimate.value is None else change(estimate) for name, estimate in estimates.items()}
+
+    return replace(
+        indices,
+        first=row(indices.first),
+        total=row(indices.total),
+        second=row(indices.second),
+        group_first=row(indices.group_first),
+        group_total=row(indices.group_total),
+        shapley=row(indices.shapley),
+        kucherenko={order: row(estimates) for order, estimates in indices.kucherenko.items()},
+    )
+
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from uqsphere.runner.sampling import Sampled
+    from uqsphere.runner.sensitivity import Pairs, Sensitivity
+    from uqsphere.runner.work import Draw, Sample, Work
+    from uqsphere.uq.families import Array
