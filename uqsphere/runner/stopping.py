@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["cost_text", "evaluations_needed", "out_of_reach"]
+__all__ = ["cost_text", "evaluations_needed", "out_of_reach", "rounded"]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -44,7 +44,7 @@ def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: 
     needed = evaluations_needed(course, asked)
     if needed <= CAUTION * affordable:
         return ""
-    return f"given up: it would take about {_round(needed):,} evaluations, and {int(affordable):,} are affordable"
+    return f"given up: it would take about {rounded(needed):,} evaluations, and {int(affordable):,} are affordable"
 
 
 def cost_text(course: Sequence[tuple[int, float]]) -> str:
@@ -55,10 +55,11 @@ def cost_text(course: Sequence[tuple[int, float]]) -> str:
     """
     if not course or not math.isfinite(course[-1][1]) or course[-1][1] <= 1.0:
         return ""
-    return f" (about {_round(evaluations_needed(course, 1.0)):,} evaluations would reach it)"
+    return f" (about {rounded(evaluations_needed(course, 1.0)):,} evaluations would reach it)"
 
 
-def _round(value: float) -> int:
+def rounded(value: float) -> int:
+    """A number of evaluations to two digits; beyond any budget where it is not finite."""
     if not math.isfinite(value):
         return 10**12
     digits = max(0, math.floor(math.log10(max(value, 1.0))) - 1)
