@@ -12,6 +12,7 @@ from statistics import NormalDist
 from typing import Final
 
 from uqsphere.study import Study
+from uqsphere.uq.distribution import Law
 
 __all__ = ["FIRST_SAMPLE", "Part", "base_rows", "forecast"]
 
@@ -21,14 +22,16 @@ FIRST_SAMPLE: Final = 2_048
 ROUGH: Final = ("contact_time", "pulse_width", "rise_time", "loading_rate")
 #: Student's t of sixteen replicates
 _T: Final = 2.13
-#: evaluations that quasi-random points save where a quantity is smooth, by the number of inputs up to three, and beyond
-_GAIN: Final = (16.0, 6.0)
+#: factor that quasi-random points save of quantiles: of the impact model, and of a black box, of which nothing is known
+_GAIN: Final = (6.0, 3.0)
+#: probability that a limit of fixed strength is taken to have, where it has no target above it
+_CHANCE: Final = 0.05
 #: share of the budget that sampling may take, and from where on an accuracy beyond it is given up
 _SHARE, _JUDGED, _CAUTION = 0.7, 8_192, 1.5
 #: evaluations of the first look at the impact model, those timed of a black box
 _PILOT, _TIMED = 768, 32
-#: evaluations for a base point of the indices: first stage of sixteen replicates; for outputs that jump
-_FIRST_BASE, _ROUGH_BASE = 1_024, 80_000
+#: base points of the indices: of the first stage in all replicates; for outputs that jump, likely and most
+_FIRST_BASE, _ROUGH_BASE, _ROUGHEST = 1_024, 16_000, 80_000
 #: cheaper models that a control variate evaluates for each full one, at the most
 _CONTROL: Final = 32
 #: curves: the look and the first rows, those of each value asked for, the share of the budget they may take
@@ -74,11 +77,14 @@ def _points(study: Study) -> tuple[float, float]:
         density = normal.pdf(normal.inv_cdf(p))
         plain = max(plain, p * (1.0 - p) / density**2)
     plain *= (_T / max(analysis.accuracy.quantile, 1e-50)) ** 2
-    rough = any(name in ROUGH for name in analysis.quantities)
-    gain = _GAIN[0] if len(study.random) <= 3 and not rough else _GAIN[1]
+    gain = _GAIN[1] if study.black_box else _GAIN[0]
     # the mean of smooth outputs is known long before its quantiles, the root of the points ahead
     mean = (_T / max(analysis.accuracy.mean, 1e-50)) ** (4.0 / 3.0)
-    return max(plain / gain, mean), plain
+    counted = 0.0
+    if any(not isinstance(limit.strength, Law) for limit in study.limits):
+        # a row tells only on which side of a fixed strength it lies
+        counted = (_T / max(analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
+    return max(plain / gain, mean, counted), max(plain, counted)
 
 
 def _stage(points: float, room: float) -> int:
@@ -109,11 +115,12 @@ def _sensitivity(study: Study) -> tuple[float, float]:
     if not {"auto", "sobol"} & set(analysis.methods):
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
-    most = max(_FIRST_BASE, _ROUGH_BASE * finer**2)
+    most = max(_FIRST_BASE, _ROUGHEST * finer**2)
     if any(name in ROUGH for name in analysis.quantities):
-        return blocks * most, blocks * most
+        return blocks * max(float(_FIRST_BASE), _ROUGH_BASE * finer**2), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)
-    base = (_FIRST_BASE if helped else 4 * _FIRST_BASE) * finer**1.2
+    # the first stage has been enough for half a per cent
+    base = _FIRST_BASE * max(1.0, 0.5 * finer) ** 1.2 if helped else 4 * _FIRST_BASE * finer**1.2
     return blocks * max(float(_FIRST_BASE), base), blocks * most
 
 
