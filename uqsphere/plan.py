@@ -65,11 +65,21 @@ def plan_run(study: Study) -> dict[str, Any]:
     return plan
 
 
+def _three(number: int) -> int:
+    """A forecast to three digits, which is more than it is good for.
+
+    >>> _three(234_772)
+    235000
+    """
+    return int(float(f"{number:.3g}"))
+
+
 def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     """The plan for the terminal."""
-    lines = [f"evaluations: likely about {plan['evaluations']:,}, at most {plan['most']:,}"]
+    lines = [f"evaluations: about {_three(plan['evaluations']):,}, at most {_three(plan['most']):,}"]
     told = [
-        f"{part['part']} {part['likely']:,}" + (f" to {part['most']:,}" if part["most"] > part["likely"] else "")
+        f"{part['part']} {_three(part['likely']):,}"
+        + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
         for part in plan["parts"]
     ]
     if len(told) > 1:
