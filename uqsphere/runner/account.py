@@ -76,7 +76,10 @@ def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -
         return "The quantities are smoother than was assumed, and their errors fell faster."
     if name == "rare events":
         if more:
-            return "A probability was too small for plain sampling, and its failures were searched for."
+            searched = any(row["method"] in ("importance sampling", "subset simulation") for row in found.history)
+            if searched:
+                return "A probability was too small for plain sampling, and its failures were searched for."
+            return "The search for the design points took more than the least that it can."
         return "Sampling had the probabilities well enough already."
     if name == "surrogate":
         if not surrogate:
