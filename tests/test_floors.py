@@ -23,6 +23,7 @@ FLOORS = {
     "uqsphere.records": 3,
     "uqsphere.black_box": 3,
     "uqsphere.study": 4,
+    "uqsphere.forecast": 4.5,  # between the study and what is said of its cost
     "uqsphere.model": 5,
     "uqsphere.store": 5,
     "uqsphere.console": 5,

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
+from uqsphere.forecast import forecast
 from uqsphere.model import scene_of
 from uqsphere.study import Study
 from uqsphere.ways import FITS, OVERHEAD, choose_way
@@ -43,13 +44,13 @@ def plan_run(study: Study) -> dict[str, Any]:
     """
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     way = choose_way(study)
-    planned = way.runs if way.surrogate else way.sampling
-    evaluations = min(planned, way.affordable)
-    if planned > 1 and not way.surrogate:
-        evaluations = round(evaluations, -3)
+    parts = forecast(study, way.affordable, way.surrogate)
+    evaluations = min(sum(part.likely for part in parts), way.affordable)
     cost = study.analysis.cost
     known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
+    plan["most"] = min(sum(part.most for part in parts), way.affordable)
+    plan["parts"] = [{"part": part.name, "likely": part.likely, "most": part.most} for part in parts]
     plan["way"] = ("surrogate" if way.surrogate else "sampling") if known else None
     plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
     if study.black_box:
@@ -64,9 +65,25 @@ def plan_run(study: Study) -> dict[str, Any]:
     return plan
 
 
+def _three(number: int) -> int:
+    """A forecast to three digits, which is more than it is good for.
+
+    >>> _three(234_772)
+    235000
+    """
+    return int(float(f"{number:.3g}"))
+
+
 def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     """The plan for the terminal."""
-    lines = [f"evaluations: about {plan['evaluations']:,}, at most {study.analysis.budget.evaluations:,}"]
+    lines = [f"evaluations: about {_three(plan['evaluations']):,}, at most {_three(plan['most']):,}"]
+    told = [
+        f"{part['part']} {_three(part['likely']):,}"
+        + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
+        for part in plan["parts"]
+    ]
+    if len(told) > 1:
+        lines.append(f"of which: {'; '.join(told)}")
     if plan["seconds"] is None:
         lines.append("time: depends on the model that is given with --model")
     elif study.black_box:

@@ -148,6 +148,11 @@ def accuracy_table(contents: Contents) -> Table:
             width / value if width is not None and value else None,
             asked["probability"],
         )
+    for name, margin in contents.results["margins"].items():
+        band = margin.get("band")
+        if band:
+            question = f"band of the curve of {limit_name(name)}, over the smaller side of its probability"
+            add(question, band["half_width"], band["asked"])
     return Table(
         caption="Half-widths of the 95 % intervals, asked and reached",
         rows=tuple(rows),
@@ -290,15 +295,23 @@ def plan_table(contents: Contents) -> Table | None:
     rows = [
         ("way", f"{plan['way']}: {plan['why']}{helped}"),
         ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
-                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate"),
+                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate, whatever the budget"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
+    rows += [_part_row(part) for part in plan.get("parts") or ()]
     cost = costs.get("cost_seconds_per_evaluation")
     if cost:
         crossover = costs["crossover_seconds_per_evaluation"]
         text = f"{number_text(f'{cost:.2g}')} s; a surrogate takes less time above {number_text(f'{crossover:.2g}')} s"
         rows.append(("cost of an evaluation", text))
     return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
+
+
+def _part_row(part: Mapping[str, Any]) -> tuple[str, str]:
+    """A part of the run: planned and taken, and why they differ."""
+    likely, most = thousands(part["likely"]), thousands(part["most"])
+    text = f"planned {likely}, at most {most}; took {thousands(part['taken'])}"
+    return str(part["part"]), f"{text}. {powers(str(part['why']))}" if part["why"] else text
 
 
 def methods_table(contents: Contents) -> Table:

@@ -11,6 +11,7 @@ from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, number_text, symbol
+from uqsphere.runner.band import ASKED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,18 +37,21 @@ class Series:
     @property
     def label(self) -> str:
         """Which question it is."""
-        name = limit_name(self.quantity[7:], 20) if self.quantity.startswith("limits.") else symbol(self.quantity, 20)
+        head, _, rest = self.quantity.partition(".")
+        name = limit_name(rest, 20) if head in ("limits", "margins") and rest else symbol(self.quantity, 20)
         return f"{name} {_short(self.kind)}"
 
 
 def _short(kind: str) -> str:
-    for word in ("mean", "quantile", "probability", "index"):
+    for word in ("band", "mean", "quantile", "probability", "index"):
         if word in kind:
             return word
     return "unexplained" if "variance" in kind else kind
 
 
 def _asked(kind: str, accuracy: Mapping[str, float]) -> float:
+    if _short(kind) == "band":
+        return ASKED
     word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
     return float(accuracy[word])
 

@@ -229,7 +229,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.fracture import find_fracture
     from uqsphere.runner.heavy_tails import share_heavy
     from uqsphere.runner.index_control import IndexControl
-    from uqsphere.runner.margins import find_margins
+    from uqsphere.runner.margins import band_history, find_margins
     from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.pilot import first_look
     from uqsphere.runner.price import price
@@ -244,29 +244,31 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
     ledger.evaluations.update(pilot.evaluations)
     priced = price(work)
-    ledger.seconds["pilot"] = ledger.elapsed
+    ledger.close("pilot")
     whole, dear = work, None
     if priced.way.surrogate:
         work = priced.bounded(work)
         dear = answer_dear(work, priced)
-        ledger.seconds["surrogate"] = ledger.elapsed
+        ledger.close("surrogate")
         if dear.sampled is not None:
             return _write(whole, store, priced, dear, findings_of_dear(work, pilot, dear))
     proposed = propose(pilot)
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
-    ledger.seconds["sampling"] = ledger.elapsed
+    ledger.close("sampling")
     sampled = refine_limits(work, sampled)
-    ledger.seconds["rare events"] = ledger.elapsed
+    ledger.close("rare events")
     if notice is not None:
         for name, limit in sampled.limits.items():
             if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
                 interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high, most=5)
                 notice(f"limit {name}: probability of missing its aim {interval}")
     tolerance = find_tolerance(work)
+    ledger.close("tolerance intervals")
     margins = judge_answers(work, find_margins(work, sampled))
-    ledger.seconds["margins"] = ledger.elapsed
+    ledger.close("margins")
+    band_rows, band_seconds = band_history(margins)
     fracture = find_fracture(work, sampled, margins)
-    ledger.seconds["fracture"] = ledger.elapsed
+    ledger.close("fracture")
     sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
         work, sampled, IndexControl(plan=proposed.plan)
     )
@@ -274,9 +276,9 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
     sensitivity = share_heavy(work, sampled, sensitivity, pairs)
-    ledger.seconds["sensitivity"] = ledger.elapsed
+    ledger.close("sensitivity")
     drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
-    ledger.seconds["drivers"] = ledger.elapsed
+    ledger.close("drivers")
     found = Findings(
         pilot=pilot,
         sampled=sampled,
@@ -286,8 +288,8 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
         margins=margins,
         fracture=fracture,
         tolerance=tolerance,
-        history=(dear.history if dear else []) + sampled.history + history,
-        seconds=(dear.seconds if dear else []) + sampled.seconds + seconds,
+        history=(dear.history if dear else []) + sampled.history + band_rows + history,
+        seconds=(dear.seconds if dear else []) + sampled.seconds + band_seconds + seconds,
         stops={"sampling": sampled.stopped, "sensitivity": stopped},
         paper=compare_with_paper(work.study),
     )
@@ -298,6 +300,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
 
 def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    from uqsphere.runner.account import account
     from uqsphere.runner.courses import save_courses
     from uqsphere.runner.datafiles import keep_data
     from uqsphere.runner.results import build_manifest, build_results, write_results
@@ -309,6 +312,7 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
         "why": way.why if dear is None else dear.why,
         "sampling_evaluations": way.sampling,
         "surrogate_evaluations": way.runs,
+        "parts": account(work, dear is not None and dear.surrogate, way.affordable, found),
     }
     found = replace(found, plan=plan)
     store.settle()
@@ -334,12 +338,14 @@ def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
 
     assert dear.sampled is not None
     sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity)
+    tolerance = find_tolerance(work)
+    work.ledger.close("tolerance intervals")
     return Findings(
         pilot=pilot,
         sampled=sampled,
         sensitivity=sensitivity,
         margins=dear.margins,
-        tolerance=find_tolerance(work),
+        tolerance=tolerance,
         history=dear.history,
         seconds=dear.seconds,
         stops={"sampling": dear.stopped, "sensitivity": dear.stopped},

@@ -9,12 +9,13 @@ curve (`uqsphere.runner.stepwise` goes along it value by value).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.band import Band, Stage, stage_of
 from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths, known
 from uqsphere.runner.moved import evaluate_at, limit_state, probabilities, strength_solved
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
@@ -47,12 +48,6 @@ WIDER: Final = 3
 TRIED: Final = 40
 #: half-width of the band over the smaller side of the probability
 ACCURACY: Final = 0.02
-#: half-width that is said to be wider than wanted
-WORTH_A_WORD: Final = 0.06
-_WIDE: Final = (
-    f"the band of the curve is wider than {100.0 * ACCURACY:g} % of the smaller side of its probability: the tenth of "
-    "the budget of evaluations that curves may take, or the time, was used up"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,10 +83,14 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """What there is of the curves: the look, if one was made, the rows, and a remark; `reason`: why there are none."""
+    """What there is of the curves: the look, if one was made, the rows, and the course of every limit's band.
+
+    `note` is a remark, `reason` why there are no curves.
+    """
 
     look: Look | None = None
     rows: CurveRows | None = None
+    bands: dict[str, Band] = field(default_factory=dict)
     note: str = ""
     reason: str = ""
 
@@ -139,7 +138,8 @@ def find_rows(
         if wider == ends or work.ledger.total + count * each > work.study.analysis.budget.evaluations:
             break
         ends = wider
-    return Found(look=look, rows=rows, note=_grow(rows, kept, least, before + most, accuracy))
+    bands, note = _grow(rows, kept, least, before + most, accuracy)
+    return Found(look=look, rows=rows, bands=bands, note=note)
 
 
 def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, accuracy: float) -> Found:
@@ -158,7 +158,8 @@ def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: st
     look = Look(work=work, points=points, samples={low: sample, high: sample})
     grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
     rows = CurveRows(work=work, tag=tag, grid=grid, still=True, rows={grid[0]: (points, sample)}, used=STILL_POINTS)
-    return Found(look=look, rows=rows, note=_grow(rows, limits, least, most, accuracy))
+    bands, note = _grow(rows, limits, least, most, accuracy)
+    return Found(look=look, rows=rows, bands=bands, note=note)
 
 
 def _spaced(low: float, high: float, count: int) -> list[float]:
@@ -229,21 +230,39 @@ def law_curves(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
     return found
 
 
-def _grow(rows: CurveRows, limits: Sequence[Limit], least: float, most: int, accuracy: float) -> str:
-    """As many rows as the accuracy takes, doubled where it is missed, and a remark where they were not to be had."""
-    work = rows.work
+def _grow(
+    rows: CurveRows, limits: Sequence[Limit], least: float, most: int, accuracy: float
+) -> tuple[dict[str, Band], str]:
+    """As many rows as the accuracy takes, doubled where it is missed: the course of the bands, and a remark."""
+    work, ended, note = rows.work, "", ""
     highest = MOST_STILL if rows.still else MOST_POINTS
-    while (worst := max(half_width(rows.curve(limit), 2.0 * least) for limit in limits)) > accuracy:
+    courses: dict[str, list[Stage]] = {limit.name: [] for limit in limits}
+    begun = work.ledger.total - REPLICATES * rows.samples
+    while True:
+        counts = REPLICATES * np.array([rows.at(value)[1].status.shape[1] for value in rows.grid])
+        for limit in limits:
+            seen = stage_of(rows.curve(limit), counts, 2.0 * least, REPLICATES * rows.samples, work.ledger.elapsed)
+            # one value's rows serve all where the scalar is a strength
+            courses[limit.name].append(replace(seen, wide=seen.there) if rows.still else seen)
+        if max(half_width(rows.curve(limit), 2.0 * least) for limit in limits) <= accuracy:
+            break
         wanted = [value for value in _missing(rows, limits, least, accuracy) if rows.counts[value] < highest]
+        ended = "budget" if wanted else "most"
         if not wanted or work.ledger.total + REPLICATES * sum(rows.counts[value] for value in wanted) > most:
-            return _WIDE if worst > WORTH_A_WORD else ""
+            break
         try:
             rows.double(wanted)
         except OutOfBudget:
-            return _WIDE
+            ended = "time"
+            break
         if not all(rows.knows(limit.quantity) for limit in limits):
-            return "some rows have no answer"
-    return ""
+            note = "some rows have no answer"
+            break
+    share = (most - begun) / work.study.analysis.budget.evaluations if ended == "budget" else 0.0
+    return {
+        name: Band(course=tuple(course), ended=ended, most=REPLICATES * highest, share=share)
+        for name, course in courses.items()
+    }, note
 
 
 def _missing(rows: CurveRows, limits: Sequence[Limit], least: float, accuracy: float) -> list[float]:

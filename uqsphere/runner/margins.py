@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.band import Band
 from uqsphere.runner.curve_rows import CurveRows, Rows
 from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
@@ -23,7 +24,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "asked_probabilities", "find_margins", "limit_values"]
+__all__ = ["MarginAnswer", "asked_probabilities", "band_history", "find_margins", "limit_values"]
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +41,7 @@ class MarginAnswer:
 
     `lognormal` is the lognormal curve beside it, or why there is none; `family` holds the curves at other values of
     another number, as tables for results.json, and `about` what the margin is made of (`design_margins`); `against` is
-    the curve over the specific energy, where that is asked for.
+    the curve over the specific energy, where that is asked for; `band` is how well the curve is known.
     """
 
     solve: str
@@ -51,6 +52,7 @@ class MarginAnswer:
     family: list[dict[str, Any]] = field(default_factory=list)
     about: dict[str, Any] = field(default_factory=dict)
     against: EnergyCurve | None = None
+    band: Band | None = None
 
 
 def accepted(limit: Limit) -> float | None:
@@ -83,6 +85,7 @@ class _Found:
     rows: CurveRows | None
     values: dict[float, Estimate]
     note: str = ""
+    band: Band | None = None
 
     def answer(self, targets: Sequence[float]) -> Fragility:
         return fragility(self.grid, self.table, targets, samples=self.samples, evaluations=self.evaluations)
@@ -108,7 +111,7 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
         order = np.argsort(grid)
         one = _Found(
             grid=grid[order], table=table[order], samples=rows.samples, evaluations=work.ledger.total - before,
-            rows=rows, values={}, note=seen.note,
+            rows=rows, values={}, note=seen.note, band=seen.bands.get(limit.name),
         )  # fmt: skip
         asked = asked_probabilities(work, limit)
         # at each value some rows of its own, as long as there are evaluations at all, more within the share
@@ -185,6 +188,7 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
             answers[limit.name] = _unknown(work, limit, one)
             continue
         missed = [one.note] if one.note else []
+        missed += [one.band.missed()] if one.band is not None and one.band.missed() else []
         missed += [f"{p:g}: {e.reason}" for p, e in one.values.items() if e.value is None and e.reason]
         where = Where(
             limit=limit, probability=_decisive(work, limit), values=one.values, grid=one.grid, table=one.table,
@@ -199,8 +203,16 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
             family=[_member(work, member[limit.name], limit, value) for value, member in members.items()],
             about=describe_margin(work, sampled, where),
             against=_against(work, limit, one.rows),
+            band=one.band,
         )
     return answers
+
+
+def band_history(margins: Mapping[str, MarginAnswer]) -> tuple[list[dict[str, Any]], list[float]]:
+    """Rows of the speed-error table that the bands of the curves give, and their seconds."""
+    known = {name: found.band for name, found in margins.items() if found.band is not None}
+    rows = [row for name, band in known.items() for row in band.rows(name)]
+    return rows, [stage.seconds for band in known.values() for stage in band.course]
 
 
 def _against(work: Work, limit: Limit, rows: CurveRows | None) -> EnergyCurve | None:

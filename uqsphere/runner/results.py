@@ -179,6 +179,7 @@ def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities
             "lognormal": lognormal_table(found.lognormal),
             **({"family": {"path": family.path, "members": found.family}} if family is not None else {}),
             **against_table(found.against),
+            **({} if found.band is None else {"band": found.band.table()}),
             **found.about,
         }
         for name, found in margins.items()

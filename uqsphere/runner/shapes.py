@@ -317,6 +317,8 @@ _RESULTS: Final = table(
                 {"solve": text, **_CURVE},
                 {"against": table({"quantity": text, **_CURVE}, {"reason": text}),
                  "validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
+                 "band": table({"half_width": number, "asked": number, "evaluations": count},
+                               {"needed": maybe(number)}),
                  "bars": table({}, {"yields_at": named(share, names=_is_share)})},
             ),
             200,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["MOST_NAMED", "NO_NUMBER", "cost_text", "evaluations_needed", "out_of_reach"]
+__all__ = ["MOST_NAMED", "NO_NUMBER", "cost_text", "evaluations_needed", "out_of_reach", "rounded"]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -49,7 +49,7 @@ def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: 
         return ""
     if needed > MOST_NAMED:
         return f"given up: {NO_NUMBER}"
-    return f"given up: it would take about {_round(needed):,} evaluations, and {int(affordable):,} are affordable"
+    return f"given up: it would take about {rounded(needed):,} evaluations, and {int(affordable):,} are affordable"
 
 
 def cost_text(course: Sequence[tuple[int, float]]) -> str:
@@ -63,10 +63,11 @@ def cost_text(course: Sequence[tuple[int, float]]) -> str:
     needed = evaluations_needed(course, 1.0)
     if needed > MOST_NAMED:
         return f" ({NO_NUMBER})"
-    return f" (about {_round(needed):,} evaluations would reach it)"
+    return f" (about {rounded(needed):,} evaluations would reach it)"
 
 
-def _round(value: float) -> int:
+def rounded(value: float) -> int:
+    """A number of evaluations to two digits; beyond any budget where it is not finite."""
     if not math.isfinite(value):
         return 10**12
     digits = max(0, math.floor(math.log10(max(value, 1.0))) - 1)

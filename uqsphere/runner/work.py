@@ -65,7 +65,7 @@ class Ledger:
     """What a run has spent so far, and what it has to report of it.
 
     `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`;
-    `note` is what the first failure said.
+    `note` is what the first failure said; `parts` has the evaluations of each part of the run, by fidelity.
     """
 
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -74,6 +74,7 @@ class Ledger:
     undecided: int = 0
     fallback: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    parts: dict[str, dict[str, int]] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
     stopped_by_time: bool = False
     interrupted: bool = False
@@ -88,6 +89,13 @@ class Ledger:
     def elapsed(self) -> float:
         """Seconds since the run began."""
         return time.monotonic() - self.started
+
+    def close(self, part: str) -> None:
+        """Note that a part of the run is over: the seconds until now, and the evaluations since the part before."""
+        self.seconds[part] = self.elapsed
+        closed = self.parts.values()
+        spent = {name: n - sum(one.get(name, 0) for one in closed) for name, n in self.evaluations.items()}
+        self.parts[part] = {name: n for name, n in spent.items() if n}
 
 
 @dataclass(frozen=True, kw_only=True)

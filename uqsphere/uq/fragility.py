@@ -36,7 +36,8 @@ def interpolate_rows(nodes: Sequence[float], demands: Array, at: Array) -> Array
     places, wanted = np.asarray(nodes, dtype=float), np.asarray(at, dtype=float)
     if places.size < 2 or np.any(np.diff(places) <= 0.0):
         raise ValueError("at least two increasing nodes are due")
-    if wanted.size and (wanted.min() < places[0] * (1 - 1e-12) or wanted.max() > places[-1] * (1 + 1e-12)):
+    slack = 1e-12 * np.abs(places)
+    if wanted.size and (wanted.min() < places[0] - slack[0] or wanted.max() > places[-1] + slack[-1]):
         raise ValueError("interpolation is asked for beyond the nodes")
     if places[0] > 0.0:
         places, wanted = np.log(places), np.log(wanted)

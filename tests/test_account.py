@@ -1,0 +1,157 @@
+"""What a run is forecast to take, what its account says of it, and what a band that is too wide would take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import uqsphere
+from uqsphere.forecast import forecast
+from uqsphere.plan import plan_run, plan_text
+from uqsphere.runner.band import ASKED, KIND, Band, Stage, stage_of
+from uqsphere.study import Study, load_study
+
+STUDIES = Path(__file__).parents[1] / "studies"
+SMALL = """
+title = "a sum"
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = { dist = "normal", mean = 5.0, sd = 1.0 }
+aim = "survive"
+target = 0.01
+[analysis]
+cost = "1 us"
+accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.5 }
+quantiles = [0.05, 0.5, 0.95]
+budget = { evaluations = 9000, time = "10 h" }
+[margins]
+solve = "a"
+between = ["-6", "8"]
+for_probability = [0.5]
+"""
+
+
+def course(*stages: tuple[int, float, int], **more: object) -> Band:
+    """Stages (evaluations, half-width, rows at the worst value), all values wider than asked."""
+    told = tuple(Stage(evaluations=n, half_width=w, there=there, wide=n) for n, w, there in stages)
+    return Band(course=told, most=100_000, **more)  # type: ignore[arg-type]
+
+
+# --- bands ------------------------------------------------------------------------------------------------
+
+
+def test_a_band_that_is_narrow_enough_is_not_missed() -> None:
+    assert course((1000, ASKED, 100)).missed() == ""
+    assert course((1000, ASKED, 100)).needed() == 1000.0
+
+
+def test_a_band_that_falls_with_the_root_needs_the_square_of_its_excess() -> None:
+    band = course((1000, 0.48, 64), (4000, 0.24, 256), ended="budget", share=0.05)
+    assert band.needed() == pytest.approx(4000 * 16.0)
+    text = band.missed()
+    assert "half-width 0.24 of the smaller side of its probability, asked 0.06" in text
+    assert "about 64,000 evaluations of the curve would reach it" in text
+    assert "a budget of about 1,300,000" in text
+
+
+def test_rows_go_to_the_values_that_need_them_alone() -> None:
+    band = Band(course=(Stage(evaluations=4000, half_width=0.12, there=64, wide=500),), most=100_000)
+    # half-width by the root: four times the 500 rows, the others as they are
+    assert band.needed() == pytest.approx(4000 + 3 * 500)
+
+
+def test_a_band_that_does_not_fall_is_promised_nothing() -> None:
+    band = course((1000, 0.30, 64), (4000, 0.29, 512), ended="budget", share=0.05)
+    assert band.needed() is None
+    assert "is not known" in band.missed()
+    assert "would reach it" not in band.missed().replace("how many would reach it is not known", "")
+    assert band.table()["needed"] is None
+
+
+def test_a_band_that_more_rows_at_a_value_are_not_taken_for_says_so() -> None:
+    band = Band(course=(Stage(evaluations=4000, half_width=0.6, there=1024, wide=4000),), most=1024, ended="most")
+    assert "no value is given more than 1,024" in band.missed()
+
+
+def test_the_time_is_named_where_it_ended_the_rows() -> None:
+    assert "the time was over" in course((4000, 0.24, 256), ended="time").missed()
+
+
+def test_a_stage_looks_at_probabilities_of_interest_alone() -> None:
+    spread = np.where(np.arange(16) % 2, 1.0, -1.0)
+    curve = np.array([0.001 + 0.0009 * spread, 0.5 + 0.1 * spread, 0.5 + 0.01 * spread])
+    found = stage_of(curve, np.array([10, 20, 30]), 0.01, 60)
+    # t(15) s/sqrt(16)/p, s = 0.1 sqrt(16/15)
+    assert found.half_width == pytest.approx(2.1314 * 0.1 * np.sqrt(16 / 15) / 4.0 / 0.5, rel=1e-3)
+    assert (found.there, found.wide) == (20, 20)
+
+
+# --- forecasts --------------------------------------------------------------------------------------------
+
+
+#: evaluations of the points and of the indices that the published runs took
+TAKEN = {"granite": (65_536, None), "limestone_ball_slow": (32_768, 18_432), "crusher_margin": (32_768, 5_120),
+         "as_printed": (None, 10_240), "glass_bead_small_bar": (2_048, 5_120), "ishigami": (65_536, 5_120)}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_likely_numbers_are_within_a_factor_of_two_of_the_shipped_studies(name: str) -> None:
+    found = {part.name: part for part in forecast(load_study(STUDIES / f"{name}.toml"))}
+    for part, taken in zip(("sampling", "sensitivity"), TAKEN[name], strict=True):
+        if taken is not None:
+            assert taken / 2.0 <= found[part].likely <= 2.0 * taken, part
+            assert found[part].most >= taken
+
+
+def test_a_finer_quantile_takes_more_and_the_most_is_no_less_than_likely(study_from: Callable[..., Study]) -> None:
+    sizes = []
+    for asked in (0.1, 0.03, 0.01):
+        parts = forecast(study_from(f"analysis.accuracy.quantile={asked}", text=SMALL))
+        assert all(part.most >= part.likely for part in parts)
+        sizes.append(next(part.likely for part in parts if part.name == "sampling"))
+    assert sizes[0] < sizes[1] < sizes[2]
+
+
+def test_the_plan_is_the_sum_of_its_parts(study_from: Callable[..., Study]) -> None:
+    study = study_from(text=SMALL)
+    plan = plan_run(study)
+    assert plan["evaluations"] == sum(part["likely"] for part in plan["parts"]) <= plan["most"] <= 9000
+    text = plan_text(study, plan)
+    found = re.search(r"evaluations: about ([0-9,]+), at most ([0-9,]+)", text)
+    assert found is not None
+    for told, number in zip(found.groups(), (plan["evaluations"], plan["most"]), strict=True):
+        assert int(told.replace(",", "")) == pytest.approx(number, rel=6e-3)
+    assert "margins" in text
+
+
+# --- the account ------------------------------------------------------------------------------------------
+
+
+def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from(text=SMALL)
+    found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["a"] + x["b"]})
+    results = found.results
+    parts = {row["part"]: row for row in results["plan"]["parts"]}
+    assert sum(row["taken"] for row in parts.values()) == sum(results["model"]["evaluations"].values())
+    assert parts["sampling"]["taken"] == results["quantities"]["y"]["mean"]["evaluations"]
+    for row in parts.values():
+        far = max(row["likely"], row["taken"], 1) > 2.0 * max(min(row["likely"], row["taken"]), 1)
+        assert bool(row["why"]) == far, row
+    bands = [row for row in results["speed_error"] if row["quantity"] == "margins.high"]
+    assert bands
+    assert {row["error_kind"] for row in bands} == {KIND}
+    band = results["margins"]["high"]["band"]
+    assert band["half_width"] == bands[-1]["error"]
+    missed = [text for text in results["accuracy"]["missed"] if "band of the curve" in text]
+    assert bool(missed) == (band["half_width"] > ASKED)
+    assert len(found.manifest["speed_error_seconds"]) == len(results["speed_error"])
