@@ -322,8 +322,10 @@ def test_the_cost_of_the_impact_model_is_not_asked(study_from: Callable[..., Stu
 def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study]) -> None:
     dear = plan_run(study_from(text=DEAR))
     assert dear["way"] == "surrogate"
-    assert dear["evaluations"] == 256
-    assert dear["seconds"] == pytest.approx(2570.0)
+    # three smooth inputs: the first fit is likely enough, which a run of this study takes too
+    assert dear["evaluations"] == 64
+    assert dear["most"] >= 256
+    assert dear["seconds"] == pytest.approx(10.0 * dear["evaluations"] + 10.0, abs=20.0)
     study = study_from(text=DEAR.replace('cost = "10 s"\n', ""))
     unknown = plan_run(study)
     assert unknown["way"] is None
