@@ -95,8 +95,9 @@ def chaos_indices(
     what the unexplained share could move:
     with f = g + h, h orthogonal to g, an index is (1 - e) S_g + e S_h with S_h in [0, 1].  The spread of a
     few fits is uncertain itself: it is not taken for less than h, as noise on N points, leaves to the
-    coefficients, 2 sqrt(S (1 - S) e/N).  A single fit has no spread, and takes Cauchy and Schwarz:
-    |sqrt(S) - sqrt(S_g)| <= sqrt(e).
+    coefficients, 2 sqrt(S (1 - S) e/N).  N are the points of all fits, or of one where a germ is unbounded:
+    its tails lie beyond the points of each, and what they lack the fits have in common.  A single fit has no
+    spread, and takes Cauchy and Schwarz: |sqrt(S) - sqrt(S_g)| <= sqrt(e).
     """
     count = sum(fit.samples for fit in fits) if evaluations is None else evaluations
     dimension = len(fits[0].germs)
@@ -111,7 +112,9 @@ def chaos_indices(
         return {"first": nothing, "total": list(nothing)}
     if error is None:
         unexplained = min(_WITHIN * unexplained, 1.0)
-    points = sum(fit.samples for fit in fits)
+    # tails that the points of one fit leave out, those of the others leave out too: only what is bounded they share
+    bounded = all(germ == "uniform" for germ in fits[0].germs)
+    points = sum(fit.samples for fit in fits) if bounded else fits[0].samples
     # Every fit is sampled by a design of its own, so that the spread holds the error of the sampling too.
     shares = np.array([_shares(fit, replicate) for replicate, fit in enumerate(fits)])  # (R, 2, d)
     sampled = 0.0
