@@ -230,7 +230,13 @@ def test_the_model_answers_them_for_every_fidelity() -> None:
             assert frame[name].to_numpy() == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)
 
 
-def test_list_criteria(capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_criteria(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["list", "criteria"]) == 0
+    narrow = capsys.readouterr().out.splitlines()
+    assert max(map(len, narrow)) <= 80
+    assert [name for name in CRITERIA if any(line.split()[0] == name for line in narrow)] == list(CRITERIA)
+    monkeypatch.setenv("COLUMNS", "400")
     assert main(["list", "criteria", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert [entry["criterion"] for entry in content] == list(CRITERIA)

@@ -361,7 +361,7 @@ def test_inputs_and_outputs_that_do_not_vary_are_flagged(tmp_path: Path) -> None
     assert found["sensitivity"]["y"]["chaos"]["first"]["a"]["whole"]["value"] == pytest.approx(1.0)
     assert found["sensitivity"]["z"]["chaos"]["reason"] == "the output does not vary"
     assert found["outputs"]["z"]["sd"]["value"] == 0.0
-    assert "the input does not vary" in analysis_text(found)
+    assert "the input does not vary" in analysis_text(found, 160)
 
 
 def test_wide_laws_do_not_ask_the_expansion_where_no_run_lies(tmp_path: Path) -> None:

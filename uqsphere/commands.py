@@ -259,7 +259,7 @@ def _criteria() -> tuple[list[dict[str, Any]], str]:
                         "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
         takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
         rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
-    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width())
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width(), named=True)
 
 
 def command_list(chosen: argparse.Namespace) -> int:

@@ -106,18 +106,21 @@ def _lines(text: str, width: int) -> list[str]:
     return lines
 
 
-def _shrunk(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int) -> list[int]:
+def _shrunk(
+    header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int, named: bool
+) -> list[int]:
     """Widths of columns that fit side by side: headers give way first, then words, then numbers; the widest first."""
     every = range(len(widths))
-    names = [k for k in every if not any(_NUMBER.match(row[k]) for row in rows)]
+    names = [k for k in every if not any(_NUMBER.match(row[k]) for row in rows) and not (named and k == 0)]
     words = [max(map(len, header[k].split()), default=0) for k in every]
     content = [max([words[k], *(len(row[k]) for row in rows)]) for k in every]
     for columns, least in (
         (every, content),
         (names, [min(c, _NAME) for c in content]),
+        (names, [min(c, _LEAST) for c in content] if named else content),
         # a number is not parted, unless nothing else is left
         (
-            every,
+            every[1:] if named else every,
             [
                 min(c, max([_LEAST, *(len(w) for row in rows for w in row[k].split() if _NUMBER.match(w))]))
                 for k, c in enumerate(content)
@@ -133,8 +136,12 @@ def _shrunk(header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[i
     return widths
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str] | str], width: int | None = None) -> str:
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str] | str], width: int | None = None, *, named: bool = False
+) -> str:
     """Left-aligned columns; where they are wider than `width` together, the longest cells go on in the next line.
+
+    `named`: the first column holds names to be typed, which are parted last of all.
 
     A row that is a text is a heading of those below it, which move in.
 
@@ -154,7 +161,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str] | str], width: int
     inner = [len(margin), *([0] * (len(titles) - 1))]
     widths = [max([len(title), *(len(row[k]) + inner[k] for row in cells)]) for k, title in enumerate(titles)]
     if width is not None:
-        widths = _shrunk(titles, [[margin + row[0], *row[1:]] for row in cells], widths, width)
+        widths = _shrunk(titles, [[margin + row[0], *row[1:]] for row in cells], widths, width, named)
     lines = _set(titles, widths, "")
     for row in rows:
         if isinstance(row, str):

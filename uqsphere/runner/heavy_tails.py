@@ -31,6 +31,8 @@ def _outputs(work: Work, sample: Sample, k: int) -> Array:
 
 def _tail(work: Work, points: Draw, sample: Sample, k: int) -> HeavyTail | None:
     d = len(work.scene_names)
+    if d == 0:
+        return None
     laws = {name: work.study.random[name] for name in work.scene_names}
     return heavy_tail(laws, points.physical[:, :, :d].reshape(-1, d), _outputs(work, sample, k))
 
