@@ -10,6 +10,7 @@ import pytest
 from uqsphere.bench import given as bench_given
 from uqsphere.bench.given import given_rows, model_of
 from uqsphere.bench.given_models import closed_effects, shares_of
+from uqsphere.given import analyse_data
 from uqsphere.report.canvas import render, style
 
 
@@ -58,3 +59,15 @@ def test_the_part_of_the_benchmark_says_what_was_counted(monkeypatch: pytest.Mon
         (picture,) = bench_given.figures(content)
         assert picture.name == "given_coverage"
         assert "Shapley effect" in render(picture)
+
+
+def test_an_expansion_over_a_kernel_density_is_refused() -> None:
+    """Of 11 tables whose laws were kernel densities the sd of the expansion held in 5."""
+    data = bench_given._runs(model_of("two humps, kernel density"), 200, 3)
+    found = analyse_data(data)
+    assert "kde" in {entry["chosen"] for entry in found["inputs"].values()}
+    chaos = found["sensitivity"]["y"]["chaos"]
+    assert not chaos["usable"]
+    assert "kernel density" in chaos["reason"]
+    assert found["outputs"]["y"]["expansion"] is None
+    assert found["outputs"]["y"]["sd"]["value"] is not None

@@ -15,14 +15,7 @@ from uqsphere.errors import UsageError
 from uqsphere.given.table import Data
 from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.given import (
-    germs_of,
-    given_answers,
-    law_scores,
-    least_runs,
-    odd_pairs,
-    trusted_from,
-)
+from uqsphere.uq.given import germs_of, given_answers, law_scores, least_runs, odd_pairs, trusted_from
 from uqsphere.uq.inputs import Inputs
 from uqsphere.uq.laws import Law, LawError
 
@@ -372,8 +365,10 @@ def _expansion(
     rows = generator.permutation(len(y))[:_MOST_FITTED]
     if np.ptp(y) <= 1e-14 * np.abs(y).max(initial=0.0):
         return refused("the output does not vary")
-    if len(rows) < least_runs(len(laws.columns)):
-        needed = least_runs(len(laws.columns))
+    # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
+    if laws.others and any(law.kind == "empirical" for law in laws.inputs.laws):
+        return refused("no family fits an input: what its kernel density leaves open is not known well enough")
+    if len(rows) < (needed := least_runs(len(laws.columns))):
         return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
     scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
     try:
