@@ -20,6 +20,7 @@ from uqsphere.console import Progress
 from uqsphere.errors import ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
+from uqsphere.report.headings import measure_heading
 from uqsphere.runner.design import lost_designs
 from uqsphere.runner.stopping import NO_NUMBER, cost_text, out_of_reach
 from uqsphere.study import Study, load_study
@@ -151,11 +152,13 @@ def test_an_input_that_does_nothing_is_not_worth_measuring() -> None:
     entry = {"of": "probability", "wanted": 0.1, "rows": [_row("d", 0.02, 0.01), _row("a", -0.01, 0.01)]}
     assert first_to_measure(entry) is None
     assert "No input is worth measuring" in measure_finding(entry)
+    assert measure_heading("“high”", entry) == "What to measure first for “high”"
     entry["rows"] = [_row("d", 0.05, 0.03), _row("a", 0.04, 0.001)]
     found = first_to_measure(entry)
     assert found is not None
     assert found["input"] == "a"
     assert measure_finding(entry).startswith("Measure a first")
+    assert measure_heading("“high”", entry).endswith(": a")
 
 
 # --- models that raise, end, or never come back ---------------------------------------------------------

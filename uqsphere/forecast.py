@@ -159,14 +159,16 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
 
     def add(name: str, likely: float, most: float) -> None:
         nonlocal left
-        part = Part(name=name, likely=round(min(likely, max(left, 0.0))), most=round(min(most, end, 1e18)))
-        left -= part.likely
-        if part.most:
-            found.append(replace_least(part))
+        affordable = round(min(likely, max(left, 0.0)))
+        most = round(min(most, end, 1e18))
+        left -= affordable
+        if most:
+            found.append(Part(name=name, likely=affordable, most=max(most, affordable)))
 
-    auto = study.black_box and "auto" in analysis.methods
-    add("pilot", _TIMED if auto and analysis.cost is None else 0 if study.black_box else _PILOT,
-        _TIMED if auto and analysis.cost is None else 0 if study.black_box else 2 * _PILOT)  # fmt: skip
+    if not study.black_box:
+        add("pilot", _PILOT, 2 * _PILOT)
+    elif "auto" in analysis.methods and analysis.cost is None:
+        add("pilot", _TIMED, _TIMED)
     if surrogate:
         runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
         wide = study.margins is not None and not study.margins.solve.startswith("limits.")
@@ -189,8 +191,3 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
         if study.random:
             add("sensitivity", *_sensitivity(study))
     return tuple(found)
-
-
-def replace_least(part: Part) -> Part:
-    """A part whose most is no less than what is likely."""
-    return part if part.most >= part.likely else Part(name=part.name, likely=part.likely, most=part.likely)

@@ -7,6 +7,7 @@ from typing import Any
 
 from uqsphere.report import event
 from uqsphere.report.contents import Contents
+from uqsphere.report.drivers import first_to_measure
 from uqsphere.report.figures import ranked
 from uqsphere.report.granted import turns
 from uqsphere.report.wording import (
@@ -134,10 +135,10 @@ def swings_heading(contents: Contents, name: str, furthest: str) -> str:
     return _told(f"{symbol(name)}: how far each input moves it", furthest and f"{short_input(furthest)} furthest")
 
 
-def measure_heading(contents: Contents, words: str, entry: Mapping[str, Any] | None) -> str:
-    """Which input to measure first."""
-    rows = (entry or {}).get("rows") or []
-    return _told(f"What to measure first for {words}", input_name(rows[0]["input"]) if rows else "")
+def measure_heading(words: str, entry: Mapping[str, Any] | None) -> str:
+    """Which input to measure first, where one can be told from those that do nothing."""
+    first = first_to_measure(entry)
+    return _told(f"What to measure first for {words}", input_name(first["input"]) if first else "")
 
 
 def granted_heading(contents: Contents) -> str:

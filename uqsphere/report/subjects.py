@@ -119,7 +119,7 @@ def measure_block(contents: Contents, kind: str, name: str) -> Block:
     words = limit_name(name) if limit else symbol(name)
     caption = f"What better known laws are worth, {words}" if limit else f"What the variance of {words} would lose"
     table = drivers.measure_table(first, caption)
-    heading = measure_heading(contents, words, first)
+    heading = measure_heading(words, first)
     if table is None or first is None:
         return Block(heading=heading)
     method = str(first["method"])

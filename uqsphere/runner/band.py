@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -47,7 +47,7 @@ class Band:
     ended: str = ""
     most: int = 0
     share: float = 0.0
-    asked: float = field(default=ASKED)
+    asked: float = ASKED
 
     @property
     def half_width(self) -> float:
