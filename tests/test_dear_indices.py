@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from uqsphere.uq.augmented_indices import (
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.chaos import Chaos, chaos_indices, fit_again, fit_chaos, germ_points
 from uqsphere.uq.chaos.sampled import law_shares
+from uqsphere.uq.chaos.truncation import Combination, products
 from uqsphere.uq.estimates import Flags
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
@@ -112,6 +114,27 @@ def test_shares_of_a_fit_with_a_kink_do_not_run_away() -> None:
     found = chaos_indices([chaos])
     told = np.array([[e.value for e in found[order]] for order in ("first", "total")]).T
     assert np.abs(told - truth).max() < 0.03
+
+
+def test_designs_average_to_a_small_share_on_both_sides_of_zero() -> None:
+    model, points, outputs = runs("kinked", 128, seed=2000)
+    chaos = fit_chaos(points, outputs, model.germs)
+    last = np.array([law_shares(chaos, [[3]], k)[0, 0] for k in range(24)])
+    assert last.min() < 0.0 < last.max()  # 0.00035, with a noise of 0.0006
+    error = float(last.std(ddof=1)) / math.sqrt(last.size)
+    assert abs(float(last.mean()) - model.first[3]) < 4.0 * error
+
+
+def test_a_sum_of_products_by_halves_is_the_sum() -> None:
+    random = np.random.default_rng(7)
+    for indices in ([[0, 0, 0], [1, 0, 2], [0, 3, 1], [2, 2, 0], [1, 0, 2]], [[0, 0], [0, 2]], [[0, 0]], [[0], [3]]):
+        rows = np.array(indices, dtype=np.int64)
+        tables = [random.normal(size=(4, 11)) for _ in range(rows.shape[1])]
+        for table in tables:
+            table[0] = 1.0
+        weights = random.normal(size=len(rows))
+        found = Combination(weights, rows).values(tables)
+        np.testing.assert_allclose(found, weights @ products(tables, rows), rtol=1e-12, atol=1e-14)
 
 
 def test_a_companion_that_is_near_sharpens_the_shares() -> None:

@@ -36,13 +36,13 @@ __all__ = [
 ]
 
 #: designs on which an expansion that was transformed or split is sampled, their mean is the answer
-DESIGNS: Final = 4
+DESIGNS: Final = 8
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
 #: of few points confounds more with what the surrogate lacks.  More than 1.96 since the errors have long tails
 FIRST: Final = 2.4
 TOTAL: Final = 2.9
 #: how much more than Student's t the few designs count by which an expansion is sampled: their errors have long tails
-_TAILS: Final = 1.4
+_TAILS: Final = 1.15
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
 _MOST_MOVED: Final = 50.0

@@ -75,7 +75,8 @@ def index_of(chaos: Chaos, group: Sequence[int]) -> float:
     # Inclusion and exclusion over the closed indices of all subsets.
     subsets = [subset for size in range(1, len(members) + 1) for subset in combinations(members, size)]
     closed: list[float] = law_shares(chaos, subsets, 0)[:, 0].tolist()
-    return sum((-1.0) ** (len(members) - len(subset)) * c for subset, c in zip(subsets, closed, strict=True))
+    found = sum((-1.0) ** (len(members) - len(subset)) * c for subset, c in zip(subsets, closed, strict=True))
+    return min(max(found, 0.0), 1.0)
 
 
 def indices_of_order(chaos: Chaos, order: int) -> dict[tuple[int, ...], float]:
@@ -128,17 +129,16 @@ def chaos_indices(
 
 
 def _index(shares: Array, unexplained: float, sampled: float, evaluations: int, points: int) -> Estimate:
+    value = min(max(float(np.mean(shares)), 0.0), 1.0)
     if shares.size == 1:
-        root, reach = math.sqrt(float(shares[0])), math.sqrt(unexplained)
-        value = float(shares[0])
+        root, reach = math.sqrt(value), math.sqrt(unexplained)
         low = min(max(0.0, root - reach) ** 2, value - sampled)
         high = max((root + reach) ** 2, value + sampled)
         factor = 1.96
     else:
         spread = from_replicates(shares, METHOD, evaluations)
-        value = float(np.mean(shares))
         factor = student(shares.size)
-        noise = 2.0 * math.sqrt(max(value * (1.0 - value), 0.0) * unexplained / points)
+        noise = 2.0 * math.sqrt(value * (1.0 - value) * unexplained / points)
         half = max(spread.half_width, factor * noise)
         # On both sides, since the noise of superfluous coefficients adds to shares that are zero; and twice,
         # since the unexplained share is itself an estimate.

@@ -15,7 +15,7 @@ import numpy as np
 
 from uqsphere.uq.chaos.bases import GermLike, germ_points, orthonormal_values
 from uqsphere.uq.chaos.surrogate import Chaos, predict
-from uqsphere.uq.chaos.truncation import nested, products
+from uqsphere.uq.chaos.truncation import Combination, nested, products
 from uqsphere.uq.estimates import Flags
 from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
@@ -66,19 +66,21 @@ class Companion:
         self.active: Flags = np.zeros((len(self._indices), len(chaos.germs)), dtype=bool)
         self.active[:, list(self._inputs)] = self._indices > 0
         rows = self.rows(points[:_FITTED])
-        self.coefficients = np.linalg.solve(rows @ rows.T, rows @ values[:_FITTED])
+        self.coefficients: Array = np.linalg.solve(rows @ rows.T, rows @ values[:_FITTED])
+        self._sum = Combination(self.coefficients, self._indices)
+
+    def _tables(self, points: Array) -> list[Array]:
+        highest = int(self._indices.max(initial=0))
+        return [orthonormal_values(self._germs[j], points[:, j], highest) for j in self._inputs]
 
     def rows(self, points: Array) -> Array:
         """Products (P, n) of the terms at points (n, d)."""
-        highest = int(self._indices.max(initial=0))
-        return products(
-            [orthonormal_values(self._germs[j], points[:, j], highest) for j in self._inputs], self._indices
-        )
+        return products(self._tables(points), self._indices)
 
     def values(self, points: Array) -> Array:
         """Values (n,) at points (n, d)."""
         blocks = [points[k : k + _BLOCK] for k in range(0, len(points), _BLOCK)]
-        return np.concatenate([self.coefficients @ self.rows(block) for block in blocks])
+        return np.concatenate([self._sum.values(self._tables(block)) for block in blocks])
 
     def shares(self, group: Sequence[int]) -> tuple[float, float]:
         """Variance that needs no input but those of the group, and variance that needs one of them."""
@@ -108,7 +110,8 @@ def law_shares(chaos: Chaos, groups: Sequence[Sequence[int]], replicate: int) ->
     """Closed and total index of every group of inputs, (groups, 2), sampled on one design of the law.
 
     Closed ones by products of small differences, so that the noise of a small index is small (Owen 2013); total ones
-    by squares of differences (Jansen 1999).
+    by squares of differences (Jansen 1999).  Noise takes an index of nothing below 0: clipped, designs would not
+    average to it.
     """
     one, other = law_points(chaos.germs, replicate)
     f, g = predict(chaos, one), predict(chaos, other)
@@ -138,4 +141,4 @@ def law_shares(chaos: Chaos, groups: Sequence[Sequence[int]], replicate: int) ->
         within, touching = companion.shares(group)
         closed = _controlled((g - middle) * (h - f), of_closed, within)
         found.append((closed, _controlled(0.5 * (f - h) ** 2, of_total, touching)))
-    return np.asarray(np.clip(np.array(found).reshape(-1, 2) / variance, 0.0, 1.0))
+    return np.asarray(np.array(found).reshape(-1, 2) / variance)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.uq.families import Array
 
-__all__ = ["Indices", "grown", "hyperbolic_indices", "nested", "products", "skipping"]
+__all__ = ["Combination", "Indices", "grown", "hyperbolic_indices", "nested", "products", "skipping"]
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 
@@ -70,6 +70,36 @@ def products(values: Sequence[Array], multi_indices: Indices) -> Array:
         if active.size:
             matrix[active] *= table[multi_indices[active, column]]
     return matrix
+
+
+class Combination:
+    """A sum of products with `coefficients` (P,) and degrees `multi_indices` (P, d), evaluated with few products.
+
+    The inputs are parted in two halves, of which each has far fewer products than both have together: those of one
+    half, times a matrix of the coefficients, times those of the other.
+    """
+
+    def __init__(self, coefficients: Array, multi_indices: Indices) -> None:
+        inputs = np.flatnonzero(multi_indices.any(axis=0))
+        halves = (inputs[: inputs.size // 2], inputs[inputs.size // 2 :])
+        (one, i), (other, j) = (_distinct(multi_indices[:, half]) for half in halves)
+        self._parts = ((halves[0], one), (halves[1], other))
+        self._matrix = np.zeros((len(one), len(other)))
+        np.add.at(self._matrix, (i, j), coefficients)
+
+    def values(self, tables: Sequence[Array]) -> Array:
+        """Values (n,) from those of the polynomials of each of the d inputs, (degree + 1, n)."""
+        one, other = (
+            products([tables[j] for j in half], rows) if half.size else np.ones((1, tables[0].shape[1]))
+            for half, rows in self._parts
+        )
+        return np.asarray(np.einsum("pn,pn->n", one, self._matrix @ other))
+
+
+def _distinct(rows: Indices) -> tuple[Indices, npt.NDArray[np.intp]]:
+    """The distinct rows, and which of them each is."""
+    found, which = np.unique(rows, axis=0, return_inverse=True)
+    return found, which.reshape(len(rows))
 
 
 def _lower_set(chosen: set[tuple[int, ...]]) -> set[tuple[int, ...]]:
