@@ -66,7 +66,7 @@ class Companion:
         self.active: Flags = np.zeros((len(self._indices), len(chaos.germs)), dtype=bool)
         self.active[:, list(self._inputs)] = self._indices > 0
         rows = self.rows(points[:_FITTED])
-        self.coefficients: Array = np.linalg.solve(rows @ rows.T, rows @ values[:_FITTED])
+        self.coefficients = np.asarray(np.linalg.solve(rows @ rows.T, rows @ values[:_FITTED]), dtype=float)
         self._sum = Combination(self.coefficients, self._indices)
 
     def _tables(self, points: Array) -> list[Array]:
