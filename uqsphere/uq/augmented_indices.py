@@ -4,7 +4,8 @@ With S the surrogate and h what it lacks, an index of the model is (1 - e) I_S +
 noise of the coefficients.  Runs left out one by one say how far that noise moves each index (`left_out_moves`), which
 is far more where the output is large and scatters most than noise of one size on all runs would make of it.  They
 know nothing of the choice of terms.  How far the indices moved since the fit of half the runs does, once it is taken
-down to the error of today's.  An input without terms has no noise, and counts the unexplained share in full.
+down to the error of today's: what all moved, as a factor, and what each moved itself.  An input without terms has no
+noise, and counts the unexplained share in full.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ __all__ = [
     "TOTAL",
     "Terms",
     "active_shares",
+    "earlier",
     "left_out_moves",
+    "moves_since",
     "replicates_of",
     "share_estimate",
     "standard_errors",
@@ -39,8 +42,8 @@ __all__ = [
 DESIGNS: Final = 8
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
 #: of few points confounds more with what the surrogate lacks.  More than 1.96 since the errors have long tails
-FIRST: Final = 2.4
-TOTAL: Final = 2.9
+FIRST: Final = 2.0
+TOTAL: Final = 2.2
 #: how much more than Student's t the few designs count by which an expansion is sampled: their errors have long tails
 _TAILS: Final = 1.15
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
@@ -155,28 +158,47 @@ def _shares(chaos: Chaos, replicate: int) -> Array:
     return found
 
 
-def _choice(trusted: Trusted, shares: Array, spread: Array, seed: int) -> float:
-    """How much more the choice of terms adds to squares of standard errors (2, d) of the coefficients: a factor >= 1.
+def earlier(trusted: Trusted) -> Chaos | None:
+    """The fit of fewer runs that today's indices are compared with, if there is one that varies."""
+    before = trusted.before
+    return None if before is None or before.constant or trusted.seen_by_none is None else before
 
-    From what first and total indices (2, d) moved since the fit of fewer runs, taken down to the error of now, over
-    all inputs.  Without a fit before, by the K-fold error, which holds the choice, over that of runs left out.
+
+def moves_since(trusted: Trusted, seed: int, shares: Array | None = None) -> Array | None:
+    """How far first and total indices (2, d) moved since the fit of fewer runs; None without one.
+
+    Both on the first design of the seed, whose noise they have in common; `shares` are today's there, if known.
+    """
+    before, replicate = earlier(trusted), replicates_of(seed)[0]
+    if before is None:
+        return None
+    return _shares(before, replicate) - (_shares(trusted.chaos, replicate) if shares is None else shares)
+
+
+def _choice(trusted: Trusted, since: Array | None, spread: Array) -> tuple[float, float]:
+    """What the choice of terms adds to squares of standard errors (2, d) of the coefficients.
+
+    A factor >= 1 for all of them, and the part of the square of its own move that each takes besides.  The factor
+    comes from what all indices moved, `since` (2, d), taken down to the error of now; without a fit before, from the
+    K-fold error, which holds the choice, over that of runs left out.
     """
     squares = float(np.sum(spread**2))
-    if not (squares > 0.0 and trusted.scatter > 0.0):
-        return 1.0
-    folded, before = trusted.chaos.cross_validation_error, trusted.before
-    if before is None or before.constant or trusted.seen_by_none is None:
+    if not trusted.scatter > 0.0:
+        return 1.0, 0.0
+    folded, unseen = trusted.chaos.cross_validation_error, trusted.seen_by_none
+    if since is None or unseen is None:
         left_out = trusted.error * float(np.mean((trusted.residuals / trusted.scatter) ** 2))
-        return min(max(folded / left_out, 1.0), _MOST_MOVED) if left_out > 0.0 else 1.0
-    apart = float(np.sum((_shares(before, replicates_of(seed)[0]) - shares) ** 2))
-    ratio = min(folded / trusted.seen_by_none, 1.0) if trusted.seen_by_none > 0.0 else 1.0
-    return 1.0 + _MOVED * min(ratio * apart / squares, _MOST_MOVED)
+        return min(max(folded / left_out, 1.0), _MOST_MOVED) if left_out > 0.0 else 1.0, 0.0
+    ratio = min(folded / unseen, 1.0) if unseen > 0.0 else 1.0
+    factor = min(ratio * float(np.sum(since**2)) / squares, _MOST_MOVED) if squares > 0.0 else 0.0
+    return 1.0 + _MOVED * factor, ratio
 
 
-def standard_errors(trusted: Trusted, asked: Sequence[Terms], seed: int, shares: Array | None = None) -> Array | None:
+def standard_errors(trusted: Trusted, asked: Sequence[Terms], since: Array | None, moved: Array | None) -> Array | None:
     """Standard errors (m,) of indices by the terms that each asks for; None where runs are too few to leave one out.
 
-    `shares` are first and total indices (2, d) of all inputs, sampled where they are not given.
+    `since` (2, d) and `moved` (m,) are how far the indices of single inputs, and those asked for, moved since the
+    fit of fewer runs.
     """
     d, n = len(trusted.chaos.germs), len(trusted.residuals)
     both = [*_singles(d), *asked]
@@ -184,8 +206,8 @@ def standard_errors(trusted: Trusted, asked: Sequence[Terms], seed: int, shares:
     if moves is None:
         return None
     spread = np.sqrt((n - 1) / n * ((moves - moves.mean(axis=0)) ** 2).sum(axis=0))
-    shares = _shares(trusted.chaos, replicates_of(seed)[0]) if shares is None else shares
-    return np.asarray(spread[2 * d :] * math.sqrt(_choice(trusted, shares, spread[: 2 * d].reshape(2, d), seed)))
+    factor, ratio = _choice(trusted, since, spread[: 2 * d].reshape(2, d))
+    return np.asarray(np.sqrt(factor * spread[2 * d :] ** 2 + ratio * (0.0 if moved is None else moved**2)))
 
 
 def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float | None, factor: float) -> Estimate:
@@ -218,7 +240,8 @@ def trusted_indices(trusted: Trusted, seed: int = 0) -> dict[str, list[Estimate]
         return {order: [nothing] * d for order in ("first", "total")}
     numbers = replicates_of(seed)[:1] if chaos.plain else replicates_of(seed)
     shares = np.array([_shares(chaos, replicate) for replicate in numbers])
-    spread = standard_errors(trusted, _singles(d), seed, shares.mean(axis=0))
+    since = moves_since(trusted, seed, shares[0])
+    spread = standard_errors(trusted, _singles(d), since, None if since is None else since.ravel())
     total = shares[:, 1].mean(axis=0)
     return {
         order: [

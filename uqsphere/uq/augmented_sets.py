@@ -12,10 +12,13 @@ from uqsphere.uq.augmented_indices import (
     TOTAL,
     Terms,
     active_shares,
+    earlier,
+    moves_since,
     replicates_of,
     share_estimate,
     standard_errors,
 )
+from uqsphere.uq.chaos import Chaos
 from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
@@ -32,10 +35,18 @@ def pair_indices(trusted: Trusted, pairs: Sequence[tuple[int, int]], seed: int =
     if trusted.chaos.constant:
         return [_nothing(trusted)] * len(pairs)
     single = sorted({i for pair in pairs for i in pair})
-    closed = _closed(trusted, [*([i] for i in single), *(list(pair) for pair in pairs)], seed)[:, :, 0]
+    subsets = [*([i] for i in single), *(list(pair) for pair in pairs)]
+    now, then = _closed(trusted, subsets, seed)
+    shares = _interactions(now[:, :, 0], single, pairs)
+    before = None if then is None else _interactions(then[:, :, 0], single, pairs)
+    return _estimates(trusted, shares, before, shares, [_exactly(pair) for pair in pairs], TOTAL, seed)
+
+
+def _interactions(closed: Array, single: Sequence[int], pairs: Sequence[tuple[int, int]]) -> Array:
+    """What every pair has beyond its two inputs, (designs, pairs), from closed shares of inputs and pairs."""
     alone = dict(zip(single, closed[:, : len(single)].T, strict=True))
     rows = [row - alone[i] - alone[j] for row, (i, j) in zip(closed[:, len(single) :].T, pairs, strict=True)]
-    return _estimates(trusted, rows, rows, [_exactly(pair) for pair in pairs], TOTAL, seed)
+    return np.array(rows).reshape(len(pairs), len(closed)).T
 
 
 def group_indices(
@@ -44,12 +55,20 @@ def group_indices(
     """Closed and total index of every group of inputs."""
     if trusted.chaos.constant:
         return [_nothing(trusted)] * len(groups), [_nothing(trusted)] * len(groups)
-    shares = _closed(trusted, groups, seed)
-    closed, total = ([shares[:, g, k] for g in range(len(groups))] for k in range(2))
-    return (
-        _estimates(trusted, closed, total, [_within(group) for group in groups], FIRST, seed),
-        _estimates(trusted, total, total, [_touching(group) for group in groups], TOTAL, seed),
-    )
+    shares, before = _closed(trusted, groups, seed)
+    found = [
+        _estimates(
+            trusted,
+            shares[:, :, k],
+            None if before is None else before[:, :, k],
+            shares[:, :, 1],
+            [kind(group) for group in groups],
+            factor,
+            seed,
+        )
+        for k, (kind, factor) in enumerate(((_within, FIRST), (_touching, TOTAL)))
+    ]
+    return found[0], found[1]
 
 
 def _exactly(group: Sequence[int]) -> Terms:
@@ -69,22 +88,35 @@ def _nothing(trusted: Trusted) -> Estimate:
     return absent(reason, METHOD, len(trusted.residuals))
 
 
-def _closed(trusted: Trusted, subsets: Sequence[Sequence[int]], seed: int) -> Array:
-    """Closed and total share of every subset, (designs, subsets, 2): one design where the coefficients tell."""
-    chaos = trusted.chaos
+def _closed(trusted: Trusted, subsets: Sequence[Sequence[int]], seed: int) -> tuple[Array, Array | None]:
+    """Closed and total share of every subset, (designs, subsets, 2); of the fit before on the first design."""
+    before, replicates = earlier(trusted), replicates_of(seed)
+    shares = _shares(trusted.chaos, subsets, replicates)
+    return shares, None if before is None else _shares(before, subsets, replicates[:1])
+
+
+def _shares(chaos: Chaos, subsets: Sequence[Sequence[int]], replicates: Sequence[int]) -> Array:
+    """As many designs as asked for, one where the coefficients tell."""
     if not chaos.plain:
-        return np.array([law_shares(chaos, subsets, replicate) for replicate in replicates_of(seed)])
+        return np.array([law_shares(chaos, subsets, replicate) for replicate in replicates])
     found = [active_shares(chaos, [kind(subset) for subset in subsets]) for kind in (_within, _touching)]
     return np.stack(found, axis=1)[None]
 
 
 def _estimates(
-    trusted: Trusted, shares: Sequence[Array], total: Sequence[Array], terms: Sequence[Terms], factor: float, seed: int
+    trusted: Trusted,
+    shares: Array,
+    before: Array | None,
+    total: Array,
+    terms: Sequence[Terms],
+    factor: float,
+    seed: int,
 ) -> list[Estimate]:
-    spreads = standard_errors(trusted, terms, seed)
+    moved = None if before is None else before[0] - shares[0]
+    spreads = standard_errors(trusted, terms, moves_since(trusted, seed), moved)
     return [
         share_estimate(
-            trusted, shares[k], float(np.mean(total[k])), None if spreads is None else float(spreads[k]), factor
+            trusted, shares[:, k], float(np.mean(total[:, k])), None if spreads is None else float(spreads[k]), factor
         )
-        for k in range(len(shares))
+        for k in range(len(terms))
     ]
