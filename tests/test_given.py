@@ -13,12 +13,11 @@ from scipy import stats
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data
-from uqsphere.given.ties import left_open, ties_of, with_ties
+from uqsphere.given.ties import ties_of
 from uqsphere.uq.alone import sd_alone
 from uqsphere.uq.copulas import dependent_scores, make_copula
 from uqsphere.uq.distribution import mean as law_mean
 from uqsphere.uq.distribution import sd as law_sd
-from uqsphere.uq.inputs import make_inputs
 from uqsphere.uq.laws import make_law, pdf
 from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws, quantile_interval, rank_correlations, tied
 from uqsphere.uq.ranks import rank_indices
@@ -250,23 +249,6 @@ def test_a_copula_is_told_by_the_likelihood_of_the_ranks() -> None:
         assert sum(tie.weights.values()) == pytest.approx(1.0)
     # of three in a chain there is the Gaussian copula alone
     assert {tie.copula for tie in ties_of(np.column_stack([z, z[:, 0]]), {(0, 1): 0.7, (0, 2): 0.9})} == {"gaussian"}
-
-
-def test_laws_of_inputs_that_depend_on_each_other_are_left_open_together() -> None:
-    """The means of two columns with correlation 0.9 are off by the same sign."""
-    rng = np.random.default_rng(7)
-    x = rng.multivariate_normal([0.0, 0.0], [[1.0, 0.9], [0.9, 1.0]], 100)
-    laws = [make_law("normal", {"mean": float(v.mean()), "sd": float(v.std())}) for v in x.T]
-    others = [plausible_laws([f for f in fit_marginal(v) if f.law.kind == "normal"], 400, rng) for v in x.T]
-    ties = ties_of(x, {(0, 1): 0.89})
-    inputs = with_ties(("a", "b"), laws, ties, ("a", "b"))
-    found = left_open(inputs, others, ties, ("a", "b"), x, 100, rng)
-    middle = found.tables[:, :, found.tables.shape[2] // 2]
-    assert np.corrcoef(middle.T)[0, 1] > 0.75
-    free = left_open(make_inputs(("a", "b"), laws, []), others, (), ("a", "b"), x, 100, rng)
-    assert abs(np.corrcoef(free.tables[:, :, 160].T)[0, 1]) < 0.4
-    strengths = [one.correlation[0, 1] for one in found.inputs]
-    assert np.std(np.arctanh(strengths)) == pytest.approx(np.sqrt(1.06 / 97), rel=0.4)
 
 
 def test_a_kernel_density_has_the_variance_of_its_runs() -> None:

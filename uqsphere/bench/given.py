@@ -110,8 +110,12 @@ def _runs(model: GivenModel, n: int, seed: int) -> Data:
 
 
 def _repeat(model: GivenModel, n: int, known: bool, seed: int) -> tuple[list[Hit], bool, bool]:
-    """What one table of runs answers, whether the expansion was used, and whether a disagreement was told."""
-    found = analyse_data(_runs(model, n, seed), known=model.inputs if known else None)
+    """What one table of runs answers, whether the expansion was used, and whether a disagreement was told.
+
+    The analysis draws anew for every table: with one seed its designs would be off by the same amount in all of them,
+    and a cell would count that one draw many times.
+    """
+    found = analyse_data(_runs(model, n, seed), known=model.inputs if known else None, seed=seed)
     hits = []
     for kind, what, entry, truth in _answers(model, found):
         if entry["value"] is None:

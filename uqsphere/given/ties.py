@@ -15,7 +15,7 @@ from uqsphere.uq.given import LAWS, LeftOpen, score_table
 from uqsphere.uq.inputs import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
 from uqsphere.uq.laws import Law, LawError
 
-__all__ = ["CHOICES", "TiedPair", "left_open", "ties_of", "with_ties"]
+__all__ = ["CHOICES", "TiedPair", "left_open", "rank_influence", "ties_of", "with_ties"]
 
 Array = npt.NDArray[np.float64]
 
@@ -25,8 +25,8 @@ CHOICES: Final = ("gaussian", "clayton", "gumbel", "frank")
 _BETTER: Final = 2.0
 #: the same, beyond which a copula is out of the question
 _FAR: Final = 4.0
-#: laws that each input is given for the choice of those that belong together
-_OFFERED: Final = 4 * LAWS
+#: laws that each input is offered for the choice of those that belong together: of more, the chosen are liker
+_OFFERED: Final = 400
 #: runs of a rehearsal
 _ROWS: Final = 1000
 
@@ -106,6 +106,7 @@ def left_open(
     Inputs that depend on each other were seen in the same runs: where the mean of one came out high, so did that of
     the other.  A rehearsal draws n runs of the inputs as they are taken to be; what these runs would make of means,
     standard deviations and rank correlations belongs together, and every law is given to the rehearsal that it fits.
+    Rehearsals are few: they are turned and stretched until they have the covariance that n runs have (`_steadied`).
     """
     if not others:
         return None
@@ -115,30 +116,39 @@ def left_open(
     rows = min(n, _ROWS)
     drawn = normal_scores(inputs, generator.standard_normal((LAWS * rows, len(inputs.names))))
     rehearsed = drawn.reshape(LAWS, rows, -1)
-    means = _steadied(rehearsed.mean(axis=1), drawn)
-    widths = _steadied(rehearsed.std(axis=1), drawn**2)
+    ranked = [_ranked(rehearsed[:, :, list(pair)]) for pair in pairs]
+    told = np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1), *ranked])
+    # of a standard deviation near 1, that of its square is twice its own
+    squares = 0.5 * (drawn - drawn.mean(axis=0)) ** 2
+    moves = np.column_stack([drawn, squares, *(rank_influence(drawn[:, list(pair)]) for pair in pairs)])
+    asked, d = _steadied(told, moves, math.sqrt(rows / n), n), len(inputs.names)
     for k, table in enumerate(tables):
-        tables[k] = table[_assigned(table, -np.column_stack([means[:, k], widths[:, k]]))]
+        tables[k] = table[_assigned(table, -asked[:, [k, d + k]])]
     moved = [inputs] * LAWS
     if pairs:
-        shifts = [_shifts(rehearsed[:, :, list(pair)], math.sqrt(rows / n)) for pair in pairs]
-        moved = _moved(inputs, [_open(tie, shift, generator) for tie, shift in zip(ties, shifts, strict=True)],
-                       [(every[i], every[j]) for i, j in (tie.columns for tie in ties)])  # fmt: skip
+        opened = [_open(tie, shift, generator) for tie, shift in zip(ties, asked.T[2 * d :], strict=True)]
+        moved = _moved(inputs, opened, [(every[i], every[j]) for i, j in (tie.columns for tie in ties)])
     return LeftOpen(
         tables=np.stack(tables, axis=1), inputs=tuple(moved), low=scores.min(axis=0), high=scores.max(axis=0)
     )
 
 
-def _steadied(told: Array, rows: Array) -> Array:
-    """What rehearsals tell (K, d), with mean zero and the very correlations of `rows` (n, d), of which they are means.
+def _steadied(told: Array, moves: Array, part: float, n: int) -> Array:
+    """What rehearsals tell (K, m), with mean zero and the very covariance that n runs give it.
 
-    Some dozens of rehearsals have correlations by chance, which would be those of every analysis.
+    Some dozens of rehearsals scatter and correlate by chance, which would be that of every analysis: answers that rest
+    on one direction would have intervals that are always too short.  `moves` (rows, m) are the influences of single
+    rows on what is told, whose covariance over n - 3 is due (that of Fisher's transform, and nearly of the others).
+    Where K are too few for that many, they keep their correlations, times `part` for rehearsals of other than n rows.
     """
     centred = told - told.mean(axis=0)
-    scatter = np.atleast_2d(np.cov(centred, rowvar=False))
-    due = np.atleast_2d(np.corrcoef(rows, rowvar=False))
-    if min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in (scatter, due)) <= 1e-12:
-        return np.asarray(centred / centred.std(axis=0))
+    scatter, due = (np.atleast_2d(np.cov(columns, rowvar=False)) for columns in (centred, moves))
+    due = due / max(n - 3, 1)
+    correlations = [matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix))) for matrix in (scatter, due)]
+    if min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in correlations) <= 1e-9:
+        return np.asarray(centred * part)
+    # not the unbiased one: what is asked of the laws are means of squares over all K
+    centred = centred * math.sqrt(len(told) / (len(told) - 1.0))
     return np.asarray(np.linalg.solve(np.linalg.cholesky(scatter), centred.T).T @ np.linalg.cholesky(due).T)
 
 
@@ -165,13 +175,38 @@ def _whitened(columns: Array) -> Array:
     return np.column_stack([first, second / max(float(second.std()), 1e-300)])
 
 
-def _shifts(pair: Array, part: float) -> Array:
-    """Fisher's transform of the rank correlations (K,) of rehearsals (K, rows, 2), less their mean, times `part`."""
+def _ranked(pair: Array) -> Array:
+    """Fisher's transform of the rank correlations (K,) of rehearsals (K, rows, 2)."""
     ranks = pair.argsort(axis=1).argsort(axis=1).astype(float)
     ranks -= ranks.mean(axis=1, keepdims=True)
     found = (ranks[:, :, 0] * ranks[:, :, 1]).sum(axis=1) / (ranks[:, :, 0] ** 2).sum(axis=1)
-    told = np.arctanh(np.clip(found, -0.9999, 0.9999))
-    return np.asarray((told - told.mean()) * part)
+    return np.asarray(np.arctanh(np.clip(found, -0.9999, 0.9999)))
+
+
+def rank_influence(pair: Array) -> Array:
+    """What each row of a sample (n, 2) moves Fisher's transform of Spearman's correlation by, times n: (n,), mean 0.
+
+    With u and v the shares of the sample below, the influence on the correlation r is 12 (u v + E[U; V > v] +
+    E[V; U > u]) less its mean (C. Croux, C. Dehon, Statistical Methods & Applications 19, 2010, 497), on artanh r that
+    over 1 - r².
+
+    >>> rows = np.random.default_rng(1).standard_normal((4000, 2))
+    >>> bool(abs(rank_influence(rows).std() - 1.0) < 0.03)
+    True
+    """
+    n = len(pair)
+    order = pair.argsort(axis=0)
+    below = (order.argsort(axis=0) + 0.5) / n
+    u, v = below.T
+
+    def beyond(of: Array, along: npt.NDArray[np.int64]) -> Array:
+        sums, sorted_ = np.empty(n), of[along]
+        sums[along] = (np.cumsum(sorted_[::-1])[::-1] - 0.5 * sorted_) / n
+        return sums
+
+    r = float(np.clip(12.0 * np.mean((u - 0.5) * (v - 0.5)), -0.9999, 0.9999))
+    moved = 12.0 * (u * v + beyond(u, order[:, 1]) + beyond(v, order[:, 0]))
+    return np.asarray((moved - moved.mean()) / (1.0 - r * r))
 
 
 def _open(tie: TiedPair, shifts: Array, generator: np.random.Generator) -> list[tuple[str, float, float]]:

@@ -47,10 +47,9 @@ _POINTS: Final = 512
 #: the large design that the surrogate is evaluated on
 _REPLICATES: Final = 16
 _LARGE: Final = 2048
-#: rows of each replicate where inputs depend on each other, base points at least and at most, and laws tried there
+#: rows of each replicate where inputs depend on each other, and base points at least and at most
 _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
-_SHARED_LAWS: Final = 24
 #: no law is asked beyond these normal scores
 _FURTHEST: Final = 8.0
 #: scores at which a law is compared with another
@@ -369,11 +368,15 @@ def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: 
             scores = subset_scores(design, under, count=count, seed=seed, task=name, replicate=replicate)
             outputs.append(values(scores.reshape(-1, d), which).reshape(count, design.rows))
             orders.append(orders_of(design, count=count, seed=seed, task=name, replicate=replicate))
-        return shapley_estimates(design, np.stack(outputs), None if design.exact else np.stack(orders))
+        # a single replicate has no interval, and is parted for its values, which pool the parts
+        shape = (max(replicates, 2), -1)
+        order = None if design.exact else np.stack(orders).reshape(*shape, d)
+        return shapley_estimates(design, np.stack(outputs).reshape(*shape, design.rows), order)
 
     found = asked(None, _REPLICATES)
-    own = asked(-1, 2)
-    rows = [asked(k, 2) for k in _numbers(left_open)[:_SHARED_LAWS]]
+    # all laws, since only together they scatter as they should; at the same few points, whose error all but cancels
+    own = asked(-1, 1)
+    rows = [asked(k, 1) for k in _numbers(left_open)]
     answer: Answers = {}
     for order, estimates in found.items():
         answer[order] = {}
