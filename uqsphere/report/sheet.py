@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from uqsphere.report.canvas import shorten
 
-__all__ = ["margin_boxes", "unbroken"]
+__all__ = ["loosened", "margin_boxes", "unbroken"]
 
 #: letters of a title in the margin
 _LONGEST: Final = 90
@@ -32,6 +32,15 @@ def unbroken(text: str) -> str:
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
     return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
+
+
+def loosened(text: str) -> str:
+    """The same with a place to part the line within each interval, after its "to".
+
+    >>> loosened("1.2\u00a0mm (1.1\u00a0to\u00a01.3)\u00a0mm").replace("\u00a0", "~")
+    '1.2~mm (1.1~to 1.3)~mm'
+    """
+    return text.replace("\u00a0to\u00a0", "\u00a0to ")
 
 
 def margin_boxes(title: str, manifest: Mapping[str, Any]) -> str:
