@@ -18,6 +18,8 @@ _WHOLE: Final = 34
 _UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 _POWER: Final = re.compile(r"(?<=\d) × (?=10)")
 _INTERVAL: Final = re.compile(r"\([−\d][^()]* to [^()]*\)")
+_APOSTROPHE: Final = re.compile(r"(?<=[A-Za-z])'(?=[a-z]|$| )")
+_QUOTED: Final = re.compile(r'(?<![\w=])"([^"=\n]{1,200})"(?!\w)')
 _COMMAS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\w,]|\.\d)")
 
 
@@ -28,7 +30,10 @@ def unbroken(text: str) -> str:
     '1_234 runs, 1.2~×~10⁻⁴ (1.1~×~10⁻⁴~to~1.3~×~10⁻⁴)'
     >>> unbroken("1.447 (1.445 to 1.449) %").replace("\u00a0", "~")
     '1.447 (1.445~to~1.449)~%'
+    >>> unbroken('the bar\\'s end, "steels, 1976"')
+    'the bar’s end, “steels, 1976”'
     """
+    text = _QUOTED.sub("“\\1”", _APOSTROPHE.sub("’", text))
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
     return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
