@@ -153,9 +153,10 @@ def given_failure_table(contents: Contents, name: str) -> Table | None:
         rows.append(
             (
                 input_name(variable),
-                cell(found["mean"], subject),
-                cell(found["quantiles"]["0.05"], subject),
-                cell(found["quantiles"]["0.95"], subject),
+                # four digits: with more the table is wider than the page
+                cell(found["mean"], subject, digits=4),
+                cell(found["quantiles"]["0.05"], subject, digits=4),
+                cell(found["quantiles"]["0.95"], subject, digits=4),
                 value_text(law["mean"], subject),
                 _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
             )

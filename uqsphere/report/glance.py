@@ -165,7 +165,7 @@ def _valid(contents: Contents) -> str:
     if not where:
         return _unbroken(contents)
     plain = list(where.values()) == [["as planned"]]
-    found = "; ".join(text if plain else f"{text} ({listed(places)})" for text, places in where.items())
+    found = "; ".join(text if plain else f"{text}, {listed(places)}" for text, places in where.items())
     told = start + found if planned else f"{_unbroken(contents)} At the answers: {found}"
     return f"{told}. How often, and what that does to the answer, stands under “Before you rely on it”."
 

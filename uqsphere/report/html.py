@@ -116,7 +116,7 @@ def _plain(value: Any) -> Any:
 
 
 def _loose(value: str) -> Any:
-    """A cell of a table of many columns: its intervals may part after their "to", so that no column is cut off."""
+    """A cell of a table of very many columns: its intervals may part after their "to", so that no column is cut off."""
     from markupsafe import Markup, escape
 
     return Markup(escape(loosened(_plain(value))))

@@ -130,7 +130,10 @@ def _two_medians(limit: Mapping[str, Any], factors: Mapping[str, Any]) -> str:
     median = limit["margin"].get("median")
     if not median or median["value"] is None or "medians" not in factors:
         return ""
-    margin, medians = rounded(median), rounded({"value": factors["medians"], "low": None, "high": None})
+    # in as many digits as the margin is known to
+    off = factors["medians"] - median["value"]
+    moved = {key: None if median[key] is None else median[key] + off for key in ("value", "low", "high")}
+    margin, medians = rounded(median), rounded(moved)
     if margin == medians:
         return ""
     return (

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from uqsphere.report.canvas import shorten
+from uqsphere.report.canvas import APOSTROPHE, shorten
 
 __all__ = ["loosened", "margin_boxes", "unbroken"]
 
@@ -18,7 +18,6 @@ _WHOLE: Final = 34
 _UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 _POWER: Final = re.compile(r"(?<=\d) × (?=10)")
 _INTERVAL: Final = re.compile(r"\([−\d][^()]* to [^()]*\)")
-_APOSTROPHE: Final = re.compile(r"(?<=[A-Za-z])'(?=[a-z]|$| )")
 _QUOTED: Final = re.compile(r'(?<![\w=])"([^"=\n]{1,200})"(?!\w)')
 _COMMAS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\w,]|\.\d)")
 
@@ -33,7 +32,7 @@ def unbroken(text: str) -> str:
     >>> unbroken('the bar\\'s end, "steels, 1976"')
     'the bar’s end, “steels, 1976”'
     """
-    text = _QUOTED.sub("“\\1”", _APOSTROPHE.sub("’", text))
+    text = _QUOTED.sub("“\\1”", APOSTROPHE.sub("’", text))
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
     return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)

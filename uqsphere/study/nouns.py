@@ -312,8 +312,8 @@ def law_with_mean(study: Study, name: str, mean: float) -> Law:
         raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
     cut = not LAWS[law.kind].bounded and given["mean"] > 0.0 and mean > 0.0
     ratio = mean / given["mean"] if cut else 1.0
-    bounds = {"lower": _bound(ratio * law.lower), "upper": _bound(ratio * law.upper)}
-    return make_law(law.kind, {**given, "mean": mean}, **bounds)
+    lower, upper = _bound(ratio * law.lower), _bound(ratio * law.upper)
+    return make_law(law.kind, {**given, "mean": mean}, lower=lower, upper=upper)
 
 
 def tie_of(group: Dependence) -> Tie:
