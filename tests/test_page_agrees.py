@@ -114,7 +114,7 @@ def test_headings_say_the_finding(tmp_path: Path) -> None:
         "Fragility of “chute”: 1 % at 0.658 m/s",
         "Strength over demand: 1.50 in the median case",
         "What the margin of “chute” is made of: 90 % by the strength of “chute”",
-        "Young's modulus of the sphere drives p_max: 50 % of its variance by itself",
+        "Young’s modulus of the sphere drives p_max: 50 % of its variance by itself",
         "Validity of the model: no check is broken",
         "Validity of the model at the answer for “chute”: 1 of 1 checks is broken somewhere",
         "Model chosen: full",

@@ -22,7 +22,7 @@ from uqsphere.mechanics.measured import noise_names
 from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
 from uqsphere.study.schema import BarsTable, ProductTable, PulseTable, SphereTable, StrikerTable
-from uqsphere.uq.laws import Law, cdf, mean, nominal_mean, sd
+from uqsphere.uq.laws import Law, cdf, mean, nominal_mean, ppf, sd
 
 STUDIES = Path(__file__).parent.parent / "studies"
 TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
@@ -261,12 +261,26 @@ def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
     assert sd(law_with_mean(by_cov, "striker.speed", 2.0)) == pytest.approx(0.04, rel=1e-12)
     assert sd(law_with_mean(by_sd, "striker.speed", 2.0)) == pytest.approx(0.01, rel=1e-12)
     assert law_with_mean(by_cov, "striker.speed", 0.5) == by_cov.random["striker.speed"]
-    bounded = ('mean = "0.5 m/s", cov = 0.02', 'mean = "0.5 m/s", cov = 0.02, upper = "1 m/s"')
+    beta = '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'
     with pytest.raises(StudyError, match=r"between\[1\]: with this mean striker.speed has no law"):
-        load(BASE, bounded)
+        load(BASE, ('{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }', beta))
     with pytest.raises(StudyError, match="not given by its mean"):
         load(BASE, ('{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }',
                     '{ dist = "uniform", lower = "0.4 m/s", upper = "0.6 m/s" }'))  # fmt: skip
+
+
+def test_what_is_cut_off_moves_with_the_mean(load: Load) -> None:
+    """A curve for spheres of 8 mm is one of spheres of 8 mm, and not of the smallest of those of 10 mm."""
+    sorted_out = load(BASE, ('sd = "0.15 mm", lower = "9 mm"', 'sd = "0.15 mm", lower = "9.7 mm", upper = "10.4 mm"'))
+    same = law_with_mean(sorted_out, "sphere.radius", 0.010)
+    assert same == sorted_out.random["sphere.radius"]
+    smaller = law_with_mean(sorted_out, "sphere.radius", 0.008)
+    assert (smaller.lower, smaller.upper) == pytest.approx((0.00776, 0.00832), rel=1e-12)
+    assert smaller.lower < float(ppf(smaller, np.array([0.5]))[0]) < smaller.upper
+    # the bounds of a beta law are its own
+    beta = load(BASE, ("nu = 0.25", 'nu = { dist = "beta", mean = 0.25, sd = 0.03, lower = 0.05, upper = 0.45 }'))
+    moved = law_with_mean(beta, "sphere.nu", 0.3)
+    assert (moved.lower, moved.upper) == (0.05, 0.45)
 
 
 @pytest.mark.parametrize(

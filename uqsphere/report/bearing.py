@@ -48,9 +48,13 @@ _LOWER: Final = {
 }
 
 
+#: names that take a hyphen
+_NAMES: Final = {"quasi_static_sphere": "quasi-static sphere", "one_dimensional_bars": "one-dimensional bars"}
+
+
 def check_name(check: str) -> str:
     """A validity check in words."""
-    return check.replace("_", " ")
+    return _NAMES.get(check, check.replace("_", " "))
 
 
 def grave(contents: Contents) -> list[Mapping[str, Any]]:
@@ -63,11 +67,16 @@ def warned(contents: Contents) -> list[Mapping[str, Any]]:
     return [c for c in contents.results["validity"] if c not in grave(contents) and c.get("share_warning", 0.0) > 0.0]
 
 
+def broken_words(check: Mapping[str, Any]) -> str:
+    """What is found where a check is broken, without how often."""
+    return _FOUND.get(check["check"], check_name(check["check"]))
+
+
 def breach(check: Mapping[str, Any], grade: str) -> str:
     """What is found, and in which share of what."""
     # at fracture the check is of those that break, which its text says
     whom = "the specimens that break" if "specimens that break" in str(check["text"]) else "the samples"
-    words = _FOUND.get(check["check"], check_name(check["check"]))
+    words = broken_words(check)
     text = plain_percent(check[f"share_{grade}"])
     rule = next((r for r in RULES if r.name == check["check"]), None)
     milder = check.get("share_information", 0.0)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "APOSTROPHE",
     "BLUE",
     "FAINT",
     "GREEN",
@@ -148,6 +149,8 @@ class Picture:
 _NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 
 
+#: an apostrophe as it is typed
+APOSTROPHE: Final = re.compile(r"(?<=[A-Za-z])'(?=[a-z]|$| )")
 #: spaces that a line may break at; those within numbers stay as they are
 _SPACES: Final = re.compile(r"[^\S\u00a0\u202f]+")
 
@@ -292,6 +295,8 @@ def render(picture: Picture) -> str:
         found = element.get("style", "")
         if "font:" in found:
             element.set("style", found.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"))
+        if element.tag == f"{_SVG}text" and element.text:
+            element.text = APOSTROPHE.sub("’", element.text)
         if "d" in element.attrib:
             element.set("d", slim(element.attrib["d"]))
     _describe(root, picture)
@@ -310,7 +315,7 @@ def _describe(root: ElementTree.Element, picture: Picture) -> None:
     }
     title = ElementTree.Element(f"{_SVG}title", {"id": "title"})
     description = ElementTree.Element(f"{_SVG}desc", {"id": "description"})
-    title.text, description.text = clean(picture.title), clean(picture.finding)
+    title.text, description.text = (APOSTROPHE.sub("’", clean(text)) for text in (picture.title, picture.finding))
     paper = ElementTree.Element(f"{_SVG}rect", {"id": "paper", "width": "100%", "height": "100%", "fill": PAPER})
     for place, element in enumerate((title, description, paper)):
         root.insert(place, element)

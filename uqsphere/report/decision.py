@@ -28,6 +28,7 @@ __all__ = [
     "margin_word",
     "probability_axis",
     "score",
+    "solved_label",
     "x_scale",
 ]
 
@@ -186,8 +187,7 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
             _operating_point(axes, here * factor, limit["exceedance"], rising)
         _yielding_bars(axes, entry, factor, x)
         probability_axis(axes)
-        word = "mean " if solve in contents.resolved["random"] else ""
-        axes.set_xlabel(axis_label(subject, word + canvas.shorten(input_name(solve), 50)))
+        axes.set_xlabel(solved_label(contents, solve))
         axes.set_ylabel(f"probability that {symbol(limit['quantity'], 24)}\nexceeds the strength")
     return Picture(
         name=slug("fragility", name),
@@ -195,6 +195,12 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         finding=fragility_finding(contents, name),
         figure=figure,
     )
+
+
+def solved_label(contents: Contents, solve: str) -> str:
+    """The axis of the free scalar: its mean where it scatters."""
+    word = "mean " if solve in contents.resolved["random"] else ""
+    return axis_label(contents.subject(solve), word + canvas.shorten(input_name(solve), 50))
 
 
 def _interesting(p: Array, x: Array, here: float | None) -> Array:

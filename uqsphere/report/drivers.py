@@ -153,9 +153,10 @@ def given_failure_table(contents: Contents, name: str) -> Table | None:
         rows.append(
             (
                 input_name(variable),
-                cell(found["mean"], subject),
-                cell(found["quantiles"]["0.05"], subject),
-                cell(found["quantiles"]["0.95"], subject),
+                # four digits: with more the table is wider than the page
+                cell(found["mean"], subject, digits=4),
+                cell(found["quantiles"]["0.05"], subject, digits=4),
+                cell(found["quantiles"]["0.95"], subject, digits=4),
                 value_text(law["mean"], subject),
                 _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
             )
@@ -224,10 +225,10 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
             "change of the probability per standard deviation"
             + (f" [{powers(f'1e{power}').removeprefix('1 × ')}]" if power else ""),
             "share in its uncertainty",
-            f"tests until its error moves {_side(entry)} by {wanted} of its value",
+            f"tests in all until its error moves {_side(entry)} by {wanted} of its value",
         )
     else:
-        header = ("input", "share of the variance", f"tests until {wanted} of today’s variance is left to it")
+        header = ("input", "share of the variance", f"tests in all until {wanted} of today’s variance is left to it")
     note = (
         "Shares and numbers of tests rise with the square of the change, and have twice its relative interval."
         if probability
@@ -271,10 +272,12 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
     count = specimens(entry, first) or 0
     tests = thousands(count) + f" test{'s' if count != 1 else ''}"
     text = f"Measure {input_name(first['input'])} first: "
+    seen = first.get("observations")
+    more = f", {thousands(count - seen)} more than there are" if seen and count > seen else ""
     if entry["of"] == "probability":
         return text + (
-            f"{_side(entry)} itself is known to {wanted} (one standard error) after {tests} of it in all, if only its "
-            "mean is unknown; how many tests settle the target is another question, and stands above."
+            f"{_side(entry)} itself is known to {wanted} (one standard error) after {tests} of it in all{more}, if "
+            "only its mean is unknown; how many settle the target is another question, and stands in the verdict."
         )
     return text + f"after {tests} its part in the variance is {wanted} of today’s whole variance."
 

@@ -11,8 +11,8 @@ from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, INK, MARKS, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import lognormal_scores, probability_axis, score, x_scale
-from uqsphere.report.figures import axis_label, slug
+from uqsphere.report.decision import lognormal_scores, probability_axis, score, solved_label, x_scale
+from uqsphere.report.figures import slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
     capital,
@@ -98,6 +98,9 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
         return None
     subject = contents.subject(entry["solve"])
     factor = display_unit(subject)[1]
+    from matplotlib.lines import Line2D
+
+    handles = []
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.7)
         low, high = np.inf, -np.inf
@@ -109,16 +112,22 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
             low, high = min(low, float(x[0])), max(high, float(x[-1]))
             label = number_text(format_value(member["value"], family["path"], 3))
             colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
-            every = max(1, x.size // 6)
-            axes.plot(x, score(p), color=colour, marker=mark, markevery=every, markersize=4.5, label=label)
+            axes.plot(x, score(p), color=colour)
+            # marks at the probabilities asked for alone: those of all curves are to be compared
+            asked = [(e["value"] * factor, float(q)) for q, e in member["values"].items() if e["value"] is not None]
+            points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
+            axes.plot(points[:, 0], score(points[:, 1]), color=colour, marker=mark, markersize=4.5, linestyle="none")
+            handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=label))
         x_scale(axes, np.array([low, high]))
         axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
         probability_axis(axes)
-        axes.set_xlabel(axis_label(subject, canvas.shorten(input_name(entry["solve"]), 50)))
+        axes.set_xlabel(solved_label(contents, entry["solve"]))
         axes.set_ylabel(
             f"probability that {symbol(contents.results['limits'][name]['quantity'], 24)}\nexceeds the strength"
         )
-        axes.legend(title=canvas.shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left")
+        axes.legend(
+            handles=handles, title=canvas.shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left"
+        )
     title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
     return Picture(
         name=slug("fragility-family", name),

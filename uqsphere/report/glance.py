@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from uqsphere.report import event, reach
-from uqsphere.report.bearing import breach, check_name, grave, warned
+from uqsphere.report.bearing import broken_words, check_name, grave, warned
 from uqsphere.report.contents import Contents
 from uqsphere.report.decision import margin_finding, margin_word
 from uqsphere.report.drivers import first_to_measure, measure_finding
@@ -150,27 +150,28 @@ def _measure_limit(contents: Contents, name: str) -> str:
 
 
 def _valid(contents: Contents) -> str:
-    """Whether an assumption of the model is broken, as planned and at the answers, and which."""
-    planned = _valid_as_planned(contents)
-    parts = []
+    """Whether an assumption of the model is broken, as planned and at the answers, and which.
+
+    How often, and what it does, stands in the cautions, and there alone.
+    """
+    grades = (("No: outside the model’s validity: ", grave(contents)), ("With warnings: ", warned(contents)))
+    start, planned = next(((words, broken) for words, broken in grades if broken), ("", []))
+    where: dict[str, list[str]] = {}
+    if planned:
+        where[listed([broken_words(c) for c in planned])] = ["as planned"]
     for name, broken in reach.answer_breaches(contents):
-        parts.append(
-            f"at {event.answer_text(contents, name)} {listed([reach.breach_text(contents, name, c) for c in broken])}"
-        )
-    if not parts:
-        return planned
-    return f"{planned} At the answers: {'; '.join(parts)}."
+        text = listed([broken_words(c) for c in broken])
+        where.setdefault(text, []).append(f"at {event.answer_text(contents, name)}")
+    if not where:
+        return _unbroken(contents)
+    plain = list(where.values()) == [["as planned"]]
+    found = "; ".join(text if plain else f"{text}, {listed(places)}" for text, places in where.items())
+    told = start + found if planned else f"{_unbroken(contents)} At the answers: {found}"
+    return f"{told}. How often, and what that does to the answer, stands under “Before you rely on it”."
 
 
-def _valid_as_planned(contents: Contents) -> str:
-    """Whether an assumption of the model is broken where the study stands, and which."""
-    for grade, words, broken in (
-        ("failure", "No: outside the model’s validity", grave(contents)),
-        ("warning", "With warnings", warned(contents)),
-    ):
-        if broken:
-            found = listed([breach(c, grade) for c in broken])
-            return f"{words}: {found}. What that does to the answer stands under “Before you rely on it”."
+def _unbroken(contents: Contents) -> str:
+    """That no assumption of the model is broken where the study stands, as far as that was checked."""
     unknown = [c for c in contents.results["validity"] if c["worst"] is None]
     if unknown:
         return f"As far as checked; not checked: {listed([check_name(c['check']) for c in unknown])}."

@@ -13,6 +13,7 @@ from uqsphere.report.tables import cell
 from uqsphere.report.wording import (
     capital,
     input_name,
+    law_name,
     limit_name,
     listed,
     number_text,
@@ -31,9 +32,6 @@ __all__ = [
     "turns",
     "verdict_word",
 ]
-
-_LAWS = {"weibull": "Weibull", "student_t": "Student’s t", "gumbel": "Gumbel", "frechet": "Fréchet"}
-
 
 #: a probability beyond which its digits are not told
 _SURE = 0.999999
@@ -56,10 +54,6 @@ def short_probability(miss: Mapping[str, Any]) -> str:
     return rounded(part, digits=3) + " %"
 
 
-def _law(kind: str) -> str:
-    return _LAWS.get(kind, kind.replace("_", " "))
-
-
 def _rank(contents: Contents, row: Mapping[str, Any]) -> str:
     """The rank correlation of a strength with the inputs of a row, where one number stands for all."""
     groups = contents.resolved.get("dependence", [])
@@ -77,7 +71,7 @@ def instead_text(row: Mapping[str, Any]) -> str:
     if row["assumption"] == "dependence":
         return f"without the assumed dependence of the strength on {listed([input_name(n) for n in row['with']])}"
     if row["assumption"] == "law":
-        return f"with a {_law(row['instead'])} law of the strength, of the same mean and scatter"
+        return f"with a {law_name(row['instead'])} law of the strength, of the same mean and scatter"
     what = "Weibull modulus of the strength" if row["assumption"] == "modulus" else "scatter of the strength"
     if row["assumption"] == "modulus":
         return f"with a {what} of {row['instead']:.3g} instead of {row['taken']:.3g}"

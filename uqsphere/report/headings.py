@@ -132,7 +132,7 @@ def indices_heading(contents: Contents, name: str) -> str:
 
 def swings_heading(contents: Contents, name: str, furthest: str) -> str:
     """Which input moves a quantity furthest."""
-    return _told(f"{symbol(name)}: how far each input moves it", furthest and f"{short_input(furthest)} furthest")
+    return _told(f"How far each input moves {symbol(name)}", furthest and f"{short_input(furthest)} furthest")
 
 
 def measure_heading(words: str, entry: Mapping[str, Any] | None) -> str:

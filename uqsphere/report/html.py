@@ -17,7 +17,7 @@ from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.glance import glances
 from uqsphere.report.glossary import words_used
 from uqsphere.report.margin_verdict import margin_verdicts
-from uqsphere.report.sheet import margin_boxes, unbroken
+from uqsphere.report.sheet import loosened, margin_boxes, unbroken
 from uqsphere.report.tables import Table
 from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, verdicts
@@ -115,6 +115,13 @@ def _plain(value: Any) -> Any:
     return unbroken(canvas.shorten(value, LONGEST))
 
 
+def _loose(value: str) -> Any:
+    """A cell of a table of very many columns: its intervals may part after their "to", so that no column is cut off."""
+    from markupsafe import Markup, escape
+
+    return Markup(escape(loosened(_plain(value))))
+
+
 def new_environment() -> Environment:
     """Templates that escape every text and refuse what is not there, with what all pages share."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -125,6 +132,7 @@ def new_environment() -> Environment:
         lstrip_blocks=True, finalize=_plain,
     )  # fmt: skip
     environment.globals["style"] = Markup(_own_text("style.css"))
+    environment.filters["loose"] = _loose
     return environment
 
 

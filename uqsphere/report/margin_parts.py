@@ -104,9 +104,14 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     if "laws" in opened:
         ends = [_three(opened[end], subject) if opened[end] is not None else "beyond the range" for end in
                 ("low", "high")]  # fmt: skip
-        rows.append(("the tests leave open (95 %)", " to ".join(ends)))
+        rows.append((f"{input_name(entry['solve'])} that the tests leave open (95 %)", " to ".join(ends)))
         if opened.get("mean_law") is not None:
-            rows.append(("with the mean over all laws that the tests allow", _three(opened["mean_law"], subject)))
+            rows.append(
+                (
+                    f"{input_name(entry['solve'])} with the mean over all laws that the tests allow",
+                    _three(opened["mean_law"], subject),
+                )
+            )
     standing = limit.get("ignorance") or {}
     if standing.get("miss"):
         rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
@@ -116,7 +121,26 @@ def parts_table(contents: Contents, name: str) -> Table | None:
         "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
         "deviations and what the tests leave open are uncertainties themselves."
     )
+    note += _two_medians(limit, factors)
     return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
+
+
+def _two_medians(limit: Mapping[str, Any], factors: Mapping[str, Any]) -> str:
+    """Why the median margin is another number than the safety factor on medians; empty where both read the same."""
+    median = limit["margin"].get("median")
+    if not median or median["value"] is None or "medians" not in factors:
+        return ""
+    # in as many digits as the margin is known to
+    off = factors["medians"] - median["value"]
+    moved = {key: None if median[key] is None else median[key] + off for key in ("value", "low", "high")}
+    margin, medians = rounded(median), rounded(moved)
+    if margin == medians:
+        return ""
+    return (
+        f" The median margin, {margin}, is the middle of strength over demand taken case by case; {medians} is the "
+        "middle strength over the middle demand. The two part where a law is skewed, or where strength and demand "
+        "depend on each other."
+    )
 
 
 def _three(value: float, subject: str) -> str:

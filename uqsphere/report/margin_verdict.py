@@ -90,6 +90,7 @@ def _tests(opened: Mapping[str, Any]) -> str:
 def margin_verdicts(contents: Contents) -> list[Verdict]:
     """One answer for every limit with a target of a study that asks for margins."""
     found: list[Verdict] = []
+    said = ""
     for name in contents.results["margins"]:
         answer = margin_answer(contents.results, name)
         if not answer:
@@ -99,8 +100,9 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
             *_headed(answer, entry, contents),
             _reserve(contents, entry, limit),
             _lost(contents, entry, limit),
-            _next(entry, limit, contents),
+            _next(entry, limit, contents, said),
         )
+        said = lines[-1]
         found.append(
             Verdict(
                 word="answer",
@@ -218,11 +220,11 @@ def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]
     return text.strip()
 
 
-def _next(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents) -> str:
-    """What more tests would bring, and what the bars allow."""
+def _next(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents, said: str) -> str:
+    """What more tests would bring, and what the bars allow where the answer before has not said it already."""
     text = tests_text(entry, limit, contents)
-    bars = entry.get("bars")
-    return (text + (bars_text(bars, entry, contents) if bars else "")).strip()
+    bars = bars_text(entry["bars"], entry, contents) if entry.get("bars") else ""
+    return (text + ("" if bars in said else bars)).strip()
 
 
 def tests_text(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents) -> str:
@@ -242,8 +244,10 @@ def tests_text(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Con
     if tests.get("to_know_the_value"):
         text += (
             f"To know the {input_name(entry['solve'])} itself to {plain_percent(tests['known_to'])} (95 % half-width) "
-            f"would take about {tests['to_know_the_value']} more tests. "
+            f"would take about {tests['to_know_the_value']} more tests"
         )
+        # counted as everywhere else on the page
+        text += f", {tests['to_know_the_value'] + tests['tests']} in all. " if tests.get("tests") else ". "
     return text or settling_text(contents, limit, planned)
 
 
@@ -256,8 +260,8 @@ def settling_text(contents: Contents, limit: Mapping[str, Any], planned: str = "
         return f"Whether the target is kept{planned} is too close to be settled by tests of the strength. "
     word = {True: "kept", False: "missed"}.get(limit["met"], "kept or missed")
     return (
-        f"If the assumed law of the strength is right, about {settled['tests']} tests of it would show with "
-        f"{plain_percent(settled['confidence'])} confidence that the target is {word}{planned}. "
+        f"If the assumed law of the strength is right, about {settled['tests']} tests of it in all would show "
+        f"with {plain_percent(settled['confidence'])} confidence that the target is {word}{planned}. "
     )
 
 

@@ -17,6 +17,7 @@ from uqsphere.report.wording import (
     call,
     limit_name,
     listed,
+    mathematical,
     number_text,
     plain_percent,
     powers,
@@ -69,7 +70,7 @@ def _checks(checks: Sequence[Mapping[str, Any]], caption: str) -> Table:
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
         if check["worst"] is None and grade == "ok":
             grade = "not checked"
-        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", powers(str(check["text"]))))
+        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", mathematical(str(check["text"]))))
     return Table(
         caption=caption,
         rows=tuple(rows),

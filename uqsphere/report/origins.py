@@ -5,7 +5,7 @@ from __future__ import annotations
 from uqsphere.quantities import lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.tables import Table
-from uqsphere.report.wording import input_name, unit_text, value_text
+from uqsphere.report.wording import input_name, law_name, unit_text, value_text
 
 __all__ = ["dependence_texts", "fixed_table", "inputs_table"]
 
@@ -45,7 +45,7 @@ def _law_text(contents: Contents, name: str) -> str:
     if law["data"]:
         stopped = len(law.get("censored", ()))
         parts.append(f"{len(law['data'])} observations" + (f" and {stopped} stopped before" if stopped else ""))
-    return ", ".join([str(law["dist"]).replace("_", " "), *parts])
+    return ", ".join([law_name(str(law["dist"])), *parts])
 
 
 def _source(contents: Contents, name: str) -> str:

@@ -24,6 +24,8 @@ _SHEET: Final = """
 html, body { background: #ffffff; color: #000000; }
 .skip { display: none; }
 nav a::after { content: " " target-counter(attr(href), page); }
+/* the typesetter parts a floating figure from its caption */
+figure { float: none; }
 .scroll, .drawing { overflow: visible; }
 figure svg { min-width: 0; max-width: 100%; width: 165mm; }
 table { font-size: 8pt; }

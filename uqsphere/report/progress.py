@@ -11,7 +11,7 @@ from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, number_text, symbol
-from uqsphere.runner.band import ASKED
+from uqsphere.runner.band import ASKED, METHOD
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,7 +108,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
 
 def _limits(axes: Axes, series: list[Series], column: int) -> None:
     """Decades around the points, with room for labels on the right."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
     xs = [p[column] for s in series for p in s.points if p[column] > 0.0]
     ys = [p[2] for s in series for p in s.points] + [1.0]
@@ -116,12 +116,29 @@ def _limits(axes: Axes, series: list[Series], column: int) -> None:
     width = max(high - low, 0.5)
     axes.set_xlim(10.0 ** (low - 0.1 * width), 10.0 ** (high + 0.1 * width))
     axes.set_ylim(min(ys) / 2.0, max(ys) * 2.0)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,), numticks=8))
+    axes.xaxis.set_major_locator(FixedLocator(_ticks(low - 0.1 * width, high + 0.1 * width)))
+    axes.xaxis.set_minor_locator(NullLocator())
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(
-            LogLocator(subs=(1.0,) if axis is axes.yaxis or width > 2.0 else (1.0, 2.0, 5.0), numticks=8)
-        )
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter(FuncFormatter(_thousands))
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers between two powers of ten, as few as serve: at least three, and none beside another.
+
+    >>> _ticks(1.2, 2.2)
+    [20.0, 50.0, 100.0]
+    >>> _ticks(3.2, 3.7)
+    [2000.0, 3000.0, 4000.0, 5000.0]
+    """
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    found: list[float] = []
+    for steps in ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)):
+        found = [step * 10.0**k for k in decades for step in steps if low <= math.log10(step) + k <= high]
+        if len(found) >= 3:
+            break
+    return found
 
 
 def _thousands(value: float, _: object = None) -> str:
@@ -157,6 +174,21 @@ def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
         )
 
 
+#: methods whose names are too long for a legend, in few plain words
+_SHORT: Final = {METHOD: "runs along the curve"}
+#: letters of a line of the legend
+_LINE: Final = 30
+
+
+def _legend_names(methods: list[str]) -> list[str]:
+    """Names of methods that fit a legend: what comes before the first comma where that tells them apart."""
+    heads = [_SHORT.get(method, method.partition(",")[0]) for method in methods]
+    return [
+        head if heads.count(head) == 1 and len(head) <= _LINE else canvas.wrap(method, _LINE, lines=3)
+        for head, method in zip(heads, methods, strict=True)
+    ]
+
+
 def _method_legend(axes: Axes, methods: list[str]) -> None:
     from matplotlib.lines import Line2D
 
@@ -167,9 +199,9 @@ def _method_legend(axes: Axes, methods: list[str]) -> None:
             color=_COLOURS[k % len(_COLOURS)],
             marker=canvas.MARKS[k % len(canvas.MARKS)],
             markersize=5,
-            label=canvas.shorten(method, 30),
+            label=name,
         )
-        for k, method in enumerate(methods)
+        for k, name in enumerate(_legend_names(methods))
     ]
     handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
@@ -187,10 +219,13 @@ def progress_finding(contents: Contents) -> str:
     reached = sum(error <= 1.0 for error in best.values())
     counting = [s for s in series if _question(s) in best and s.points[-1][2] == best[_question(s)]]
     worst = max(counting, key=lambda s: s.points[-1][2])
-    text = f"{reached} of {len(best)} errors of quantities, indices and probabilities are below what was asked after "
-    text += "the last evaluation; margins are not among them"
+    curves = any(_short(s.kind) == "band" for s in series)
+    of = "quantities, indices, probabilities and curves" if curves else "quantities, indices and probabilities"
+    text = f"{reached} of {len(best)} errors of {of} are below what was asked after "
+    text += "the last evaluation" + ("" if curves else "; margins are not among them")
     if worst.points[-1][2] > 1.0:
         text += f"; the largest, {worst.label} by {worst.method}, is {_times(worst.points[-1][2])} times what was asked"
+        text = text.replace(METHOD, _SHORT[METHOD])
     return text + "."
 
 
@@ -209,9 +244,11 @@ def course_finding(contents: Contents, column: int) -> str:
     if not series:
         return ""
     worst = max(series, key=lambda s: s.points[-1][2])
+    single = any(s.points[-1][2] > worst.points[-1][2] for s in error_series(contents))
+    which = "The largest error that was followed" if single else "The largest error"
     (*first, begin), (*last, end) = worst.points[0], worst.points[-1]
     verb = "fell" if end < begin else "went"
-    text = f"The largest error, {worst.label}, {verb} from {_times(begin)} to {_times(end)} times what was asked "
+    text = f"{which}, {worst.label}, {verb} from {_times(begin)} to {_times(end)} times what was asked "
     if column == 0:
         return text + f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
     seconds = max(p[1] for s in error_series(contents) for p in s.points if not math.isnan(p[1]))

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from uqsphere.report.canvas import shorten
+from uqsphere.report.canvas import APOSTROPHE, shorten
 
-__all__ = ["margin_boxes", "unbroken"]
+__all__ = ["loosened", "margin_boxes", "unbroken"]
 
 #: letters of a title in the margin
 _LONGEST: Final = 90
@@ -18,6 +18,7 @@ _WHOLE: Final = 34
 _UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
 _POWER: Final = re.compile(r"(?<=\d) × (?=10)")
 _INTERVAL: Final = re.compile(r"\([−\d][^()]* to [^()]*\)")
+_QUOTED: Final = re.compile(r'(?<![\w=])"([^"=\n]{1,200})"(?!\w)')
 _COMMAS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\w,]|\.\d)")
 
 
@@ -28,10 +29,22 @@ def unbroken(text: str) -> str:
     '1_234 runs, 1.2~×~10⁻⁴ (1.1~×~10⁻⁴~to~1.3~×~10⁻⁴)'
     >>> unbroken("1.447 (1.445 to 1.449) %").replace("\u00a0", "~")
     '1.447 (1.445~to~1.449)~%'
+    >>> unbroken('the bar\\'s end, "steels, 1976"')
+    'the bar’s end, “steels, 1976”'
     """
+    text = _QUOTED.sub("“\\1”", APOSTROPHE.sub("’", text))
     text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
     text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
     return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
+
+
+def loosened(text: str) -> str:
+    """The same with a place to part the line within each interval, after its "to".
+
+    >>> loosened("1.2\u00a0mm (1.1\u00a0to\u00a01.3)\u00a0mm").replace("\u00a0", "~")
+    '1.2~mm (1.1~to 1.3)~mm'
+    """
+    return text.replace("\u00a0to\u00a0", "\u00a0to ")
 
 
 def margin_boxes(title: str, manifest: Mapping[str, Any]) -> str:

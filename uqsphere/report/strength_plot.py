@@ -14,7 +14,7 @@ from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, Picture
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
-from uqsphere.report.wording import estimate_text, limit_name, symbol, value_text
+from uqsphere.report.wording import capital, estimate_text, law_name, limit_name, symbol, value_text
 from uqsphere.uq.laws import Law
 from uqsphere.uq.weibull import KINDS, StrengthFit, StrengthTests, fit_strength, make_tests, pivots, plotting_positions
 
@@ -131,7 +131,9 @@ def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
     shape = law.parameters["modulus" if law.kind == "weibull" else "log_sd"]
     word = "modulus" if law.kind == "weibull" else "standard deviation of the logarithm"
     scale = "scale (63 %)" if law.kind == "weibull" else "median"
-    text += f": {law.kind} law with the {word} {shape:.3g} and the {scale} {value_text(fitted.scale, quantity)}. "
+    text += (
+        f": {law_name(law.kind)} law with the {word} {shape:.3g} and the {scale} {value_text(fitted.scale, quantity)}. "
+    )
     fits = "The points lie as they would if the law were right" if fitted.p_value > 0.05 else "The law fits badly"
     return text + f"{fits} (p = {fitted.p_value:.2g}). Band: the laws that the tests allow (95 %)."
 
@@ -157,5 +159,5 @@ def tests_table(known: FittedTests) -> Table:
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
         ),
     )
-    caption = f"{law.kind.capitalize()} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
+    caption = f"{capital(law_name(law.kind))} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
     return Table(caption=caption, header=("", "value"), rows=rows)

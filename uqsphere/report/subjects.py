@@ -6,7 +6,7 @@ from uqsphere.report import directions, drivers, figures, pair_figures, sections
 from uqsphere.report.blocks import Block
 from uqsphere.report.contents import Contents
 from uqsphere.report.headings import distribution_heading, indices_heading, measure_heading, swings_heading
-from uqsphere.report.wording import capital, limit_name, powers, symbol
+from uqsphere.report.wording import capital, limit_name, mathematical, powers, symbol
 
 __all__ = [
     "beyond_blocks",
@@ -129,6 +129,6 @@ def measure_block(contents: Contents, kind: str, name: str) -> Block:
         heading=heading,
         finding=drivers.measure_finding(first),
         table=table,
-        remarks=(method, *directions.measure_remarks(contents, name, kind)),
+        remarks=(mathematical(method), *directions.measure_remarks(contents, name, kind)),
         files=("tables/drivers.csv",),
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from uqsphere.report.wording import ABSENT, absent_reason, estimate_text, number_text, probability_text
+from uqsphere.report.wording import ABSENT, MOST_DIGITS, absent_reason, estimate_text, number_text, probability_text
 
 __all__ = ["Table", "cell", "index_cell", "thousands"]
 
@@ -22,13 +22,15 @@ class Table:
     note: str = ""
 
 
-def cell(estimate: Mapping[str, Any] | None, name: str = "", *, probability: bool = False) -> str:
+def cell(
+    estimate: Mapping[str, Any] | None, name: str = "", *, probability: bool = False, digits: int = MOST_DIGITS
+) -> str:
     """An estimate with its interval and unit, or a dash and the reason why it is absent; None was never asked for."""
     if estimate is None:
         return ABSENT
     if estimate["value"] is None:
         return f"{ABSENT} ({absent_reason(estimate)})"
-    return probability_text(estimate) if probability else estimate_text(estimate, name)
+    return probability_text(estimate) if probability else estimate_text(estimate, name, digits)
 
 
 def index_cell(estimate: Mapping[str, Any] | None) -> str:

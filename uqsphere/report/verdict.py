@@ -24,6 +24,7 @@ from uqsphere.report.wording import (
     input_name,
     limit_name,
     listed,
+    outward,
     plain_percent,
     probability_range,
     probability_text,
@@ -136,7 +137,7 @@ def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str
     opened = ignorance_text(contents, limit)
     if opened and "miss" in limit["ignorance"]:
         (low, high), met = limit["ignorance"]["miss"], limit["ignorance"]["met"]
-        by_tests = _against(limit, low, high, {True: "met", False: "not met"}.get(met, "undecided"))
+        by_tests = _against(limit, *outward(low, high), {True: "met", False: "not met"}.get(met, "undecided"))
         opened = opened.replace(" (95 %).", f" (95 %){by_tests}.", 1) if by_tests else opened
         return f"Its uncertainty: {opened[:1].lower()}{opened[1:]} {capital(_computed(contents, limit, word))}"
     text = f"Its uncertainty: {_computed(contents, limit, word)}"
@@ -268,8 +269,7 @@ def cautions(contents: Contents) -> list[str]:
         found.append(
             f"Outside the model's validity: {breach(check, 'failure')}. {capital(bearing(contents, check['check']))}."
         )
-    for check in warned(contents):
-        found.append(f"Validity warning: {breach(check, 'warning')}. {capital(bearing(contents, check['check']))}.")
+    found += _warnings(contents, found)
     for name, entry in results["quantities"].items():
         share = entry["censored_share"]
         if share["value"]:
@@ -295,6 +295,20 @@ def cautions(contents: Contents) -> list[str]:
     found += missed
     found += [str(text) for text in results.get("warnings", [])]
     return found + reach.judged_cautions(contents)
+
+
+def _warnings(contents: Contents, said: Sequence[str]) -> list[str]:
+    """The checks that warn as planned, those of one effect together; an effect that was said is not said again."""
+    groups: dict[str, list[str]] = {}
+    for check in warned(contents):
+        groups.setdefault(capital(bearing(contents, check["check"])), []).append(breach(check, "warning"))
+    known = [text for does, texts in groups.items() if any(f"{does}." in other for other in said) for text in texts]
+    found = [f"Validity warning, as planned: {listed(known)}, to the same effect as at the answer."] if known else []
+    return found + [
+        f"Validity warning: {listed(texts)}. {does}."
+        for does, texts in groups.items()
+        if not any(f"{does}." in other for other in said)
+    ]
 
 
 def _out_of_budget(contents: Contents) -> str:

@@ -20,9 +20,12 @@ __all__ = [
     "capital",
     "estimate_text",
     "input_name",
+    "law_name",
     "limit_name",
     "listed",
+    "mathematical",
     "number_text",
+    "outward",
     "powers",
     "probability_range",
     "probability_text",
@@ -47,6 +50,8 @@ WITHOUT_FAILED: Final = (
 )
 #: a width of 0.1 is not to count as 0.0999999
 _ROUND: Final = 1e-9
+#: nor two hundredths of a per cent, computed as a difference to one, as three
+_COUNTED: Final = 1e-6
 _UNITS: Final = {"um": "µm", "us": "µs", "uJ": "µJ", "kg/m3": "kg/m³"}
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POWER: Final = re.compile(r"(?<=\d)e([+-]?\d+)")
@@ -76,6 +81,15 @@ def value_text(value: float | None, name: str = "", digits: int = 4) -> str:
 def capital(text: str) -> str:
     """The text with a capital letter."""
     return text[:1].upper() + text[1:]
+
+
+#: families named after people
+_PEOPLE: Final = {"weibull": "Weibull", "gumbel": "Gumbel", "frechet": "Fréchet", "student_t": "Student’s t"}
+
+
+def law_name(kind: str) -> str:
+    """A family of laws as it is written."""
+    return _PEOPLE.get(kind, kind.replace("_", " "))
 
 
 def begin(name: str, words: str) -> str:
@@ -124,6 +138,31 @@ def powers(text: str) -> str:
     'it leaves 2.6 × 10⁻⁹ of the variance'
     """
     return re.sub(r"(?<![\w.-])(\d[\d.]*e[+-]?\d+)\b", lambda m: _tens(m[1]), text)
+
+
+#: signs of formulas as they are typed, and as they are set
+_SIGNS: Final = (
+    (re.compile(r"\bsqrt\((\w)\)"), r"√\1"),
+    (re.compile(r"\bsqrt\("), "√("),
+    (re.compile(r"\^(\d+)"), lambda m: str(m[1]).translate(_SUPERSCRIPT)),
+    (re.compile(r"<="), "≤"),
+    (re.compile(r">="), "≥"),
+    (re.compile(r"\+/?-"), "±"),
+    (re.compile(r"\brho\b"), "ρ"),
+    (re.compile(r"\bnu\b"), "ν"),
+)
+
+
+def mathematical(text: str) -> str:
+    """A text of the program with the signs of formulas in place of their names in code.
+
+    >>> mathematical("0.005 <= a/r <= 0.3, 0 <= nu <= 0.5, a wave, at sqrt(E/rho), n = (sway/(0.1 p))^2, sd/sqrt(n)")
+    '0.005 ≤ a/r ≤ 0.3, 0 ≤ ν ≤ 0.5, a wave, at √(E/ρ), n = (sway/(0.1 p))², sd/√n'
+    """
+    text = powers(text)
+    for found, sign in _SIGNS:
+        text = found.sub(sign, text)
+    return text
 
 
 def _tens(text: str) -> str:
@@ -205,16 +244,33 @@ def probability_range(low: float, high: float) -> str:
     """Two probabilities between which another lies.
 
     >>> probability_range(1.5331809e-06, 0.0123)
-    '1.5 × 10⁻⁶ to 1.2 %'
+    '1.5 × 10⁻⁶ to 1.3 %'
     >>> probability_range(0.99901, 0.9999997)
     '99.901 % to 99.99997 %'
     """
-    return f"{_percent(_two_figures(low))} to {_percent(_two_figures(high))}"
+    return " to ".join(_percent(end) for end in outward(low, high))
 
 
-def _two_figures(p: float) -> float:
-    """A probability to two figures; close to one, of what is missing to it."""
-    return 1.0 - float(f"{1.0 - p:.2g}") if 0.99 < p < 1.0 else float(f"{p:.2g}")
+def outward(low: float, high: float) -> tuple[float, float]:
+    """The ends of a range of probabilities in two figures, none of them further in than it is.
+
+    Whoever divides a target by what is printed then finds no more than the page says.
+
+    >>> outward(3.14e-7, 0.0010382)
+    (3.1e-07, 0.0011)
+    """
+    return _two_figures(low, up=False), _two_figures(high, up=True)
+
+
+def _two_figures(p: float, *, up: bool) -> float:
+    """A probability to two figures, rounded one way; close to one, of what is missing to it."""
+    if 0.99 < p < 1.0:
+        return 1.0 - _two_figures(1.0 - p, up=not up)
+    if not 0.0 < p < 1.0:
+        return p
+    step = 10.0 ** (math.floor(math.log10(p) + _ROUND) - 1)
+    whole = math.ceil(p / step - _COUNTED) if up else math.floor(p / step + _COUNTED)
+    return float(f"{whole * step:.2g}")
 
 
 def _percent(value: float) -> str:

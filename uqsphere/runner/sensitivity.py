@@ -401,6 +401,8 @@ def _conclude(
     agree: bool | None = None
     if sampled and expanded:
         agree, text = cross_check(list(names), sampled, expanded)
+    elif about.get("kind") and expanded:
+        text = f"Indices are those of the polynomial chaos: {about['reason']}. None were sampled that would check them."
     elif about.get("kind"):
         text = f"The polynomial chaos is not used: {about['reason'].removeprefix('refused: ')}. Indices are sampled."
     else:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.mechanics.measured import MeasuredPulse
-from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
+from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
 
 if TYPE_CHECKING:
     from uqsphere.uq.inputs import Dependence as Tie
@@ -298,6 +298,10 @@ class Study:
 def law_with_mean(study: Study, name: str, mean: float) -> Law:
     """The law of a random input with another mean (SI), keeping sd or cov, whichever the file gives.
 
+    What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become spheres
+    of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a beta law are its own and
+    stay.
+
     Raises
     ------
     LawError
@@ -306,7 +310,10 @@ def law_with_mean(study: Study, name: str, mean: float) -> Law:
     law, given = study.random[name], study.given[name]
     if "mean" not in given:
         raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
-    return make_law(law.kind, {**given, "mean": mean}, lower=_bound(law.lower), upper=_bound(law.upper))
+    cut = not LAWS[law.kind].bounded and given["mean"] > 0.0 and mean > 0.0
+    ratio = mean / given["mean"] if cut else 1.0
+    lower, upper = _bound(ratio * law.lower), _bound(ratio * law.upper)
+    return make_law(law.kind, {**given, "mean": mean}, lower=lower, upper=upper)
 
 
 def tie_of(group: Dependence) -> Tie:

@@ -1,0 +1,232 @@
+"""The page on the screen and on paper: tables that fit, whole names, numbers that agree with each other, signs."""
+
+from __future__ import annotations
+
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from report_folders import estimate, limit, write_folder
+from test_page_agrees import headings, solved
+
+from uqsphere.report import progress
+from uqsphere.report.bearing import check_name
+from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.drivers import given_failure_table, measure_finding, measure_table
+from uqsphere.report.fragility_family import family_figure
+from uqsphere.report.glance import glances
+from uqsphere.report.headings import swings_heading
+from uqsphere.report.html import build_report, new_environment
+from uqsphere.report.margin_parts import parts_table
+from uqsphere.report.margin_verdict import margin_verdicts, subject_of
+from uqsphere.report.sheet import unbroken
+from uqsphere.report.tables import Table
+from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.report.wording import law_name, mathematical, outward, probability_range
+from uqsphere.runner.band import METHOD
+
+ROOT = Path(__file__).parents[1]
+#: letters that a line of a table holds on A4, and in the column of the page
+LETTERS = 105
+#: letters that stand for the space between two columns
+GAP = 1.2
+
+
+def narrowest(table: Table) -> float:
+    """Letters of the narrowest setting of a table: in every column the longest piece that does not part."""
+    cells = zip(*(table.header, *table.rows), strict=True)
+    longest = [max(len(piece) for text in column for piece in re.split(r"[ \n]", unbroken(text))) for column in cells]
+    return sum(longest) + GAP * len(longest)
+
+
+@pytest.mark.parametrize("name", ["granite", "crusher-margin"])
+def test_the_table_of_most_columns_fits_the_page_and_the_paper(name: str) -> None:
+    results = json.loads((ROOT / "reports" / name / "results.json").read_text("utf-8"))
+    contents: Any = SimpleNamespace(results=results, subject=lambda variable: subject_of(results, variable))
+    for limit_name in results["limits"]:
+        table = given_failure_table(contents, limit_name)
+        assert table is not None
+        assert len(table.header) == 6
+        assert narrowest(table) <= LETTERS, table.rows
+
+
+def test_a_table_of_many_columns_is_set_smaller_and_of_very_many_parts_its_intervals() -> None:
+    environment = new_environment()
+    environment.filters["drawn"] = str
+    template = environment.from_string('{% from "parts.html" import table %}{{ table(t) }}')
+
+    def page(columns: int) -> str:
+        row = ("x", *["1.234 (1.233 to 1.235) m/s"] * (columns - 1))
+        return template.render(t=Table(caption="c", header=("input", *["v"] * (columns - 1)), rows=(row,)))
+
+    assert 'class=" wide' not in page(4)
+    assert 'class=" wide' in page(5)
+    assert "(1.233\u00a0to\u00a01.235)\u00a0m/s" in page(6)
+    assert "(1.233\u00a0to 1.235)\u00a0m/s" in page(7)
+
+
+def test_names_in_a_legend_are_whole() -> None:
+    methods = ["pick and freeze", "polynomial chaos", METHOD, "a, first of two", "a, second of two"]
+    names = progress._legend_names(methods)
+    assert names == [
+        "pick and freeze",
+        "polynomial chaos",
+        "runs along the curve",
+        "a, first of two",
+        "a, second of two",
+    ]
+    assert not any("…" in name for name in names)
+    assert all(len(line) <= 30 for name in names for line in name.split("\n"))
+
+
+def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
+    for low, high in ((1.5, 2.2), (3.1, 3.7), (0.0, 5.0), (2.0, 3.0)):
+        ticks = progress._ticks(low, high)
+        assert 3 <= len(ticks) <= 8
+        assert all(10.0**low <= tick <= 10.0**high * (1.0 + 1e-9) for tick in ticks)
+        assert all(b / a > 1.0 + 0.1 * (high - low) for a, b in pairwise(ticks))
+
+
+def test_a_heading_has_one_colon(tmp_path: Path) -> None:
+    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    assert all(heading.count(":") <= 1 for heading in headings(folder))
+    contents = read_contents(folder)
+    assert (
+        swings_heading(contents, "p_max", "sphere.E")
+        == "How far each input moves p_max: Young's modulus of the sphere furthest"
+    )
+
+
+@pytest.mark.parametrize(("low", "high"), [(3.14e-7, 0.0010382), (0.012, 0.0123), (0.99883, 0.9999997), (0.0, 1.0)])
+def test_a_range_is_never_printed_narrower_than_it_is(low: float, high: float) -> None:
+    first, last = outward(low, high)
+    assert first <= low * (1.0 + 1e-6)
+    assert last >= high * (1.0 - 1e-6)
+    assert outward(first, last) == pytest.approx((first, last), rel=1e-9)
+    assert probability_range(low, high) == probability_range(first, last)
+
+
+def test_how_far_below_the_target_follows_from_what_is_printed(tmp_path: Path) -> None:
+    told = {**limit(4.5e-5, 0.01, True), "ignorance": {
+        "miss": [3.14e-7, 0.0010382], "met": True, "alone": {},
+        "from": [{"input": "limits.x.strength", "tests": 20}]}}  # fmt: skip
+    contents = read_contents(write_folder(tmp_path, limits={"x": told}))
+    line = verdicts(contents)[0].lines[1]
+    assert "3.1 × 10⁻⁷ to 0.11 % (95 %), at least 9.0 times below the target" in line
+
+
+def test_the_two_medians_of_a_margin_are_told_apart(tmp_path: Path) -> None:
+    contents = _margined(tmp_path, medians=1.4643)
+    table = parts_table(contents, "chute")
+    assert table is not None
+    assert "is the middle of strength over demand taken case by case; 1.46 is the middle strength" in table.note
+    same = contents.results["limits"]["chute"]["margin"]["median"]["value"]
+    contents.results["margins"]["chute"]["factors"]["medians"] = same
+    table = parts_table(contents, "chute")
+    assert table is not None
+    assert "case by case" not in table.note
+
+
+def _margined(tmp_path: Path, medians: float) -> Contents:
+    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    contents.results["margins"]["chute"]["factors"] = {
+        "medians": medians, "fractiles": 1.04, "fractiles_of": {"strength": 0.05, "demand": 0.95}}  # fmt: skip
+    return contents
+
+
+def _broken(name: str, warning: float) -> dict[str, Any]:
+    return {"check": name, "share": warning, "share_information": 0.0, "share_warning": warning, "share_failure": 0.0,
+            "worst": 2.0, "text": f"in {100 * warning:g} % of the scenes something"}  # fmt: skip
+
+
+def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
+    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    contents.results["validity"] = [_broken("bar_yield_contact", 0.1)]
+    contents.results["margins"]["chute"]["validity"] = {"samples": 128, "checks": [_broken("bar_yield_contact", 0.5)]}
+    page = " ".join(cautions(contents))
+    assert page.count("dent widens the contact") == 1
+    assert "as planned: the bars yield under the sphere (10 % of the samples), to the same effect" in page
+    valid = next(g.answer for g in glances(contents) if g.question == "Model valid?")
+    assert valid.startswith("With warnings: the bars yield under the sphere, as planned and at ")
+    # how often, and to what effect, stands in the cautions alone
+    assert "%" not in valid
+    assert "dent" not in valid
+
+
+def test_what_the_bars_stand_is_said_once(tmp_path: Path) -> None:
+    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True), second=limit(0.0075, 0.01, True)))
+    for entry in contents.results["margins"].values():
+        entry["bars"] = {"yield_strength": 1.9e9, "contact_everywhere": "elastic", "pulse_value": 97.5,
+                         "contact": None, "contact_probability": 0.01}  # fmt: skip
+    lines = [line for verdict in margin_verdicts(contents) for line in verdict.lines]
+    assert sum("The bars (yield strength" in line for line in lines) == 1
+
+
+def test_tests_are_counted_in_all_everywhere() -> None:
+    row = {
+        "input": "limits.x.strength",
+        "tests": 1692,
+        "observations": 20,
+        "sway": estimate(1.8e-4, 1e-6),
+        "share": 0.98,
+    }
+    entry = {"of": "probability", "wanted": 0.1, "probability": 4.45e-5, "rows": [row]}
+    assert "after 1\u202f692 tests of it in all, 1\u202f672 more than there are, if only" in measure_finding(entry)
+    table = measure_table(entry, "c")
+    assert table is not None
+    assert table.header[-1].startswith("tests in all until")
+
+
+def test_formulas_have_the_signs_of_print() -> None:
+    from uqsphere.mechanics.criteria import CRITERIA
+    from uqsphere.mechanics.validity import RULES
+
+    texts = [text for rule in RULES for text in (rule.words, rule.fine, rule.meaning)]
+    texts += [criterion.range_text for criterion in CRITERIA.values()]
+    for text in texts:
+        assert not re.search(r"sqrt|<=|>=|\^\d|\+-|\brho\b|\bnu\b", mathematical(text))
+    assert mathematical("n = (sway/(0.1 p))^2, 2.6e-09 +- 1") == "n = (sway/(0.1 p))², 2.6 × 10⁻⁹ ± 1"
+
+
+def test_names_are_written_as_people_write_them() -> None:
+    assert (law_name("weibull"), law_name("student_t"), law_name("normal")) == ("Weibull", "Student’s t", "normal")
+    assert check_name("quasi_static_sphere") == "quasi-static sphere"
+    assert unbroken("the bars' ends, Young's \"steels, 1976\"") == "the bars’ ends, Young’s “steels, 1976”"
+
+
+def test_paper_names_the_figure_that_may_stand_on_the_next_page(tmp_path: Path) -> None:
+    page = build_report(solved(tmp_path, chute=limit(0.0075, 0.01, True))).read_text("utf-8")
+    captions = [int(number) for number in re.findall(r"<figcaption>Figure (\d+)\.", page)]
+    named = [int(number) for number in re.findall(r'<span class="paper"> \(Figure (\d+)\.\)</span>', page)]
+    assert captions == sorted(captions)
+    assert named
+    assert set(named) <= set(captions)
+    # no axis or legend of a figure has a typed apostrophe
+    assert "oung's" not in page.partition("<nav")[2]
+
+
+def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) -> None:
+    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    entry = contents.results["margins"]["chute"]
+    member = {"values": {"0.5": estimate(1.0), "0.1": estimate(0.8)},
+              "curve": [[0.5 + 0.1 * k, 0.05 + 0.1 * k, 0.04, 0.99] for k in range(9)]}  # fmt: skip
+    entry["family"] = {"path": "sphere.radius", "members": [{"value": r, **member} for r in (0.008, 0.012)]}
+    picture = family_figure(contents, "chute")
+    assert picture is not None
+    (axes,) = picture.figure.axes
+    marked = [line for line in axes.lines if line.get_linestyle() == "None"]
+    assert [sorted(line.get_xdata()) for line in marked] == [[0.8, 1.0]] * 2
+    # the same words as under the curve of the limit itself
+    assert axes.get_xlabel() == _label(contents)
+
+
+def _label(contents: Contents) -> str:
+    from uqsphere.report.decision import fragility_figure
+
+    picture = fragility_figure(contents, "chute")
+    assert picture is not None
+    return str(picture.figure.axes[0].get_xlabel())
