@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
-from uqsphere.forecast import forecast
+from uqsphere.forecast import CHEAPER, forecast
 from uqsphere.model import scene_of
 from uqsphere.study import Study
 from uqsphere.ways import FITS, OVERHEAD, choose_way
@@ -49,7 +49,9 @@ def plan_run(study: Study) -> dict[str, Any]:
     cost = study.analysis.cost
     known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
-    plan["most"] = min(sum(part.most for part in parts), way.affordable)
+    # a row of a cheaper model costs a fraction of one of the chosen model: it is no part of the sum
+    plan["most"] = min(sum(part.most for part in parts if part.name not in CHEAPER), way.affordable)
+    plan["cheaper"] = min(sum(part.most for part in parts if part.name in CHEAPER), way.affordable)
     plan["parts"] = [{"part": part.name, "likely": part.likely, "most": part.most} for part in parts]
     plan["way"] = ("surrogate" if way.surrogate else "sampling") if known else None
     plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
@@ -81,9 +83,14 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
         f"{part['part']} {_three(part['likely']):,}"
         + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
         for part in plan["parts"]
+        if part["part"] not in CHEAPER
     ]
     if len(told) > 1:
         lines.append(f"of which: {'; '.join(told)}")
+    if plan["cheaper"]:
+        lines.append(
+            f"besides: up to {_three(plan['cheaper']):,} of a cheaper model, if the pilot finds that it saves time"
+        )
     if plan["seconds"] is None:
         lines.append("time: depends on the model that is given with --model")
     elif study.black_box:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.forecast import forecast
+from uqsphere.forecast import CHEAPER, forecast
 from uqsphere.runner.work import Work
 
 if TYPE_CHECKING:
@@ -14,7 +14,8 @@ __all__ = ["FACTOR", "account"]
 
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
-_CHEAPER: Final = "cheaper model beside sampling"
+#: parts beside which a cheaper model may be evaluated, and what that is called
+_CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
 
 
 def account(work: Work, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
@@ -30,10 +31,12 @@ def account(work: Work, surrogate: bool, affordable: int, found: Findings) -> li
     parts = {part.name: part for part in forecast(work.study, affordable, surrogate)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
     # models beside the one that was chosen are no samples of their own
-    beside = sum(n for name, n in work.ledger.parts.get("sampling", {}).items() if name not in _answering(found))
-    if beside:
-        taken["sampling"] -= beside
-        taken[_CHEAPER] = beside
+    for name, called in _CHEAPER.items():
+        by = work.ledger.parts.get(name, {})
+        beside = sum(n for fidelity, n in by.items() if fidelity not in _answering(found))
+        if beside:
+            taken[name] -= beside
+            taken[called] = beside
     names = [*parts, *(name for name in taken if name not in parts and taken[name])]
     rows = []
     for name in names:
@@ -62,8 +65,9 @@ def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -
         "out of reach": "what is left was seen to be out of the budget's reach and given up",
         "failures": "rows without an answer ended it",
     }.get(stop, "")
-    if name == _CHEAPER:
-        return str(found.sampled.control.text) + "." if found.sampled.control.text else "A control variate was tried."
+    if name in _CHEAPER.values():
+        text = found.sampled.control.text if name == _CHEAPER["sampling"] else found.index_control.text
+        return f"{text}." if text and taken else "A control variate was tried." if taken else "None was worth a trial."
     if name in ("sampling", "sensitivity"):
         if more:
             late = f"; it ended since {ended}" if ended else ""
