@@ -22,7 +22,7 @@ CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the ind
 FIRST_SAMPLE: Final = 2_048
 #: quantities that jump where a contact is lost one oscillation earlier, and one that surrogates tell nothing of:
 #: base points that their indices take for 1 %
-ROUGH: Final = {"contact_time": 16_000, "pulse_width": 16_000, "rise_time": 16_000, "loading_rate": 16_000,
+ROUGH: Final = {"contact_time": 25_000, "pulse_width": 25_000, "rise_time": 25_000, "loading_rate": 25_000,
                 "force_imbalance": 50_000}  # fmt: skip
 #: Student's t of sixteen replicates
 _T: Final = 2.13
@@ -37,7 +37,7 @@ _SHARE, _JUDGED, _CAUTION = 0.7, 8_192, 1.5
 #: models are compared on; runs timed of a black box
 _PILOT, _PART, _COMPARED, _TIMED = 512, 8, 64, 32
 #: base points of the indices: of the first stage in all replicates; the most for outputs that jump
-_FIRST_BASE, _ROUGHEST = 1_024, 80_000
+_FIRST_BASE, _ROUGHEST = 1_024, 200_000
 #: cheaper models that a control variate evaluates for each full one, at the most
 _CONTROL: Final = 16
 #: curves: the look and what its rows are likely to be, the same where a strength is fixed, of which a row tells on

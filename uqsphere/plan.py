@@ -17,6 +17,8 @@ __all__ = ["plan_run", "plan_text"]
 
 #: seconds per step of the compiled integrator on one processor, as the shipped studies show it
 _STEP_SECONDS = 0.5e-6
+#: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
+_START, _LIMIT, _CURVE = 4.0, 1.0, 2.5
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
@@ -59,12 +61,28 @@ def plan_run(study: Study) -> dict[str, Any]:
         plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
         overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = None if cost is None else round(evaluations * cost + overhead, 1)
+        if cost is not None:
+            _time_parts(plan, cost, {})
     if not study.black_box:
         numbers = _scene_numbers(study)
         plan["scene"] = {"mu": numbers["mu"], "theta": numbers["theta"]}
         steps = numbers["steps"] or 0.0
-        plan["seconds"] = round(4.0 + evaluations * steps * _STEP_SECONDS / processors, 1)
+        _time_parts(plan, steps * _STEP_SECONDS / processors, _beside(study))
+        plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
     return plan
+
+
+def _beside(study: Study) -> dict[str, float]:
+    """Seconds that parts take beside their evaluations."""
+    limits, margins = len(study.limits), study.margins
+    curves = 0 if margins is None else 1 + (len(margins.family.values) if margins.family else 0)
+    return {"rare events": _LIMIT * limits, "margins": _CURVE * limits * curves}
+
+
+def _time_parts(plan: dict[str, Any], each: float, beside: Mapping[str, float]) -> None:
+    """Give every part its seconds, at so many for an evaluation."""
+    for part in plan["parts"]:
+        part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
 
 
 def _three(number: int) -> int:
@@ -98,6 +116,9 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     else:
         about = f"{plan['seconds']:.0f} s on {plan['processors']} processors"
         lines.append(f"time: about {about} (20 s more to compile at first)")
+    dear = [f"{p['part']} {p['seconds']:,.0f} s" for p in plan["parts"] if p.get("seconds", 0.0) >= 1.0]
+    if len(dear) > 1:
+        lines.append(f"of which: {', '.join(dear)}")
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     if study.black_box:
         crossover = plan["crossover_seconds_per_evaluation"]
