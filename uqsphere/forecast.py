@@ -22,7 +22,7 @@ CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the ind
 FIRST_SAMPLE: Final = 2_048
 #: quantities that jump where a contact is lost one oscillation earlier, and one that surrogates tell nothing of:
 #: base points that their indices take for 1 %
-ROUGH: Final = {"contact_time": 25_000, "pulse_width": 25_000, "rise_time": 25_000, "loading_rate": 25_000,
+ROUGH: Final = {"contact_time": 24_000, "pulse_width": 16_000, "rise_time": 16_000, "loading_rate": 16_000,
                 "force_imbalance": 50_000}  # fmt: skip
 #: Student's t of sixteen replicates
 _T: Final = 2.13
