@@ -303,6 +303,7 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     from uqsphere.runner.account import account
     from uqsphere.runner.courses import save_courses
     from uqsphere.runner.datafiles import keep_data
+    from uqsphere.runner.further import further_rows
     from uqsphere.runner.results import build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
 
@@ -320,7 +321,10 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     save_courses(work, store, found.sampled)
     keep_data(work.study, store.folder)
     results = build_results(work, found)
-    manifest = build_manifest(work, work.ledger, found.seconds)
+    further = further_rows(results)
+    results["speed_error"] = [*results["speed_error"], *(row for _, row in further)]
+    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
+    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends])
     manifest["plan"] = {
         "cost_seconds_per_evaluation": priced.cost,
         "crossover_seconds_per_evaluation": way.crossover,
