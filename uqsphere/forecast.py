@@ -238,8 +238,10 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
         add("pilot", _TIMED, _TIMED)
     if surrogate:
         runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
+        # the runs that are timed are the first of its design
+        first = sum(part.likely for part in found)
         wide = study.margins is not None and not study.margins.solve.startswith("limits.")
-        add("surrogate", 2 * runs if wide else runs, RUNS_MOST + (256 if wide else 0))
+        add("surrogate", (2 * runs if wide else runs) - first, RUNS_MOST + (256 if wide else 0))
     else:
         sampling = _sampling(study, budget)
         add("sampling", sampling.likely, sampling.most)

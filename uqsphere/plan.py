@@ -59,6 +59,7 @@ def plan_run(study: Study) -> dict[str, Any]:
     plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
     if study.black_box:
         plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
+        plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
         overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = None if cost is None else round(evaluations * cost + overhead, 1)
         if cost is not None:
@@ -122,5 +123,9 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     if study.black_box:
         crossover = plan["crossover_seconds_per_evaluation"]
-        lines.append(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
+        balance = plan["balance_seconds_per_evaluation"]
+        text = f"crossover: above {crossover:g} s an evaluation a surrogate is taken, below it sampling"
+        if balance < crossover:
+            text += f" (it takes less time above {balance:g} s already, but answers less)"
+        lines.append(text)
     return "\n".join(lines)

@@ -325,7 +325,7 @@ def plan_table(contents: Contents) -> Table | None:
     cost = costs.get("cost_seconds_per_evaluation")
     if cost:
         crossover = costs["crossover_seconds_per_evaluation"]
-        text = f"{number_text(f'{cost:.2g}')} s; a surrogate takes less time above {number_text(f'{crossover:.2g}')} s"
+        text = f"{number_text(f'{cost:.2g}')} s; a surrogate is taken above {number_text(f'{crossover:.2g}')} s"
         rows.append(("cost of an evaluation", text))
     return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
 

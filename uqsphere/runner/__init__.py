@@ -308,12 +308,13 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     from uqsphere.runner.samples import save_points
 
     way = priced.way
+    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
     plan = {
-        "way": "surrogate" if dear is not None and dear.surrogate else "sampling",
+        "way": taken,
         "why": way.why if dear is None else dear.why,
         "sampling_evaluations": way.sampling,
         "surrogate_evaluations": way.runs,
-        "parts": account(work, dear is not None and dear.surrogate, way.affordable, found),
+        "parts": account(work, way.surrogate, taken == "surrogate", way.affordable, found),
     }
     found = replace(found, plan=plan)
     store.settle()
@@ -328,6 +329,7 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     manifest["plan"] = {
         "cost_seconds_per_evaluation": priced.cost,
         "crossover_seconds_per_evaluation": way.crossover,
+        "balance_seconds_per_evaluation": way.balance,
         "affordable_evaluations": way.affordable,
     }
     write_results(store, results, manifest)

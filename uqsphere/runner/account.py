@@ -18,17 +18,17 @@ FACTOR: Final = 2.0
 _CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
 
 
-def account(work: Work, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
+def account(work: Work, planned: bool, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
     """Every part with the evaluations that were likely, the most, and those taken, for results.json.
 
     Parameters
     ----------
     work : the run, its ledger closed for every part.
-    surrogate : whether it was answered through a surrogate.
+    planned, surrogate : whether it was to be answered through a surrogate, and whether it was.
     affordable : evaluations that the budget had room for.
     found : what the run found: why its stages ended.
     """
-    parts = {part.name: part for part in forecast(work.study, affordable, surrogate)}
+    parts = {part.name: part for part in forecast(work.study, affordable, planned)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
     # models beside the one that was chosen are no samples of their own
     for name, called in _CHEAPER.items():
@@ -43,7 +43,7 @@ def account(work: Work, surrogate: bool, affordable: int, found: Findings) -> li
         part, spent = parts.get(name), taken.get(name, 0)
         likely, most = (part.likely, part.most) if part else (0, 0)
         row = {"part": name, "likely": likely, "most": most, "taken": spent}
-        rows.append({**row, "why": _why(name, likely, spent, surrogate, found)})
+        rows.append({**row, "why": _why(name, likely, spent, (planned, surrogate), found)})
     return rows
 
 
@@ -53,11 +53,14 @@ def _answering(found: Findings) -> tuple[str, ...]:
     return (chosen,) if found.pilot.fallback is None else (chosen, "full")
 
 
-def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -> str:
+def _why(name: str, likely: int, taken: int, ways: tuple[bool, bool], found: Findings) -> str:
     """Why a part took much more or less than was likely, in a sentence; nothing where it did not."""
     if max(likely, 1) <= FACTOR * max(taken, 1) and max(taken, 1) <= FACTOR * max(likely, 1):
         return ""
     more = taken > likely
+    planned, surrogate = ways
+    if planned and not surrogate and name != "surrogate" and not likely:
+        return "No surrogate was good enough, and the model was sampled."
     stop = found.stops.get("sensitivity" if name == "sensitivity" else "sampling", "")
     ended = {
         "evaluations": "the next stage would have passed the budget",
@@ -87,7 +90,7 @@ def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -
         return "Sampling had the probabilities well enough already."
     if name == "surrogate":
         if not surrogate:
-            return "A surrogate was tried first, and found too rough or too slow."
+            return "The surrogate was found too rough, and no more runs were made for it."
         if ended and not more:
             return f"It ended early: {ended}."
         if more:

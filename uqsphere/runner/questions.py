@@ -18,7 +18,7 @@ __all__ = ["SMALL", "questions"]
 
 SMALL: Final = "so small that nothing hangs on it: no accuracy is pursued"
 #: the number of evaluations that a sentence about a missed accuracy names
-_NEEDED: Final = re.compile(r"about ([\d,]+) evaluations")
+_NEEDED: Final = re.compile(r"(?:about|take|\() ?([\d,]+) evaluations")
 
 
 def questions(work: Work, found: Findings, missed: Sequence[str]) -> list[dict[str, Any]]:
