@@ -19,6 +19,8 @@ __all__ = ["plan_run", "plan_text"]
 _STEP_SECONDS = 0.5e-6
 #: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
 _START, _LIMIT, _CURVE = 4.0, 1.0, 2.5
+#: parts whose seconds are told
+_DEAREST = 3
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
@@ -117,9 +119,9 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     else:
         about = f"{plan['seconds']:.0f} s on {plan['processors']} processors"
         lines.append(f"time: about {about} (20 s more to compile at first)")
-    dear = [f"{p['part']} {p['seconds']:,.0f} s" for p in plan["parts"] if p.get("seconds", 0.0) >= 1.0]
-    if len(dear) > 1:
-        lines.append(f"of which: {', '.join(dear)}")
+    dear = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_DEAREST]
+    if dear:
+        lines.append("most of it: " + ", ".join(f"{p['part']} {p['seconds']:.2g} s" for p in dear))
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     if study.black_box:
         crossover = plan["crossover_seconds_per_evaluation"]
