@@ -14,31 +14,45 @@ from typing import Final
 from uqsphere.study import Study
 from uqsphere.uq.distribution import Law
 
-__all__ = ["FIRST_SAMPLE", "Part", "base_rows", "forecast"]
+__all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast"]
 
+#: parts that evaluate a cheaper model, by the part that it may help
+CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
 #: evaluations that sampling begins with; its stages double
 FIRST_SAMPLE: Final = 2_048
-#: quantities that jump where a contact is lost one oscillation earlier: sampling is slow on them
-ROUGH: Final = ("contact_time", "pulse_width", "rise_time", "loading_rate")
+#: quantities that jump where a contact is lost one oscillation earlier, and one that surrogates tell nothing of:
+#: base points that their indices take for 1 %
+ROUGH: Final = {"contact_time": 24_000, "pulse_width": 16_000, "rise_time": 16_000, "loading_rate": 16_000,
+                "force_imbalance": 50_000}  # fmt: skip
 #: Student's t of sixteen replicates
 _T: Final = 2.13
-#: factor that quasi-random points save of quantiles: of the impact model, and of a black box, of which nothing is known
-_GAIN: Final = (6.0, 3.0)
+#: factor that the first sample's quasi-random points save of quantiles: of the impact model, and of a black box, of
+#: which nothing is known.  It grows with the root of the points, since half-widths fall with their power 3/4
+_GAIN: Final = (2.0, 0.5)
 #: probability that a limit of fixed strength is taken to have, where it has no target above it
 _CHANCE: Final = 0.05
 #: share of the budget that sampling may take, and from where on an accuracy beyond it is given up
 _SHARE, _JUDGED, _CAUTION = 0.7, 8_192, 1.5
-#: evaluations of the first look at the impact model, those timed of a black box
-_PILOT, _TIMED = 768, 32
-#: base points of the indices: of the first stage in all replicates; for outputs that jump, likely and most
-_FIRST_BASE, _ROUGH_BASE, _ROUGHEST = 1_024, 16_000, 80_000
+#: points of the first look at the impact model, one in how many of the budget they may be, the fewest that cheaper
+#: models are compared on; runs timed of a black box
+_PILOT, _PART, _COMPARED, _TIMED = 512, 8, 64, 32
+#: base points of the indices: of the first stage in all replicates; the most for outputs that jump
+_FIRST_BASE, _ROUGHEST = 1_024, 200_000
 #: cheaper models that a control variate evaluates for each full one, at the most
-_CONTROL: Final = 32
-#: curves: the look and the first rows, those of each value asked for, the share of the budget they may take
-_CURVE, _VALUE, _CURVES = 2_848, 256, 0.1
+_CONTROL: Final = 16
+#: curves: the look and what its rows are likely to be, the same where a strength is fixed, of which a row tells on
+#: which side it lies alone; the rows of each value asked for; the share of the budget that curves may take
+_CURVE, _CURVE_FIXED, _VALUE, _VALUE_FIXED, _CURVES = 4_272, 18_000, 512, 6_144, 0.1
+_VALUE_FIRST: Final = 256
 _CURVE_MOST: Final = 288 + 3 * 2_560
-#: a rare limit: its search, and the most
-_RARE, _RARE_MOST = 6_000, 100_000
+#: a rare limit: its search, and the most; the design points of any limit, which take all that they may
+_RARE, _RARE_MOST, _DESIGN = 6_000, 100_000, 1_000
+#: share of what is left that the limits may take for it together
+_RARE_SHARE: Final = 0.5
+#: fracture: specimens whose loading is followed, samples whose first loading is, those of the curve of all limits
+_SPECIMENS, _EARLY, _ANY_CURVE = 16 * 64, 16 * 512, 16 * 64 * 17
+#: share of what is left that the first two may take each, and the fewest that are worth it
+_FRACTURE_SHARE, _FRACTURE_LEAST = 0.05, 16 * 8
 #: runs that a surrogate of a smooth model is content with: for up to five inputs, and beyond; the most
 _RUNS, _RUNS_MANY, RUNS_MOST = 64, 256, 1_024
 
@@ -77,14 +91,16 @@ def _points(study: Study) -> tuple[float, float]:
         density = normal.pdf(normal.inv_cdf(p))
         plain = max(plain, p * (1.0 - p) / density**2)
     plain *= (_T / max(analysis.accuracy.quantile, 1e-50)) ** 2
-    gain = _GAIN[1] if study.black_box else _GAIN[0]
+    # n = plain/gain with a gain that is itself a multiple of the root of n
+    first = _GAIN[1] if study.black_box else _GAIN[0]
+    smooth = (plain * math.sqrt(FIRST_SAMPLE) / first) ** (2.0 / 3.0)
     # the mean of smooth outputs is known long before its quantiles, the root of the points ahead
     mean = (_T / max(analysis.accuracy.mean, 1e-50)) ** (4.0 / 3.0)
     counted = 0.0
     if any(not isinstance(limit.strength, Law) for limit in study.limits):
         # a row tells only on which side of a fixed strength it lies
         counted = (_T / max(analysis.accuracy.probability, 1e-50)) ** 2 * (1.0 - _CHANCE) / _CHANCE
-    return max(plain / gain, mean, counted), max(plain, counted)
+    return max(min(smooth, plain), mean, counted), max(plain, counted)
 
 
 def _stage(points: float, room: float) -> int:
@@ -116,8 +132,9 @@ def _sensitivity(study: Study) -> tuple[float, float]:
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
     most = max(_FIRST_BASE, _ROUGHEST * finer**2)
-    if any(name in ROUGH for name in analysis.quantities):
-        return blocks * max(float(_FIRST_BASE), _ROUGH_BASE * finer**2), blocks * most
+    rough = max((ROUGH.get(name, 0) for name in analysis.quantities), default=0)
+    if rough:
+        return blocks * max(float(_FIRST_BASE), rough * finer**2), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)
     # the first stage has been enough for half a per cent
     base = _FIRST_BASE * max(1.0, 0.5 * finer) ** 1.2 if helped else 4 * _FIRST_BASE * finer**1.2
@@ -131,14 +148,64 @@ def _margins(study: Study, budget: float) -> tuple[float, float]:
         return 0.0, 0.0
     curves = 1 + (len(margins.family.values) if margins.family else 0)
     still = margins.solve.startswith("limits.")
-    asked = len(margins.for_probability) * len(study.limits)
-    values = 0 if still else _VALUE * asked
-    look = 1_024 if still else _CURVE
-    share = _CURVES * budget if math.isfinite(budget) else 0.0
+    asked = len(margins.for_probability)
+    fixed = sum(not isinstance(limit.strength, Law) for limit in study.limits)
+    values = 0 if still else asked * (_VALUE * (len(study.limits) - fixed) + _VALUE_FIXED * fixed)
+    look = 1_536 if still else _CURVE_FIXED if fixed else _CURVE
+    likely = float(curves * (look + values))
     # a curve takes its first rows, and each value its first ones, whatever the share
-    least = curves * ((1_024 if still else _CURVE_MOST) + values)
-    likely = curves * (1.5 * look + 2.0 * values)
-    return likely, max(share, float(least))
+    first = 0 if still else _VALUE_FIRST * asked * len(study.limits)
+    least = float(curves * ((1_024 if still else _CURVE_MOST) + first))
+    if not math.isfinite(budget):
+        return likely, max(likely, least)
+    most = max(_CURVES * budget, least)
+    return min(likely, most), most
+
+
+def _pilot(study: Study, budget: float) -> tuple[int, int]:
+    """Evaluations of the first look: the full model on all its points, what it is compared with on half of them."""
+    points = 1 if not study.random else int(min(_PILOT, 1 << max(3, int(min(budget, 1e9)) // _PART).bit_length() - 1))
+    if points == 1:
+        return 1, 1
+    half, asked = points // 2, study.model.fidelity
+    # both cheaper models, and the full one at a closer tolerance where neither is taken
+    others = (3 if points >= _COMPARED else 1) if asked == "auto" else 1
+    return points + others * half, points + others * half
+
+
+def _rare(study: Study, budget: float) -> tuple[float, float]:
+    """Evaluations for the limits: the design points of each, and the search for those that are rare."""
+    limits = study.limits
+    searched = {"auto", "form", "importance", "subset"} & set(study.analysis.methods)
+    if not (limits and study.random and searched):
+        return 0.0, 0.0
+    share = _RARE_SHARE * budget / len(limits)
+    rare = sum(limit.target is not None and limit.target < 1e-4 for limit in limits)
+    design = _DESIGN if share >= _DESIGN else 0
+    return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(_RARE_MOST, share)
+
+
+def _fracture(study: Study, budget: float) -> tuple[float, float]:
+    """Evaluations for the moment of fracture, the first loading, and the curve of all limits that break the sphere."""
+    from uqsphere.mechanics.loading import path_of
+
+    limits = [limit for limit in study.limits if limit.fracture is not False]
+    limits = [limit for limit in limits if path_of(limit.quantity, study.demands) is not None]
+    if study.black_box or not limits:
+        return 0.0, 0.0
+    room = _FRACTURE_SHARE * budget
+    specimens, early = ((min(n, room) if room >= _FRACTURE_LEAST else 0.0) for n in (_SPECIMENS, _EARLY))
+    ends = [study.at_means().get(f"bars.{bar}_end", 0.0) for bar in ("incident", "receiving")]
+    echoes = any(ends) or any(f"bars.{bar}_end" in study.random for bar in ("incident", "receiving"))
+    returning = echoes and not study.options["bars.infinite"] and not study.model.first_loading_only
+    likely = specimens + (early if returning else 0.0)
+    most = likely + (early if study.model.fidelity != "full" else 0.0)
+    if len(limits) > 1:
+        curve = study.margins is not None and not study.margins.solve.startswith("limits.")
+        likely += _ANY_CURVE if curve else 0
+        # that any of them is exceeded may itself be rare
+        most += (_ANY_CURVE if curve else 0) + min(_RARE_MOST, _RARE_SHARE * budget)
+    return likely, most
 
 
 def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -> tuple[Part, ...]:
@@ -166,28 +233,30 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
             found.append(Part(name=name, likely=affordable, most=max(most, affordable)))
 
     if not study.black_box:
-        add("pilot", _PILOT, 2 * _PILOT)
+        add("pilot", *_pilot(study, end))
     elif "auto" in analysis.methods and analysis.cost is None:
         add("pilot", _TIMED, _TIMED)
     if surrogate:
         runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
+        # the runs that are timed are the first of its design
+        first = sum(part.likely for part in found)
         wide = study.margins is not None and not study.margins.solve.startswith("limits.")
-        add("surrogate", 2 * runs if wide else runs, RUNS_MOST + (256 if wide else 0))
+        add("surrogate", (2 * runs if wide else runs) - first, RUNS_MOST + (256 if wide else 0))
     else:
         sampling = _sampling(study, budget)
         add("sampling", sampling.likely, sampling.most)
-        if not study.black_box and study.model.fidelity in ("auto", "full"):
-            add("cheaper model beside sampling", 0, _CONTROL * sampling.likely)
-        rare = [limit for limit in study.limits if limit.target is not None and limit.target < 1e-4]
-        searched = {"auto", "form", "importance", "subset"} & set(analysis.methods)
-        if study.limits and study.random and searched:
-            add("rare events", _RARE * len(rare) + 100 * len(study.limits), _RARE_MOST * len(study.limits))
+        cheaper = not study.black_box and study.model.fidelity in ("auto", "full")
+        if cheaper:
+            add(CHEAPER[0], 0, _CONTROL * sampling.most)
+        add("rare events", *_rare(study, end))
     if analysis.tolerance_intervals:
         add("tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs)
     if not surrogate:
         add("margins", *_margins(study, end))
-        if not study.black_box and study.limits:
-            add("fracture", 0, 16 * 512)
+        add("fracture", *_fracture(study, end))
         if study.random:
-            add("sensitivity", *_sensitivity(study))
+            likely, most = _sensitivity(study)
+            add("sensitivity", likely, most)
+            if cheaper:
+                add(CHEAPER[1], 0, _CONTROL * most)
     return tuple(found)

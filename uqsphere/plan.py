@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
-from uqsphere.forecast import forecast
+from uqsphere.forecast import CHEAPER, forecast
 from uqsphere.model import scene_of
 from uqsphere.study import Study
 from uqsphere.ways import FITS, OVERHEAD, choose_way
@@ -17,6 +17,10 @@ __all__ = ["plan_run", "plan_text"]
 
 #: seconds per step of the compiled integrator on one processor, as the shipped studies show it
 _STEP_SECONDS = 0.5e-6
+#: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
+_START, _LIMIT, _CURVE = 4.0, 1.0, 2.5
+#: parts whose seconds are told
+_DEAREST = 3
 
 
 def _scene_numbers(study: Study) -> dict[str, float | None]:
@@ -49,20 +53,39 @@ def plan_run(study: Study) -> dict[str, Any]:
     cost = study.analysis.cost
     known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
     plan: dict[str, Any] = {"evaluations": int(evaluations), "processors": processors, "seconds": None, "scene": None}
-    plan["most"] = min(sum(part.most for part in parts), way.affordable)
+    # a row of a cheaper model costs a fraction of one of the chosen model: it is no part of the sum
+    plan["most"] = min(sum(part.most for part in parts if part.name not in CHEAPER), way.affordable)
+    plan["cheaper"] = min(sum(part.most for part in parts if part.name in CHEAPER), way.affordable)
     plan["parts"] = [{"part": part.name, "likely": part.likely, "most": part.most} for part in parts]
     plan["way"] = ("surrogate" if way.surrogate else "sampling") if known else None
     plan["why"] = way.why if known else "the first runs of the model are timed, and that decides"
     if study.black_box:
         plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
+        plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
         overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
         plan["seconds"] = None if cost is None else round(evaluations * cost + overhead, 1)
+        if cost is not None:
+            _time_parts(plan, cost, {})
     if not study.black_box:
         numbers = _scene_numbers(study)
         plan["scene"] = {"mu": numbers["mu"], "theta": numbers["theta"]}
         steps = numbers["steps"] or 0.0
-        plan["seconds"] = round(4.0 + evaluations * steps * _STEP_SECONDS / processors, 1)
+        _time_parts(plan, steps * _STEP_SECONDS / processors, _beside(study))
+        plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
     return plan
+
+
+def _beside(study: Study) -> dict[str, float]:
+    """Seconds that parts take beside their evaluations."""
+    limits, margins = len(study.limits), study.margins
+    curves = 0 if margins is None else 1 + (len(margins.family.values) if margins.family else 0)
+    return {"rare events": _LIMIT * limits, "margins": _CURVE * limits * curves}
+
+
+def _time_parts(plan: dict[str, Any], each: float, beside: Mapping[str, float]) -> None:
+    """Give every part its seconds, at so many for an evaluation."""
+    for part in plan["parts"]:
+        part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
 
 
 def _three(number: int) -> int:
@@ -81,9 +104,14 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
         f"{part['part']} {_three(part['likely']):,}"
         + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
         for part in plan["parts"]
+        if part["part"] not in CHEAPER
     ]
     if len(told) > 1:
         lines.append(f"of which: {'; '.join(told)}")
+    if plan["cheaper"]:
+        lines.append(
+            f"besides: up to {_three(plan['cheaper']):,} of a cheaper model, if the pilot finds that it saves time"
+        )
     if plan["seconds"] is None:
         lines.append("time: depends on the model that is given with --model")
     elif study.black_box:
@@ -91,8 +119,15 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     else:
         about = f"{plan['seconds']:.0f} s on {plan['processors']} processors"
         lines.append(f"time: about {about} (20 s more to compile at first)")
+    dear = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_DEAREST]
+    if dear:
+        lines.append("most of it: " + ", ".join(f"{p['part']} {p['seconds']:.2g} s" for p in dear))
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     if study.black_box:
         crossover = plan["crossover_seconds_per_evaluation"]
-        lines.append(f"crossover: above {crossover:g} s an evaluation a surrogate takes less time, below it sampling")
+        balance = plan["balance_seconds_per_evaluation"]
+        text = f"crossover: above {crossover:g} s an evaluation a surrogate is taken, below it sampling"
+        if balance < crossover:
+            text += f" (it takes less time above {balance:g} s already, but answers less)"
+        lines.append(text)
     return "\n".join(lines)

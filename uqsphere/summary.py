@@ -28,6 +28,8 @@ __all__ = ["summary_of"]
 
 #: inputs of a quantity or limit that get a line
 _MOST: Final = 6
+#: accuracies that were not reached and are told one by one
+_NAMED: Final = 24
 #: columns of a bar, and decimals of the indices beside it: the first that fits the screen is taken
 _SHAPES: Final = ((20, MOST_DIGITS), (20, 4), (12, 4), (8, 4), (8, 3))
 
@@ -72,12 +74,11 @@ def _cautions(results: dict[str, Any]) -> list[str]:
             )
     found += [*_assumed(results), *_answer_checks(results)]
     missed = results["accuracy"]["missed"]
-    if missed:
-        found.append(
-            f"{len(missed)} accuracies were not reached, among them {plain(missed[0])}"
-            if len(missed) > 1
-            else f"one accuracy was not reached: {plain(missed[0])}"
-        )
+    if len(missed) > 1:
+        found.append(f"{len(missed)} accuracies were not reached:")
+    found += [f"not reached: {plain(text)}" for text in missed[:_NAMED]]
+    if len(missed) > _NAMED:
+        found.append(f"not reached: {len(missed) - _NAMED} more, which the report names one by one")
     return found
 
 

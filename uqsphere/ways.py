@@ -25,7 +25,8 @@ class Way:
     surrogate : whether through a surrogate; else by sampling
     why : in a clause without seconds
     sampling, runs : evaluations that sampling, and that a surrogate, are forecast to take
-    crossover : cost of an evaluation above which the surrogate takes less time [s]
+    crossover : cost of an evaluation above which the surrogate is taken [s]
+    balance : cost above which the surrogate takes less time [s], which may be less
     affordable : evaluations that the budget allows
     """
 
@@ -34,6 +35,7 @@ class Way:
     sampling: int
     runs: int
     crossover: float
+    balance: float
     affordable: int
 
 
@@ -60,11 +62,12 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
         affordable = int(seconds / cost)
     overhead = OVERHEAD + FITS * len(analysis.quantities)
     # sampling ends with the budget, whatever accuracy it was forecast to take more for
-    crossover = max(overhead / max(min(planned, analysis.budget.evaluations) - runs, 1), CHEAP)
+    balance = overhead / max(min(planned, analysis.budget.evaluations) - runs, 1)
+    crossover = max(balance, CHEAP)
 
     def way(surrogate: bool, why: str) -> Way:
         return Way(surrogate=surrogate, why=why, sampling=planned, runs=runs, crossover=crossover,
-                   affordable=affordable)  # fmt: skip
+                   balance=balance, affordable=affordable)  # fmt: skip
 
     if not study.random:
         return way(False, "the model has no random input")
@@ -78,5 +81,7 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
         return way(False, "the cost of an evaluation is not known")
     told = f"sampling is forecast to take {planned:,} evaluations, a surrogate some {runs}"
     if cost > crossover:
-        return way(True, f"{told} and a time for its fits that this model would be sampled no longer in")
-    return way(False, f"{told}, but its fits would take longer than sampling so cheap a model")
+        return way(True, f"{told} and the time of its fits, which is less at this cost of an evaluation")
+    if cost > balance:
+        return way(False, f"{told}, but a model of a millisecond or less is sampled, which answers more, in any case")
+    return way(False, f"{told}, but its fits take longer than sampling so cheap a model")

@@ -156,7 +156,8 @@ def methods_chapter(contents: Contents) -> Chapter:
             picture=steps,
             remarks=(
                 "Errors are half-widths of 95 % intervals over what the study asks for; for polynomial chaos the share "
-                "of the variance that it leaves unexplained. Below the dashed line the accuracy is reached.",
+                "of the variance that it leaves unexplained. Below the dashed line the accuracy is reached. Rings: "
+                "answers that are read off the same rows, whose accuracy no stage pursues.",
             )
             if steps is not None
             else (),

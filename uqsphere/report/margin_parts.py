@@ -34,6 +34,9 @@ def parts_finding(contents: Contents, name: str) -> str:
         return ""
     subject = contents.subject(entry["solve"])
     factor = middle / value["value"]
+    if not factor > 0.0:
+        # a scalar of either sign has no factors
+        return ""
     lost = listed([
         f"{math.exp(share * math.log(factor)):.2f} ({input_name(n)})"
         for n, share in sorted(shares.items(), key=lambda item: -item[1])

@@ -114,7 +114,14 @@ def _half(estimate: Mapping[str, Any]) -> float | None:
 
 
 def accuracy_table(contents: Contents) -> Table:
-    """Half-widths asked and reached, one row per question."""
+    """Half-widths asked and reached and what the rest would take, one row per question."""
+    told = contents.results["accuracy"].get("questions")
+    if told:
+        return Table(
+            caption="Half-widths of the 95 % intervals, asked and reached",
+            rows=tuple(_question_row(row) for row in told),
+            header=("question", "asked", "reached", "", "it would take"),
+        )
     asked = contents.resolved["analysis"]["accuracy"]
     rows: list[tuple[str, ...]] = []
 
@@ -159,6 +166,21 @@ def accuracy_table(contents: Contents) -> Table:
         rows=tuple(rows),
         header=("question", "asked", "reached", ""),
     )
+
+
+def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
+    head, _, rest = str(row["quantity"]).partition(".")
+    name, _, where = rest.partition(" at ")
+    subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row["quantity"]))
+    subject += f" at {where}" if where else ""
+    kind, comma, scale = str(row["question"]).partition(", ")
+    verdict = {True: "reached", False: "not reached", None: "not pursued"}[row["met"]]
+    reached = ABSENT if row["reached"] is None else number_text(f"{row['reached']:.2g}")
+    needed = ABSENT if row["met"] or row["met"] is None else "not known"
+    if row["needed"]:
+        needed = f"about {thousands(int(row['needed']))} evaluations"
+    return f"{kind} of {subject}{comma}{scale}", f"{row['asked']:g}", reached, verdict, needed
 
 
 def model_table(contents: Contents) -> Table:
@@ -299,19 +321,30 @@ def plan_table(contents: Contents) -> Table | None:
                      f"{thousands(plan['surrogate_evaluations'])} by a surrogate, whatever the budget"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
-    rows += [_part_row(part) for part in plan.get("parts") or ()]
+    seconds = _part_seconds(contents.manifest.get("seconds") or {})
+    rows += [_part_row(part, seconds.get(part["part"])) for part in plan.get("parts") or ()]
     cost = costs.get("cost_seconds_per_evaluation")
     if cost:
         crossover = costs["crossover_seconds_per_evaluation"]
-        text = f"{number_text(f'{cost:.2g}')} s; a surrogate takes less time above {number_text(f'{crossover:.2g}')} s"
+        text = f"{number_text(f'{cost:.2g}')} s; a surrogate is taken above {number_text(f'{crossover:.2g}')} s"
         rows.append(("cost of an evaluation", text))
     return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
 
 
-def _part_row(part: Mapping[str, Any]) -> tuple[str, str]:
-    """A part of the run: planned and taken, and why they differ."""
+def _part_seconds(ends: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of every part, from those at which the parts ended, one after the other."""
+    found, before = {}, 0.0
+    for name, end in ends.items():
+        if name != "total":
+            found[name], before = float(end) - before, float(end)
+    return found
+
+
+def _part_row(part: Mapping[str, Any], seconds: float | None) -> tuple[str, str]:
+    """A part of the run: planned and taken, in what time, and why they differ."""
     likely, most = thousands(part["likely"]), thousands(part["most"])
     text = f"planned {likely}, at most {most}; took {thousands(part['taken'])}"
+    text += f" in {number_text(f'{seconds:.2g}')} s" if seconds is not None and seconds >= 0.05 else ""
     return str(part["part"]), f"{text}. {powers(str(part['why']))}" if part["why"] else text
 
 

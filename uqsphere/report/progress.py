@@ -12,6 +12,7 @@ from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Pic
 from uqsphere.report.contents import Contents
 from uqsphere.report.wording import limit_name, number_text, symbol
 from uqsphere.runner.band import ASKED, METHOD
+from uqsphere.runner.further import FURTHER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,21 @@ __all__ = ["Series", "convergence_figure", "course_finding", "error_series", "sp
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
 #: series with a label; the rest is drawn thin
 _LABELLED: Final = 10
+#: what the errors of answers without a course are called in a label, in the order of `FURTHER`
+_WORDS: Final = dict(
+    zip(FURTHER, ("value", "fracture", "share", "median", "delta", "PAWN", "index of a miss", "inputs of a miss"),
+        strict=True)
+)  # fmt: skip
+_FRACTURE: Final = {
+    "union": "fracture probability",
+    "first_loading": "fracture, first loading",
+    "curve": "fracture value",
+    "governed_by": "limit that comes first",
+}
+#: answers that no stage pursues are marks alone
+_FURTHER_MARK: Final[dict[str, Any]] = {
+    "marker": "o", "markersize": 3.5, "markerfacecolor": "none", "markeredgecolor": GREY, "markeredgewidth": 0.8,
+}  # fmt: skip
 _STYLES: Final = ("-", "--", ":", "-.")
 
 
@@ -38,11 +54,17 @@ class Series:
     def label(self) -> str:
         """Which question it is."""
         head, _, rest = self.quantity.partition(".")
+        if head == "fracture" and rest:
+            return _FRACTURE.get(rest, f"{rest.replace('_', ' ')} at fracture")
+        rest, _, where = rest.partition(" at ")
         name = limit_name(rest, 20) if head in ("limits", "margins") and rest else symbol(self.quantity, 20)
+        name += f" ({where.partition(' ')[2]})" if where else ""
         return f"{name} {_short(self.kind)}"
 
 
 def _short(kind: str) -> str:
+    if kind in FURTHER:
+        return _WORDS[kind]
     for word in ("band", "mean", "quantile", "probability", "index"):
         if word in kind:
             return word
@@ -52,6 +74,8 @@ def _short(kind: str) -> str:
 def _asked(kind: str, accuracy: Mapping[str, float]) -> float:
     if _short(kind) == "band":
         return ASKED
+    if kind in FURTHER:
+        return float(accuracy[FURTHER[kind]])
     word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
     return float(accuracy[word])
 
@@ -79,12 +103,16 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
     if not series:
         return None
     series.sort(key=lambda s: -s.points[-1][2])
-    methods = sorted({s.method for s in series})
+    further = [s for s in series if s.kind in FURTHER]
+    pursued = [s for s in series if s.kind not in FURTHER]
+    methods = sorted({s.method for s in pursued})
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.9)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        for k, s in enumerate(series):
+        ends = [s.points[-1] for s in further]
+        axes.plot([p[column] for p in ends], [p[2] for p in ends], linestyle="", **_FURTHER_MARK)
+        for k, s in enumerate(pursued):
             where = methods.index(s.method)
             points = [p for p in s.points if p[column] > 0.0]
             axes.plot(
@@ -98,11 +126,11 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
             )
         axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
         _limits(axes, series, column)
-        _end_labels(axes, series[:_LABELLED], column)
+        _end_labels(axes, pursued[:_LABELLED], column)
         axes.set_xlabel(label)
         axes.set_ylabel("error over what was asked")
         axes.grid()
-        _method_legend(axes, methods)
+        _method_legend(axes, methods, bool(further))
     return Picture(name=name, title=title, finding=finding, figure=figure)
 
 
@@ -189,7 +217,7 @@ def _legend_names(methods: list[str]) -> list[str]:
     ]
 
 
-def _method_legend(axes: Axes, methods: list[str]) -> None:
+def _method_legend(axes: Axes, methods: list[str], further: bool) -> None:
     from matplotlib.lines import Line2D
 
     handles: list[Any] = [
@@ -203,6 +231,8 @@ def _method_legend(axes: Axes, methods: list[str]) -> None:
         )
         for k, name in enumerate(_legend_names(methods))
     ]
+    if further:
+        handles.append(Line2D([], [], linestyle="", label="read off the same rows", **_FURTHER_MARK))
     handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
 
@@ -210,22 +240,26 @@ def _method_legend(axes: Axes, methods: list[str]) -> None:
 def progress_finding(contents: Contents) -> str:
     """How far the errors came, in words."""
     series = error_series(contents)
-    if not series:
+    pursued = [s for s in series if s.kind not in FURTHER]
+    if not pursued:
         return "No errors were recorded on the way."
     # the better of two methods for one question is the one that counts
     best: dict[tuple[str, str], float] = {}
-    for s in series:
+    for s in pursued:
         best[_question(s)] = min(best.get(_question(s), math.inf), s.points[-1][2])
     reached = sum(error <= 1.0 for error in best.values())
-    counting = [s for s in series if _question(s) in best and s.points[-1][2] == best[_question(s)]]
+    counting = [s for s in pursued if s.points[-1][2] == best[_question(s)]]
     worst = max(counting, key=lambda s: s.points[-1][2])
-    curves = any(_short(s.kind) == "band" for s in series)
+    curves = any(_short(s.kind) == "band" for s in pursued)
     of = "quantities, indices, probabilities and curves" if curves else "quantities, indices and probabilities"
     text = f"{reached} of {len(best)} errors of {of} are below what was asked after "
     text += "the last evaluation" + ("" if curves else "; margins are not among them")
     if worst.points[-1][2] > 1.0:
         text += f"; the largest, {worst.label} by {worst.method}, is {_times(worst.points[-1][2])} times what was asked"
         text = text.replace(METHOD, _SHORT[METHOD])
+    if len(pursued) < len(series):
+        below = sum(s.points[-1][2] <= 1.0 for s in series if s.kind in FURTHER)
+        text += f". Of what is read off the same rows, and not pursued, {below} of {len(series) - len(pursued)} are"
     return text + "."
 
 

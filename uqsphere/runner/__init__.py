@@ -303,16 +303,18 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     from uqsphere.runner.account import account
     from uqsphere.runner.courses import save_courses
     from uqsphere.runner.datafiles import keep_data
+    from uqsphere.runner.further import further_rows
     from uqsphere.runner.results import build_manifest, build_results, write_results
     from uqsphere.runner.samples import save_points
 
     way = priced.way
+    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
     plan = {
-        "way": "surrogate" if dear is not None and dear.surrogate else "sampling",
+        "way": taken,
         "why": way.why if dear is None else dear.why,
         "sampling_evaluations": way.sampling,
         "surrogate_evaluations": way.runs,
-        "parts": account(work, dear is not None and dear.surrogate, way.affordable, found),
+        "parts": account(work, way.surrogate, taken == "surrogate", way.affordable, found),
     }
     found = replace(found, plan=plan)
     store.settle()
@@ -320,10 +322,14 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     save_courses(work, store, found.sampled)
     keep_data(work.study, store.folder)
     results = build_results(work, found)
-    manifest = build_manifest(work, work.ledger, found.seconds)
+    further = further_rows(results)
+    results["speed_error"] = [*results["speed_error"], *(row for _, row in further)]
+    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
+    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends])
     manifest["plan"] = {
         "cost_seconds_per_evaluation": priced.cost,
         "crossover_seconds_per_evaluation": way.crossover,
+        "balance_seconds_per_evaluation": way.balance,
         "affordable_evaluations": way.affordable,
     }
     write_results(store, results, manifest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.forecast import forecast
+from uqsphere.forecast import CHEAPER, forecast
 from uqsphere.runner.work import Work
 
 if TYPE_CHECKING:
@@ -14,33 +14,36 @@ __all__ = ["FACTOR", "account"]
 
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
-_CHEAPER: Final = "cheaper model beside sampling"
+#: parts beside which a cheaper model may be evaluated, and what that is called
+_CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
 
 
-def account(work: Work, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
+def account(work: Work, planned: bool, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
     """Every part with the evaluations that were likely, the most, and those taken, for results.json.
 
     Parameters
     ----------
     work : the run, its ledger closed for every part.
-    surrogate : whether it was answered through a surrogate.
+    planned, surrogate : whether it was to be answered through a surrogate, and whether it was.
     affordable : evaluations that the budget had room for.
     found : what the run found: why its stages ended.
     """
-    parts = {part.name: part for part in forecast(work.study, affordable, surrogate)}
+    parts = {part.name: part for part in forecast(work.study, affordable, planned)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
     # models beside the one that was chosen are no samples of their own
-    beside = sum(n for name, n in work.ledger.parts.get("sampling", {}).items() if name not in _answering(found))
-    if beside:
-        taken["sampling"] -= beside
-        taken[_CHEAPER] = beside
+    for name, called in _CHEAPER.items():
+        by = work.ledger.parts.get(name, {})
+        beside = sum(n for fidelity, n in by.items() if fidelity not in _answering(found))
+        if beside:
+            taken[name] -= beside
+            taken[called] = beside
     names = [*parts, *(name for name in taken if name not in parts and taken[name])]
     rows = []
     for name in names:
         part, spent = parts.get(name), taken.get(name, 0)
         likely, most = (part.likely, part.most) if part else (0, 0)
         row = {"part": name, "likely": likely, "most": most, "taken": spent}
-        rows.append({**row, "why": _why(name, likely, spent, surrogate, found)})
+        rows.append({**row, "why": _why(name, likely, spent, (planned, surrogate), found)})
     return rows
 
 
@@ -50,11 +53,14 @@ def _answering(found: Findings) -> tuple[str, ...]:
     return (chosen,) if found.pilot.fallback is None else (chosen, "full")
 
 
-def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -> str:
+def _why(name: str, likely: int, taken: int, ways: tuple[bool, bool], found: Findings) -> str:
     """Why a part took much more or less than was likely, in a sentence; nothing where it did not."""
     if max(likely, 1) <= FACTOR * max(taken, 1) and max(taken, 1) <= FACTOR * max(likely, 1):
         return ""
     more = taken > likely
+    planned, surrogate = ways
+    if planned and not surrogate and name != "surrogate" and not likely:
+        return "No surrogate was good enough, and the model was sampled."
     stop = found.stops.get("sensitivity" if name == "sensitivity" else "sampling", "")
     ended = {
         "evaluations": "the next stage would have passed the budget",
@@ -62,8 +68,9 @@ def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -
         "out of reach": "what is left was seen to be out of the budget's reach and given up",
         "failures": "rows without an answer ended it",
     }.get(stop, "")
-    if name == _CHEAPER:
-        return str(found.sampled.control.text) + "." if found.sampled.control.text else "A control variate was tried."
+    if name in _CHEAPER.values():
+        text = found.sampled.control.text if name == _CHEAPER["sampling"] else found.index_control.text
+        return f"{text}." if text and taken else "A control variate was tried." if taken else "None was worth a trial."
     if name in ("sampling", "sensitivity"):
         if more:
             late = f"; it ended since {ended}" if ended else ""
@@ -83,7 +90,7 @@ def _why(name: str, likely: int, taken: int, surrogate: bool, found: Findings) -
         return "Sampling had the probabilities well enough already."
     if name == "surrogate":
         if not surrogate:
-            return "A surrogate was tried first, and found too rough or too slow."
+            return "The surrogate was found too rough, and no more runs were made for it."
         if ended and not more:
             return f"It ended early: {ended}."
         if more:

@@ -40,7 +40,7 @@ class Band:
     """The course of a band, and what ended it: nothing, `budget`, `time` or `most` (rows at a value).
 
     `most` is the largest number of rows that one value is given, `share` the evaluations that the curve was allowed
-    over the budget of the study.
+    over the budget of the study; `method` is how its values were found.
     """
 
     course: tuple[Stage, ...]
@@ -48,6 +48,7 @@ class Band:
     most: int = 0
     share: float = 0.0
     asked: float = ASKED
+    method: str = METHOD
 
     @property
     def half_width(self) -> float:
@@ -103,7 +104,7 @@ class Band:
 
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Rows of the speed-error table."""
-        about = {"method": METHOD, "quantity": f"margins.{name}", "error_kind": KIND}
+        about = {"method": self.method, "quantity": f"margins.{name}", "error_kind": KIND}
         return [{**about, "evaluations": s.evaluations, "error": s.half_width} for s in self.course]
 
 

@@ -378,7 +378,7 @@ def _sensitivity(
     sets = dear_sets(work, None if found is None else one, reason)
     if found is None:
         rows = dict.fromkeys(names, nothing)
-        missed = [f"indices: {reason} ({priced.way.sampling:,} evaluations)"]
+        missed = [f"indices: none, asked {analysis.accuracy.sobol:g}: {reason} ({priced.way.sampling:,} evaluations)"]
         return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
                            text=f"No index is given: {reason}.", missed=missed, **sets)  # fmt: skip
     width = widest(found)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from uqsphere.model import is_answered
 from uqsphere.runner.design import clean
 from uqsphere.runner.sensitivity import Pairs, Sensitivity, note
-from uqsphere.runner.stopping import out_of_reach
+from uqsphere.runner.stopping import INDEX_KIND, index_cost, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.shapley import (
@@ -121,8 +121,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
         for quantity in work.quantities:
             widest[quantity] = _widest(found[quantity])
             spent = int(pairs.values[..., 0].size)
-            kind = "largest half-width of an index"
-            note(history, seconds, work, METHOD, quantity, spent, widest[quantity], kind)
+            note(history, seconds, work, METHOD, quantity, spent, widest[quantity], INDEX_KIND)
             if start >= JUDGED and not budget.exhaust:
                 course[quantity].append((spent, widest[quantity]))
                 within = spent + budget.evaluations - work.ledger.total
@@ -137,7 +136,10 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
             stopped = "time"
             break
     answers = {
-        q: _conclude(work.scene_names, refused[q], found.get(q), asked, given_up[q], design) for q in work.quantities
+        q: _conclude(
+            work.scene_names, refused[q], found.get(q), asked, index_cost(given_up[q], history, q, asked), design
+        )
+        for q in work.quantities
     }
     return Shared(sensitivity=answers, history=history, seconds=seconds, stopped=stopped, design=design, pairs=pairs)
 
@@ -151,6 +153,12 @@ def _more(start: int, width: float, asked: float, affordable: int) -> int:
         return min(FIRST, affordable)
     wanted = start if width <= 2.0 * asked else 3 * start
     return wanted if wanted <= affordable else min(start, affordable)
+
+
+def _least(design: SubsetDesign) -> str:
+    """What is said where not even the first stage could be paid."""
+    text = "not enough of the budget was left for Shapley effects"
+    return f"{text} (about {REPLICATES * LEAST * design.rows:,} evaluations would give the first)"
 
 
 def _joined(one: Pairs, other: Pairs) -> Pairs:
@@ -174,17 +182,16 @@ def _conclude(
     refused: Sensitivity,
     found: dict[str, list[Estimate]] | None,
     asked: float,
-    given_up: str,
+    cost: str,
     design: SubsetDesign,
 ) -> Sensitivity:
     if found is None:
         text = f"{refused.text}; for the former not enough of the budget was left"
-        return replace(refused, text=text, missed=["indices: not enough of the budget was left for Shapley effects"])
+        return replace(refused, text=text, missed=[f"indices: none, asked {asked:g}: {_least(design)}"])
     width = _widest(found)
     missed = []
     if width > asked:
-        because = f" ({given_up})" if given_up else ""
-        missed = [f"indices: half-width {width:.2g}, asked {asked:g}{because}"]
+        missed = [f"indices: half-width {width:.2g}, asked {asked:g}{cost}"]
     how = "every subset of the inputs" if design.exact else "random orders of the inputs"
     return replace(
         refused,

@@ -55,7 +55,7 @@ def share_heavy(
     Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
     of the design carry it and no expansion helps, they hold what so few may have missed.
     """
-    answers = {}
+    answers, asked = {}, work.study.analysis.accuracy.sobol
     for k, quantity in enumerate(work.quantities):
         indices, sd = found[quantity], sampled.descriptions[quantity].sd
         reason = _why_none(_outputs(work, sampled.sample, k), sd)
@@ -63,14 +63,25 @@ def share_heavy(
         if reason:
             indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations))  # type: ignore[misc]
             # no number of evaluations gives what is not there, so that none is missed
-            missed = [] if sd.reason is not None and sd.reason.startswith(NO_MOMENT) else [f"indices: {reason}"]
+            nowhere = sd.reason is not None and sd.reason.startswith(NO_MOMENT)
+            missed = [] if nowhere else [f"indices: none, asked {asked:g}: {reason}"]
             indices = replace(indices, text=reason, missed=missed, sampled={}, expanded={}, agree=None)
         elif tail is not None and tail.order <= 4.0:
             indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
         elif pairs is not None and not indices.expanded and (count := _carriers(pairs, k)) < FEW_CARRIERS:
             indices = _each(indices, lambda e, half=NONE_SEEN / count: _no_narrower(e, half))  # type: ignore[misc]
-        answers[quantity] = indices
+        answers[quantity] = _admitted(indices, asked)
     return answers
+
+
+def _admitted(indices: Sensitivity, asked: float) -> Sensitivity:
+    """Indices whose intervals were widened beyond what was asked, with that said."""
+    rows = (indices.first, indices.total, indices.shapley)
+    width = max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
+    if indices.missed or width <= asked:
+        return indices
+    why = "so few samples carry the variance: how many evaluations would reach it is not known"
+    return replace(indices, missed=[f"indices: half-width {width:.2g}, asked {asked:g} ({why})"])
 
 
 def settle_heavy(work: Work, sampled: Sampled, found: dict[str, Sensitivity]) -> tuple[Sampled, dict[str, Sensitivity]]:

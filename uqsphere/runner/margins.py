@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import format_value
 from uqsphere.runner.band import Band
 from uqsphere.runner.curve_rows import CurveRows, Rows
 from uqsphere.runner.curve_values import POINTS, refined_values
@@ -17,7 +18,7 @@ from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
 from uqsphere.runner.moved import moved_study
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.stepwise import stepwise_curves
+from uqsphere.runner.stepwise import Coarse, stepwise_curves
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import Estimate, absent
@@ -41,7 +42,8 @@ class MarginAnswer:
 
     `lognormal` is the lognormal curve beside it, or why there is none; `family` holds the curves at other values of
     another number, as tables for results.json, and `about` what the margin is made of (`design_margins`); `against` is
-    the curve over the specific energy, where that is asked for; `band` is how well the curve is known.
+    the curve over the specific energy, where that is asked for; `band` is how well the curve is known, `coarse` what
+    its steps lack; `bands` and `steps` hold the same of the curves of the family, by what they are called.
     """
 
     solve: str
@@ -53,6 +55,9 @@ class MarginAnswer:
     about: dict[str, Any] = field(default_factory=dict)
     against: EnergyCurve | None = None
     band: Band | None = None
+    coarse: Coarse | None = None
+    bands: dict[str, Band] = field(default_factory=dict)
+    steps: dict[str, Coarse] = field(default_factory=dict)
 
 
 def accepted(limit: Limit) -> float | None:
@@ -86,6 +91,14 @@ class _Found:
     values: dict[float, Estimate]
     note: str = ""
     band: Band | None = None
+    coarse: Coarse | None = None
+
+    def missed(self) -> list[str]:
+        """What the curve lacks: what was reached, asked, and would be taken of each."""
+        texts = [self.note] if self.note else []
+        texts += [self.band.missed()] if self.band is not None and self.band.missed() else []
+        texts += [self.coarse.missed()] if self.coarse is not None else []
+        return texts + [f"{p:g}: {e.reason}" for p, e in self.values.items() if e.value is None and e.reason]
 
     def answer(self, targets: Sequence[float]) -> Fragility:
         return fragility(self.grid, self.table, targets, samples=self.samples, evaluations=self.evaluations)
@@ -119,13 +132,14 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
         values = refined_values(rows, limit, one.answer(asked).values, most=min(up_to, budget), taken=taken)
         found[limit.name] = replace(one, values=values)
     rest = [limit for limit in limits if limit.name not in found]
-    for name, steps in stepwise_curves(work, rest, tag).items() if rest else ():
+    steep = stepwise_curves(work, rest, tag, least=2.0 * _least(work, limits)) if rest else {}
+    for name, steps in steep.items():
         if isinstance(steps, str):
             found[name] = steps
             continue
         one = _Found(
             grid=steps.grid, table=steps.table, samples=steps.samples, evaluations=steps.evaluations, rows=None,
-            values={}, note=steps.note,
+            values={}, band=steps.band, coarse=steps.coarse,
         )  # fmt: skip
         limit = next(limit for limit in rest if limit.name == name)
         found[name] = replace(one, values=dict(one.answer(asked_probabilities(work, limit)).values))
@@ -149,6 +163,8 @@ def _member(work: Work, found: _Found | str, limit: Limit, value: float) -> dict
         "values": {f"{p:.15g}": e.as_dict() for p, e in found.values.items()},
         "curve": [list(row) for row in curve],
         "lognormal": lognormal_table(fitted),
+        **({} if found.band is None else {"band": found.band.table()}),
+        **({} if found.coarse is None else {"steps": found.coarse.table()}),
     }
 
 
@@ -187,9 +203,9 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
         if isinstance(one, str):
             answers[limit.name] = _unknown(work, limit, one)
             continue
-        missed = [one.note] if one.note else []
-        missed += [one.band.missed()] if one.band is not None and one.band.missed() else []
-        missed += [f"{p:g}: {e.reason}" for p, e in one.values.items() if e.value is None and e.reason]
+        kin = _named(work, members, limit)
+        drawn = {at: curve for at, curve in kin.items() if not isinstance(curve, str)}
+        lacking = {at: [curve] if isinstance(curve, str) else curve.missed() for at, curve in kin.items()}
         where = Where(
             limit=limit, probability=_decisive(work, limit), values=one.values, grid=one.grid, table=one.table,
             rows=one.rows,
@@ -198,19 +214,33 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
             solve=margins.solve,
             values=one.values,
             curve=one.answer(()).curve,
-            missed=missed,
+            missed=[*one.missed(), *(f"at {at}: {text}" for at, texts in lacking.items() for text in texts)],
             lognormal=fit_lognormal_curve(one.grid, one.table, evaluations=one.evaluations),
             family=[_member(work, member[limit.name], limit, value) for value, member in members.items()],
             about=describe_margin(work, sampled, where),
             against=_against(work, limit, one.rows),
             band=one.band,
+            coarse=one.coarse,
+            bands={at: of.band for at, of in drawn.items() if of.band is not None},
+            steps={at: of.coarse for at, of in drawn.items() if of.coarse is not None},
         )
     return answers
 
 
+def _named(work: Work, members: Mapping[float, dict[str, _Found | str]], limit: Limit) -> dict[str, _Found | str]:
+    """The curves of a limit over the family, by what they are called."""
+    if work.study.margins is None or work.study.margins.family is None:
+        return {}
+    path = work.study.margins.family.path
+    return {f"{path} {format_value(value, path)}": found[limit.name] for value, found in members.items()}
+
+
 def band_history(margins: Mapping[str, MarginAnswer]) -> tuple[list[dict[str, Any]], list[float]]:
     """Rows of the speed-error table that the bands of the curves give, and their seconds."""
-    known = {name: found.band for name, found in margins.items() if found.band is not None}
+    known: dict[str, Band] = {}
+    for name, found in margins.items():
+        known |= {} if found.band is None else {name: found.band}
+        known |= {f"{name} at {at}": band for at, band in found.bands.items()}
     rows = [row for name, band in known.items() for row in band.rows(name)]
     return rows, [stage.seconds for band in known.values() for stage in band.course]
 

@@ -7,7 +7,7 @@ run's own chunks.  Rows far out of the ordinary may have no answer: they widen t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from uqsphere.model import is_answered
 from uqsphere.runner.limits import LimitAnswer, takes_over
 from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.stopping import cost_text
 from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, from_normal
@@ -103,7 +104,8 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
         except OutOfBudget:
             stopped = "time"
             break
-    missed = [text for text in sampled.missed if not text.startswith("limit ")] + limits_missed(work, found)
+    missed = [text for text in sampled.missed if not text.startswith("limit ")]
+    missed += [_with_cost(work, text, found, sampled.missed) for text in limits_missed(work, found)]
     return replace(sampled, limits=found, missed=missed, history=history, seconds=seconds, stopped=stopped)
 
 
@@ -145,6 +147,19 @@ def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[str]:
             if text:
                 texts.append(f"limit {name}: {text}")
     return texts
+
+
+def _with_cost(work: Work, text: str, limits: Mapping[str, LimitAnswer], before: Sequence[str]) -> str:
+    """A missed accuracy with what it would take: as sampling said of the same, or by the answer's own evaluations."""
+    said = next((earlier for earlier in before if earlier.startswith(text)), "")
+    if said:
+        return said
+    name, which = text.split(": ")[0].removeprefix("limit "), text.split(": ")[1]
+    estimate: Estimate = getattr(limits[name], which)
+    if not estimate.value:
+        return f"{text} (how many evaluations would reach it is not known)"
+    excess = estimate.half_width / estimate.value / work.study.analysis.accuracy.probability
+    return text + cost_text([(estimate.evaluations, excess)])
 
 
 # --- the limit as a function of normal scores -----------------------------------------------------

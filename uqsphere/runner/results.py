@@ -20,6 +20,7 @@ from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
 from uqsphere.runner.pilot import Pilot
+from uqsphere.runner.questions import questions
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.shapes import RESULTS, fault_of
@@ -180,6 +181,7 @@ def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities
             **({"family": {"path": family.path, "members": found.family}} if family is not None else {}),
             **against_table(found.against),
             **({} if found.band is None else {"band": found.band.table()}),
+            **({} if found.coarse is None else {"steps": found.coarse.table()}),
             **found.about,
         }
         for name, found in margins.items()
@@ -255,7 +257,12 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "validity": [_judged(check, found.fracture) for check in found.pilot.validity],
         "plan": found.plan,
         "speed_error": found.history,
-        "accuracy": {"met": not missed, "missed": missed, "stopped_by": found.stops},
+        "accuracy": {
+            "met": not missed,
+            "missed": missed,
+            "stopped_by": found.stops,
+            "questions": questions(work, found, missed),
+        },
         "warnings": list(study.warnings),
         "paper": found.paper,
     }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.stopping import out_of_reach
+from uqsphere.runner.stopping import INDEX_KIND, index_cost, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.indices import METHOD, SampledIndices, sampled_indices
@@ -191,7 +191,7 @@ def find_sensitivity(
         refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
         return refused, [], [], "accuracy", IndexControl(used=False), None
     if lost := lost_designs(sampled.sample.failed):
-        refused = {q: replace(_refused(work, lost), missed=[f"indices: {lost}"]) for q in work.quantities}
+        refused = {q: replace(_refused(work, lost), missed=[f"indices: none: {lost}"]) for q in work.quantities}
         return refused, [], [], "failures", IndexControl(used=False), None
     tied = dependent_names(work)
     if tied:
@@ -288,7 +288,7 @@ def find_sensitivity(
                     quantity,
                     values[:, :, :, 0].size,
                     max(widths),
-                    "largest half-width of an index",
+                    INDEX_KIND,
                 )
         if all(done.values()):
             break
@@ -298,9 +298,10 @@ def find_sensitivity(
         if work.out_of_time:
             stopped = "time"
             break
-    concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, given_up[q]) for q in work.quantities}
+    cost = {q: index_cost(given_up[q], history, q, asked) for q in work.quantities}
+    concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, cost[q]) for q in work.quantities}
     return (
-        {q: _with_sets(work, indices, drawn.get(q), asked) for q, indices in concluded.items()},
+        {q: _with_sets(work, indices, drawn.get(q), asked, cost[q]) for q, indices in concluded.items()},
         history,
         seconds,
         stopped,
@@ -343,7 +344,7 @@ def _beyond(drawn: SampledIndices) -> float:
     return max((e.half_width for e in _sets(drawn) if e.value is not None), default=0.0)
 
 
-def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, asked: float) -> Sensitivity:
+def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, asked: float, cost: str) -> Sensitivity:
     """The same with the indices of pairs and groups that the study asks for."""
     names, analysis = work.scene_names, work.study.analysis
     if drawn is None:
@@ -354,7 +355,7 @@ def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, a
         groups = dict.fromkeys(analysis.groups, nothing)
         return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
     width = _beyond(drawn)
-    late = [f"indices of pairs and groups: half-width {width:.2g}, asked {asked:g}"] if width > asked else []
+    late = [f"indices of pairs and groups: half-width {width:.2g}, asked {asked:g}{cost}"] if width > asked else []
     return replace(
         indices,
         second={f"{names[i]}|{names[j]}": e for (i, j), e in drawn.second.items()},
@@ -379,7 +380,7 @@ def _conclude(
     expanded: dict[str, list[Estimate]],
     about: dict[str, Any],
     asked: float,
-    given_up: str,
+    cost: str,
 ) -> Sensitivity:
     from uqsphere.uq.sensitivity import cross_check
 
@@ -396,7 +397,7 @@ def _conclude(
             expanded=expanded,
             agree=None,
             text=reason,
-            missed=[f"indices: {reason}"],
+            missed=[f"indices: none, asked {asked:g}: {reason}"],
         )
     agree: bool | None = None
     if sampled and expanded:
@@ -409,11 +410,7 @@ def _conclude(
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)
     given = {order: _believable(row) for order, row in given.items()}
-    missed = (
-        [f"indices: half-width {width:.2g}, asked {asked:g}" + (f" ({given_up})" if given_up else "")]
-        if width > asked
-        else []
-    )
+    missed = [f"indices: half-width {width:.2g}, asked {asked:g}{cost}"] if width > asked else []
     return Sensitivity(
         first=dict(zip(names, given["first"], strict=True)),
         total=dict(zip(names, given["total"], strict=True)),

@@ -299,6 +299,11 @@ _QUANTITY: Final = table(
     {"tolerance": maybe(_TOLERANCE), "ignorance": anything},
 )  # fmt: skip
 
+#: an accuracy: what was asked, what was reached, and what the rest would take
+_QUESTION: Final = table(
+    {"quantity": text, "question": text, "asked": number, "reached": maybe(number), "met": maybe(flag),
+     "evaluations": maybe(count), "needed": maybe(number), "text": text},
+)  # fmt: skip
 _CURVE: Final = {
     "unit": text,
     "values": named(ESTIMATE, names=_is_share),
@@ -319,6 +324,7 @@ _RESULTS: Final = table(
                  "validity": table({"value": number, "samples": count, "checks": many(_CHECK, most=100)}),
                  "band": table({"half_width": number, "asked": number, "evaluations": count},
                                {"needed": maybe(number)}),
+                 "steps": table(dict.fromkeys(("step", "asked", "evaluations", "needed"), number)),
                  "bars": table({}, {"yields_at": named(share, names=_is_share)})},
             ),
             200,
@@ -326,7 +332,8 @@ _RESULTS: Final = table(
         "model": _MODEL,
         "validity": many(_CHECK, most=100),
         "speed_error": many(_SPEED, most=20_000),
-        "accuracy": table({"met": flag, "missed": many(text)}, {"stopped_by": named(text)}),
+        "accuracy": table({"met": flag, "missed": many(text)},
+                          {"stopped_by": named(text), "questions": many(_QUESTION, most=20_000)}),
     },
     {"warnings": many(text, most=1000), "paper": many(_PAPER, most=100)},
 )  # fmt: skip

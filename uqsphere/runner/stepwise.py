@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,13 +11,16 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import evaluate_at, probabilities
+from uqsphere.runner.stopping import rounded
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
+from uqsphere.uq.margins import METHOD
 
-__all__ = ["Steps", "stepwise_curves"]
+__all__ = ["Coarse", "Steps", "stepwise_curves"]
 
 Array = npt.NDArray[np.float64]
 
@@ -30,34 +34,78 @@ GAP: Final = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Steps:
-    """A curve value by value: the values (K,), every replicate's probabilities (K, R), and a remark.
+class Coarse:
+    """A curve whose neighbouring values lie further apart than wanted: the largest step in normal scores, what the
+    curve took, what it would take, and why it ended."""
 
-    `samples` is the number of points behind each of them.
+    step: float
+    evaluations: int
+    needed: float
+    why: str
+    asked: float = GAP
+
+    def missed(self) -> str:
+        """What is said of it: what was reached and asked, and what it would cost."""
+        return (
+            f"the steps of the curve: neighbours differ by up to {self.step:.2g} normal scores, asked {self.asked:g} "
+            f"(about {rounded(self.needed):,} evaluations of the curve would reach it, unless it jumps there; "
+            f"{self.why})"
+        )
+
+    def table(self) -> dict[str, float | int]:
+        """The entry of results.json."""
+        return {"step": self.step, "asked": self.asked, "evaluations": self.evaluations, "needed": rounded(self.needed)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steps:
+    """A curve value by value: the values (K,), every replicate's probabilities (K, R).
+
+    `samples` is the number of points behind each of them, `band` how well they are known, `coarse` how far they lie
+    apart where that is further than wanted.
     """
 
     grid: Array
     table: Array
     samples: int
     evaluations: int
-    note: str = ""
+    band: Band
+    coarse: Coarse | None = None
+
+
+def _gaps(table: Sequence[Array]) -> Array:
+    """Differences in normal scores between neighbouring values of a curve, (K - 1,)."""
+    from scipy.special import ndtri
+
+    means = np.clip([float(row.mean()) for row in table], 1e-5, 1.0 - 1e-5)
+    return np.asarray(np.abs(np.diff(ndtri(means))))
 
 
 def _steep(grid: list[float], found: dict[float, dict[str, Array]], names: list[str]) -> list[float]:
     """Middles of the stretches over which a curve of interest moves too far for interpolation."""
-    from scipy.special import ndtri
-
     middles = set()
-    for left, right in pairwise(grid):
-        for name in names:
-            a, b = (np.clip(float(found[value][name].mean()), 1e-5, 1.0 - 1e-5) for value in (left, right))
-            if abs(ndtri(a) - ndtri(b)) > GAP:
+    for name in names:
+        gaps = _gaps([found[value][name] for value in grid])
+        for gap, (left, right) in zip(gaps, pairwise(grid), strict=True):
+            if gap > GAP:
                 middles.add(float(np.sqrt(left * right)) if left > 0.0 else 0.5 * (left + right))
     return sorted(middles)
 
 
-def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, Steps | str]:
-    """The curve of every limit from one end of the range to the other, or why there is none."""
+def _coarse(gaps: Array, each: int, evaluations: int, why: str) -> Coarse | None:
+    """What a curve with such steps lacks, by the values that halving them would take; None where it lacks nothing."""
+    wide = gaps[gaps > GAP]
+    if not wide.size:
+        return None
+    more = sum(2 ** math.ceil(math.log2(gap / GAP)) - 1 for gap in wide)
+    return Coarse(step=float(wide.max()), evaluations=evaluations, needed=evaluations + more * each, why=why)
+
+
+def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: float = 0.0) -> dict[str, Steps | str]:
+    """The curve of every limit from one end of the range to the other, or why there is none.
+
+    `least` is the smaller side of a probability from which on its interval counts.
+    """
     assert work.study.margins is not None
     low, high = work.study.margins.between
     each = REPLICATES if work.scene_names else 1
@@ -69,20 +117,20 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, 
     todo = [low, *(float(value) for value in space(low, high, FIRST_GRID)[1:-1]), high]
     names = [limit.name for limit in limits]
     found: dict[float, dict[str, Array]] = {}
-    note, before = "", work.ledger.total
+    ended, before = "", work.ledger.total
     for _ in range(ROUNDS + 1):
         for value in todo:
             if work.ledger.total + count * each > work.study.analysis.budget.evaluations:
-                note = "the curve is coarser than wanted: the budget of evaluations was used up"
+                ended = "the budget of evaluations was used up"
                 break
             try:
                 points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
-                note = "the curve is coarser than wanted: the time was over, or the run was stopped"
+                ended = "the time was over, or the run was stopped"
                 break
             states = {limit.name: state_of(work, limit, points, sample) for limit in limits}
             found[value] = {name: probabilities(state) for name, state in states.items()}
-        todo = _steep(sorted(found), found, names) if not note else []
+        todo = _steep(sorted(found), found, names) if not ended else []
         if not todo:
             break
     if len(found) < FIRST_GRID:
@@ -94,7 +142,11 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str) -> dict[str, 
             answers[name] = "at fewer than two values is there an answer in every replicate"
             continue
         table = np.array([found[value][name] for value in usable])
+        spent, rows = work.ledger.total - before, count * each
+        stage = stage_of(table, np.full(len(usable), rows), least, spent, work.ledger.elapsed)
+        why = ended or f"a stretch is halved no more than {ROUNDS} times"
         answers[name] = Steps(
-            grid=np.array(usable), table=table, samples=count, evaluations=work.ledger.total - before, note=note
-        )
+            grid=np.array(usable), table=table, samples=count, evaluations=spent,
+            band=Band(course=(stage,), most=rows, method=METHOD), coarse=_coarse(_gaps(list(table)), rows, spent, why),
+        )  # fmt: skip
     return answers

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-__all__ = ["MOST_NAMED", "NO_NUMBER", "cost_text", "evaluations_needed", "out_of_reach", "rounded"]
+__all__ = [
+    "INDEX_KIND",
+    "MOST_NAMED",
+    "NO_NUMBER",
+    "cost_text",
+    "evaluations_needed",
+    "index_cost",
+    "out_of_reach",
+    "rounded",
+]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
@@ -15,6 +25,8 @@ LONG, USUAL = 4.0, 0.75
 CAUTION = 1.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
+#: how the error of sampled indices is called in the speed-error table
+INDEX_KIND = "largest half-width of an index"
 NO_NUMBER = "no number of evaluations that could be made would reach it"
 
 
@@ -64,6 +76,14 @@ def cost_text(course: Sequence[tuple[int, float]]) -> str:
     if needed > MOST_NAMED:
         return f" ({NO_NUMBER})"
     return f" (about {rounded(needed):,} evaluations would reach it)"
+
+
+def index_cost(given_up: str, history: Sequence[Mapping[str, Any]], quantity: str, asked: float) -> str:
+    """What indices that were missed would take: as they were given up, or from their rows of the speed-error table."""
+    if given_up:
+        return f" ({given_up})"
+    rows = [row for row in history if row["quantity"] == quantity and row["error_kind"] == INDEX_KIND]
+    return cost_text([(int(row["evaluations"]), float(row["error"]) / asked) for row in rows])
 
 
 def rounded(value: float) -> int:

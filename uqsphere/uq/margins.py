@@ -16,11 +16,11 @@ import numpy as np
 from uqsphere.uq.estimates import Estimate, absent, student
 from uqsphere.uq.families import Array
 
-__all__ = ["Fragility", "fragility"]
+__all__ = ["METHOD", "Fragility", "fragility"]
 
 #: standard errors after which a difference is taken for one
 _SURE = 4.0
-_METHOD = "common random numbers, monotone interpolation"
+METHOD = "common random numbers, monotone interpolation"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ def fragility(
     for target in targets:
         if turn is not None and not _passes_once(probabilities, target):
             reason = f"the probability is not monotone: it turns back near {turn:.4g}"
-            values[target] = absent(reason, _METHOD, evaluations)
+            values[target] = absent(reason, METHOD, evaluations)
         else:
             values[target] = _value(grid, probabilities, target, least, evaluations)
     return Fragility(curve=curve, values=values)
@@ -150,14 +150,14 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
             f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
         )
-        return absent(reason, _METHOD, evaluations)
+        return absent(reason, METHOD, evaluations)
     replicates = probabilities.shape[1]
     own = [_crossing(grid, probabilities[:, r], target, least) for r in range(replicates)]
     forward, backward = _scale(grid)
     centre = float(forward(np.array([value]))[0])
     found = np.array([answer for answer in own if answer is not None])
     if found.size < replicates:
-        return absent("too close to an end of the range: some replicates do not reach it", _METHOD, evaluations)
+        return absent("too close to an end of the range: some replicates do not reach it", METHOD, evaluations)
     spread = float(np.std(forward(found), ddof=1)) / math.sqrt(replicates)
     # What the curve through every other point answers differently bounds what is lost between the points:
     # halving the grid costs a monotone cubic at least a factor of four.
@@ -167,5 +167,5 @@ def _value(grid: Array, probabilities: Array, target: float, least: float, evalu
     half = student(replicates) * spread + lost
     low, high = backward(centre - half), backward(centre + half)
     return Estimate(value=value, low=min(low, value), high=max(high, value),
-                    std_error=0.5 * (high - low) / student(replicates), method=_METHOD,
+                    std_error=0.5 * (high - low) / student(replicates), method=METHOD,
                     evaluations=evaluations)  # fmt: skip

@@ -350,6 +350,10 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
                     method=state.method, evaluations=total)  # fmt: skip
 
 
+#: logarithm of a margin beyond which there is none: the median lies where the demand changes its sign
+_FAR = 600.0
+
+
 def _ends(
     probability_at: Callable[[float], float], value: float, p: float, ends: tuple[float, float]
 ) -> tuple[float | None, float | None]:
@@ -359,7 +363,8 @@ def _ends(
     scores = [float(ndtri(end)) - float(ndtri(p)) for end in ends]
     if max(abs(score) for score in scores) < 0.05:
         slope = (float(ndtri(probability_at(value * 1.01))) - float(ndtri(p))) / math.log(1.01)
-        if math.isfinite(slope) and slope > 0.0:
+        # a slope of next to nothing leads nowhere: the median lies where the demand changes its sign
+        if math.isfinite(slope) and slope > 0.0 and max(map(abs, scores)) < _FAR * slope:
             return value * math.exp(scores[0] / slope), value * math.exp(scores[1] / slope)
     return _root(probability_at, ends[0], value), _root(probability_at, ends[1], value)
 
@@ -383,10 +388,10 @@ def _root(probability_at: Callable[[float], float], probability: float, near: fl
     step = 0.05
     while gap(low) > 0.0:
         high, low, step = low, low - step, 2.0 * step
-        if step > 1e3:
+        if low < -_FAR:
             return None
     while gap(high) < 0.0:
         low, high, step = high, high + step, 2.0 * step
-        if step > 1e3:
+        if high > _FAR:
             return None
     return math.exp(low if low == high else float(brentq(gap, low, high, xtol=1e-9, rtol=1e-12)))

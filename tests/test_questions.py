@@ -1,0 +1,176 @@
+"""What of the accuracy was reached: every shortfall with what was reached, what was asked, and what it would take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import uqsphere
+from uqsphere.report.contents import read_contents
+from uqsphere.report.method import accuracy_table
+from uqsphere.report.progress import error_series
+from uqsphere.runner import Run
+from uqsphere.runner.further import FURTHER, further_rows
+from uqsphere.runner.stepwise import GAP, _coarse, _gaps
+from uqsphere.study import Study
+from uqsphere.summary import summary_of
+
+Array = npt.NDArray[np.float64]
+STUDY = """
+title = "rows without an answer"
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = { dist = "normal", mean = 1.0, sd = 0.05 }
+aim = "survive"
+target = 0.01
+[analysis]
+cost = "1 us"
+accuracy = { mean = 0.005, quantile = 0.02, sobol = 0.001, probability = 0.01 }
+quantiles = [0.05, 0.5, 0.95]
+budget = { evaluations = 60_000, time = "10 h" }
+methods = ["qmc", "sobol"]
+on_failure = "bound"
+[margins]
+solve = "a"
+between = ["-6", "8"]
+for_probability = [0.5]
+family = { path = "b", values = [0.0, 3.5] }
+"""
+
+
+def failing(x: dict[str, Array]) -> dict[str, Array]:
+    """A sum that has no answer where one input is rare."""
+    return {"y": np.where(np.abs(x["b"]) > 3.0, np.nan, x["a"] + 0.3 * x["b"])}
+
+
+def smooth(x: dict[str, Array]) -> dict[str, Array]:
+    return {"y": x["a"] + 0.3 * x["b"]}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    file = tmp_path_factory.mktemp("questions") / "study.toml"
+    file.write_text(STUDY, encoding="utf-8")
+    return uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=failing)
+
+
+def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
+    accuracy = run.results["accuracy"]
+    rows = accuracy["questions"]
+    assert {row["question"].split(",")[0] for row in rows} >= {"mean", "worst quantile", "worst index"}
+    for row in rows:
+        if row["met"]:
+            assert row["reached"] <= row["asked"]
+            assert row["needed"] is None
+            assert row["text"] == ""
+        elif row["met"] is False:
+            assert row["reached"] is None or row["reached"] > row["asked"]
+            assert row["text"]
+    late = {text for row in rows if row["met"] is False for text in row["text"].split("; ") if text}
+    assert accuracy["met"] is False
+    assert any(row["needed"] and row["needed"] > row["evaluations"] for row in rows)
+    # what a sentence names as reached and asked is what stands in the table
+    for row in rows:
+        for reached, asked in re.findall(r"half-width ([0-9.e-]+) .*?asked ([0-9.e-]+)", row["text"])[:1]:
+            assert float(asked) == row["asked"]
+            assert float(reached) == pytest.approx(row["reached"], rel=0.1) or "quantile" in row["question"]
+    assert late
+
+
+def test_every_shortfall_of_a_curve_says_what_it_would_take(run: Run) -> None:
+    found = [text for text in run.results["accuracy"]["missed"] if text.startswith("margins high")]
+    assert any("the steps of the curve" in text for text in found)
+    for text in found:
+        assert "evaluations" in text, text
+    entry = run.results["margins"]["high"]
+    assert entry["steps"]["step"] > GAP == entry["steps"]["asked"]
+    assert entry["steps"]["needed"] > entry["steps"]["evaluations"]
+    assert entry["band"]["half_width"] > 0.0
+
+
+def test_the_summary_and_the_page_name_every_shortfall(run: Run) -> None:
+    missed = run.results["accuracy"]["missed"]
+    flat = " ".join(summary_of(run.results, 100).split())
+    for text in missed:
+        assert " ".join(text.split()) in flat
+    told = accuracy_table(read_contents(run.folder)).rows
+    assert len(told) == len(run.results["accuracy"]["questions"])
+    assert sum(row[3] == "not reached" for row in told) == sum(
+        row["met"] is False for row in run.results["accuracy"]["questions"]
+    )
+
+
+def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    text = STUDY.replace("60_000", "400_000")
+    found = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=smooth).results
+    members = found["margins"]["high"]["family"]["members"]
+    assert all(member["band"]["asked"] == found["margins"]["high"]["band"]["asked"] for member in members)
+    named = {row["quantity"] for row in found["speed_error"]}
+    assert {"margins.high", "margins.high at b 0", "margins.high at b 3.5"} <= named
+    wide = [member for member in members if member["band"]["half_width"] > member["band"]["asked"]]
+    told = [text for text in found["accuracy"]["missed"] if text.startswith("margins high: at b")]
+    assert len(told) == len(wide)
+
+
+def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
+    gaps = np.array([0.5, 1.1, 2.0])
+    # halved once, and twice: one value more, and three
+    found = _coarse(gaps, 100, 900, "why")
+    assert found is not None
+    assert (found.step, found.needed) == (2.0, 900 + 400)
+    assert "differ by up to 2 normal scores, asked 0.6 (about 1,300 evaluations" in found.missed()
+    assert _coarse(np.array([0.6]), 100, 900, "why") is None
+
+
+def test_steps_are_measured_in_normal_scores() -> None:
+    rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
+    assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
+
+
+# --- rows of the speed-error table ------------------------------------------------------------------------
+
+
+def est(value: float, half: float, method: str = "m") -> dict[str, Any]:
+    return {"value": value, "low": value - half, "high": value + half, "method": method, "evaluations": 7}
+
+
+def test_a_value_is_measured_by_the_spread_of_its_curve() -> None:
+    curve = [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1587, 0.0, 0.0], [5.0, 0.8413, 0.0, 0.0], [6.0, 1.0, 1.0, 1.0]]
+    entry = {"values": {"0.1": est(1.0, 0.1), "0.5": est(3.0, 0.4)}, "curve": curve}
+    results = {"margins": {"x": entry}, "sensitivity": {}, "limits": {}}
+    ((part, row),) = further_rows(results)
+    assert (part, row["quantity"], row["evaluations"]) == ("margins", "margins.x", 7)
+    assert row["error"] == pytest.approx(0.4 / 2.0)
+    # a falling curve has the same spread, and one that does not reach so far has none
+    entry["curve"] = [[-row[0], *row[1:]] for row in curve][::-1]
+    assert further_rows(results)[0][1]["error"] == pytest.approx(0.2)
+    entry["curve"] = curve[1:2]
+    assert further_rows(results) == []
+
+
+def test_every_method_that_answers_has_a_row(run: Run) -> None:
+    rows, results = run.results["speed_error"], run.results
+    assert len(run.manifest["speed_error_seconds"]) == len(rows)
+    have = {(row["quantity"], row["method"].split(",")[0]) for row in rows}
+    for name, entry in results["quantities"].items():
+        assert (name, entry["mean"]["method"].split(",")[0]) in have
+    for name, limit in results["limits"].items():
+        assert (f"limits.{name}", limit["miss"]["method"].split(",")[0]) in have
+    for name, margin in results["margins"].items():
+        for estimate in margin["values"].values():
+            if estimate["value"] is not None:
+                assert (f"margins.{name}", estimate["method"].split(",")[0]) in have
+    kinds = {series.kind for series in error_series(read_contents(run.folder))}
+    assert kinds & set(FURTHER)
