@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -26,6 +27,8 @@ __all__ = ["Executor", "LocalWorkers", "TimeOver", "WorkerDied", "evaluate_guard
 
 Array = npt.NDArray[np.float64]
 
+#: inputs that are named where an evaluation has no answer
+MOST_NAMED: Final = 6
 #: times that a piece of work may cost a worker its life before it is held to be the cause
 LIVES: Final = 4
 #: pieces of work that are handed out at once where it is not known how many workers there are
@@ -186,7 +189,7 @@ class LocalWorkers:
             if over.is_set():
                 raise TimeOver(f"it took longer than {job.limit:g} s") from error
             code = process.wait()
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            how = f"signal {-code}{_signal_name(-code)}" if code < 0 else f"exit code {code}"
             raise WorkerDied(f"its process ended with {how}") from error
         finally:
             if timer is not None:
@@ -194,6 +197,13 @@ class LocalWorkers:
         if kind == "failed":
             raise content
         return content
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return f" ({signal.Signals(number).name})"
+    except ValueError:
+        return ""
 
 
 _guard: dict[int, LocalWorkers] = {}
@@ -276,7 +286,7 @@ def gather(
             try:
                 answered, seconds = piece.future.result()
             except Exception as error:
-                found = _after(error, piece, task, todo)
+                found = _after(error, piece, task, rows, todo)
                 if found is None:
                     continue
                 answered, seconds = found, 0.0
@@ -302,14 +312,14 @@ def _submit(executor: Any, packed: bytes, rows: Array, limit: float | None) -> A
     return executor.submit(evaluate_guarded, packed, rows, limit)
 
 
-def _after(error: Exception, piece: _Piece, task: Task, todo: deque[_Piece]) -> Answered | None:
+def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece]) -> Answered | None:
     """What becomes of a piece without an answer: None if it is handed out again, else failed rows."""
     if isinstance(error, UqsphereError):
         raise error
     single = piece.stop - piece.start == 1
     if isinstance(error, TimeOver):
         if single:
-            return _fail(task, STATUS_TIME, f"the model: {error}")
+            return _fail(task, STATUS_TIME, f"the model: {error}, {_where(task, rows[piece.start])}")
     elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
         piece.deaths += 1
         if piece.deaths < LIVES:
@@ -318,11 +328,18 @@ def _after(error: Exception, piece: _Piece, task: Task, todo: deque[_Piece]) -> 
         if task.model is None:
             raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
         if single:
-            return _fail(task, STATUS_DIED, f"the model: {error}")
+            return _fail(task, STATUS_DIED, f"the model: {error}, {_where(task, rows[piece.start])}")
     else:
         raise _broken(error) from error
     todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
     return None
+
+
+def _where(task: Task, row: Array) -> str:
+    """The inputs of an evaluation, in words."""
+    found = [f"{name} = {value:.6g}" for name, value in zip(task.names, row, strict=False)]
+    more = f" and {len(found) - MOST_NAMED} more inputs" if len(found) > MOST_NAMED else ""
+    return f"at {', '.join(found[:MOST_NAMED])}{more}"
 
 
 def _fail(task: Task, status: int, note: str) -> Answered:
