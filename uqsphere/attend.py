@@ -74,14 +74,15 @@ def _limited(study: Study) -> str:
     call = (
         f"a call of {rows} rows after {limit * rows:g} s" if rows else f"a call after {limit:g} s for each of its rows"
     )
-    return f"analysis.time_limit ends {call}, and then tries its rows one by one: rows_per_call makes calls smaller"
+    return f"analysis.time_limit ends {call}, whose rows are then tried one by one: rows_per_call makes calls smaller"
 
 
 class Silence:
     """Says that no evaluation has come back for long: a call of the model cannot be ended from outside.
 
     `look` says so after `LONG` seconds, and again after twice as long each time; a model that was as slow before is
-    left in peace for three times its slowest.  `limited` says when a limit of time ends a call.  While it is in force a thread looks every second.
+    left in peace for three times its slowest.  `limited` says when a limit of time ends a call.
+    While it is in force a thread looks every second.
     """
 
     LONG = 30.0

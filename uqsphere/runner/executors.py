@@ -20,15 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import AccessError, ModelError, UqsphereError
-from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered
+from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, where_of
 from uqsphere.runner.worker import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
 
 __all__ = ["Executor", "LocalWorkers", "TimeOver", "WorkerDied", "evaluate_guarded", "gather", "processors"]
 
 Array = npt.NDArray[np.float64]
 
-#: inputs that are named where an evaluation has no answer
-MOST_NAMED: Final = 6
 #: times that a piece of work may cost a worker its life before it is held to be the cause
 LIVES: Final = 4
 #: pieces of work that are handed out at once where it is not known how many workers there are
@@ -319,7 +317,7 @@ def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque
     single = piece.stop - piece.start == 1
     if isinstance(error, TimeOver):
         if single:
-            return _fail(task, STATUS_TIME, f"the model: {error}, {_where(task, rows[piece.start])}")
+            return _fail(task, STATUS_TIME, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
         piece.deaths += 1
         if piece.deaths < LIVES:
@@ -328,18 +326,11 @@ def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque
         if task.model is None:
             raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
         if single:
-            return _fail(task, STATUS_DIED, f"the model: {error}, {_where(task, rows[piece.start])}")
+            return _fail(task, STATUS_DIED, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     else:
         raise _broken(error) from error
     todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
     return None
-
-
-def _where(task: Task, row: Array) -> str:
-    """The inputs of an evaluation, in words."""
-    found = [f"{name} = {value:.6g}" for name, value in zip(task.names, row, strict=False)]
-    more = f" and {len(found) - MOST_NAMED} more inputs" if len(found) > MOST_NAMED else ""
-    return f"at {', '.join(found[:MOST_NAMED])}{more}"
 
 
 def _fail(task: Task, status: int, note: str) -> Answered:

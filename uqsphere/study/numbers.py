@@ -151,15 +151,15 @@ def _warn_of_few(law: Law, place: Place, findings: Findings) -> None:
     if count < LEAST_TESTS:
         findings.warn(
             place,
-            f"found {count} observations: a law can be laid through any so few, and how far it is off cannot be told (the "
-            "standard deviation of a normal law by more than a factor of 30); the intervals of the answers take it for "
-            f"exact: {_FEW} observations are a start",
+            f"found {count} observations: a law can be laid through any so few, and how far it is off cannot be told "
+            "(the standard deviation of a normal law by more than a factor of 30); the intervals take it "
+            f"for exact: {_FEW} observations are a start",
         )
     elif count < _FEW:
         findings.warn(
             place,
-            f"found {count} observations: what so few leave open is told beside the answers where the evaluations reach "
-            f"it, and is not in their intervals; {_FEW} and more leave less",
+            f"found {count} observations: what so few leave open is told beside the answers where the evaluations "
+            f"reach it, and is not in their intervals; {_FEW} and more leave less",
         )
 
 
