@@ -64,18 +64,33 @@ class Patience:
             signal.signal(signal.SIGINT, self._before)
 
 
+def _limited(study: Study) -> str:
+    """When the study's limit of time ends a call of the model; empty where it has none."""
+    limit, rows = study.analysis.time_limit, study.analysis.rows_per_call
+    if limit is None:
+        return ""
+    if rows == 1:
+        return f"analysis.time_limit ends an evaluation after {limit:g} s"
+    call = (
+        f"a call of {rows} rows after {limit * rows:g} s" if rows else f"a call after {limit:g} s for each of its rows"
+    )
+    return f"analysis.time_limit ends {call}, whose rows are then tried one by one: rows_per_call makes calls smaller"
+
+
 class Silence:
     """Says that no evaluation has come back for long: a call of the model cannot be ended from outside.
 
     `look` says so after `LONG` seconds, and again after twice as long each time; a model that was as slow before is
-    left in peace for three times its slowest.  While it is in force a thread looks every second.
+    left in peace for three times its slowest.  `limited` says when a limit of time ends a call.
+    While it is in force a thread looks every second.
     """
 
     LONG = 30.0
 
-    def __init__(self, progress: Progress, budget: float) -> None:
+    def __init__(self, progress: Progress, budget: float, limited: str = "") -> None:
         self.progress = progress
         self.budget = budget
+        self.limited = limited or "analysis.time_limit ends an evaluation that takes too long"
         self._heard = progress.heard
         self._next = self.LONG
         self._left = threading.Event()
@@ -94,7 +109,7 @@ class Silence:
         over = f"the time budget of {self.budget:g} s is over, and " if now - progress.started > self.budget else ""
         progress.say(
             f"{over}no evaluation has come back for {silent:.0f} s: the run waits for the model. Ctrl-C twice ends it "
-            "and keeps what was evaluated; analysis.time_limit ends an evaluation that takes too long"
+            f"and keeps what was evaluated; {self.limited}"
         )
 
     def _watch(self) -> None:
@@ -159,7 +174,7 @@ def attend(
         asked=vars(study.analysis.accuracy),
     )
     # the impact model takes its time to compile, and always comes back
-    silence = contextlib.nullcontext() if model is None else Silence(progress, progress.seconds)
+    silence = contextlib.nullcontext() if model is None else Silence(progress, progress.seconds, _limited(study))
     with Patience(_NOTICE, progress.say) as patience, silence:
         found = run(
             study,

@@ -36,6 +36,7 @@ __all__ = [
     "scene_of",
     "solve_scene",
     "status_text",
+    "where_of",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -51,6 +52,8 @@ NO_DAMPER = (
     "bars.receiving_damper, an impedance against frequency, is followed by history alone: for a run, give the end as a "
     "number, receiving_end"
 )
+#: inputs that are named where an evaluation has no answer
+_MOST_NAMED = 6
 #: status of a row for which a black box raised, took longer than its limit of time, or ended its process
 STATUS_RAISED, STATUS_TIME, STATUS_DIED = 8, 9, 10
 _BOX_STATUS = {
@@ -201,7 +204,8 @@ def _answer_black_box(
         with prints_to_stderr():
             found = box(given)
     except (Exception, SystemExit) as error:
-        raise ModelRaised(f"the model raised {type(error).__name__}: {error}{where_raised(error)}") from error
+        said = " ".join(str(error).split())
+        raise ModelRaised(f"the model raised {type(error).__name__}: {said}{where_raised(error)}") from error
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
     columns = []
@@ -226,11 +230,28 @@ def _answer_black_box(
     values = np.stack(columns, axis=1)
     known = np.isfinite(values)
     finite = known[:, [needed is None or name in needed for name in outputs]].all(axis=1)
+    note = ""
+    if not finite.all():
+        at = int(np.argmin(finite))
+        k = next(k for k, name in enumerate(outputs) if not known[at, k] and (needed is None or name in needed))
+        note = f"{outputs[k]} = {values[at, k]:g} {where_of(names, rows[at])}"
     return Answered(
         values=np.where(known if needed is not None else finite[:, None], values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
+        note=note,
     )
+
+
+def where_of(names: Sequence[str], row: Array) -> str:
+    """The inputs (d,) of an evaluation, in words.
+
+    >>> where_of(("a", "b"), np.array([1.0, 0.25]))
+    'at a = 1, b = 0.25'
+    """
+    found = [f"{name} = {value:.6g}" for name, value in zip(names, row.tolist(), strict=False)]
+    more = f" and {len(found) - _MOST_NAMED} more inputs" if len(found) > _MOST_NAMED else ""
+    return f"at {', '.join(found[:_MOST_NAMED])}{more}"
 
 
 def answer(

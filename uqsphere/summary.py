@@ -6,7 +6,7 @@ import re
 from typing import Any, Final
 
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
-from uqsphere.quantities import reading_units
+from uqsphere.quantities import format_value, reading_units
 from uqsphere.report.drivers import first_to_measure, specimens
 from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, turns, verdict_word
@@ -30,6 +30,8 @@ __all__ = ["summary_of"]
 _MOST: Final = 6
 #: accuracies that were not reached and are told one by one
 _NAMED: Final = 24
+#: tests of an input from which on what they leave open of a quantity is told on the page alone
+_FEW_TESTS: Final = 10
 #: columns of a bar, and decimals of the indices beside it: the first that fits the screen is taken
 _SHAPES: Final = ((20, MOST_DIGITS), (20, 4), (12, 4), (8, 4), (8, 3))
 
@@ -72,13 +74,30 @@ def _cautions(results: dict[str, Any]) -> list[str]:
                 f"limit {plain(name)}: over the laws that the tests allow ({tests}) the probability of missing it lies "
                 f"between {probability_range(*opened['miss']).replace(' to ', ' and ')}{also}"
             )
-    found += [*_assumed(results), *_answer_checks(results)]
+    found += [*_left_open(results), *_assumed(results), *_answer_checks(results)]
     missed = results["accuracy"]["missed"]
     if len(missed) > 1:
         found.append(f"{len(missed)} accuracies were not reached:")
     found += [f"not reached: {plain(text)}" for text in missed[:_NAMED]]
     if len(missed) > _NAMED:
         found.append(f"not reached: {len(missed) - _NAMED} more, which the report names one by one")
+    return found
+
+
+def _left_open(results: dict[str, Any]) -> list[str]:
+    """What few tests of the inputs leave open of the quantities, which their intervals do not hold."""
+    found = []
+    for name, entry in results["quantities"].items():
+        opened = entry.get("ignorance")
+        if not opened or min(source["tests"] for source in opened["from"]) >= _FEW_TESTS:
+            continue
+        tests = ", ".join(f"{plain(source['input'])}: {source['tests']}" for source in opened["from"])
+        if "reason" in opened:
+            text = f"is not in its intervals: {opened['reason']}"
+        else:
+            low, high = (plain(format_value(end, name, 3)) for end in opened["mean"])
+            text = f"puts its mean between {low} and {high}"
+        found.append(f"{plain(name)}: what the tests leave open ({tests}) {text}")
     return found
 
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from uqsphere.errors import UsageError
 from uqsphere.given.table import Data
 from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
+from uqsphere.uq.collinear import combinations
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.given import germs_of, given_answers, law_scores, least_runs, odd_pairs, trusted_from
 from uqsphere.uq.inputs import Inputs
@@ -99,6 +100,8 @@ def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
         for entry, (i, j, _) in zip(dependence, pairs, strict=True):
             entry["copula"] = copulas.get((i, j))
         laws = _tied(data, laws, ties)
+    if combined := [one.text(data.inputs) for one in combinations(data.x)]:
+        laws = _Laws(columns=laws.columns, inputs=None, others=(), reason=combined[0])
     outputs, sensitivity = {}, {}
     for k, name in enumerate(data.outputs):
         outputs[name], sensitivity[name] = _answered(data, k, laws, ties, seed)
@@ -108,6 +111,7 @@ def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
         "laws": "fitted" if known is None else "known",
         "inputs": marginals,
         "dependence": dependence,
+        "combinations": combined,
         "outputs": outputs,
         "sensitivity": sensitivity,
     }
@@ -367,7 +371,8 @@ def _expansion(
         return refused("the output does not vary")
     # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
     if laws.others and any(law.kind == "empirical" for law in laws.inputs.laws):
-        return refused("no family fits an input: what its kernel density leaves open is not known well enough")
+        bad = next(n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.kind == "empirical")
+        return refused(f"no family fits {bad}: what its kernel density leaves open is not known well enough")
     if len(rows) < (needed := least_runs(len(laws.columns))):
         return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
     scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])

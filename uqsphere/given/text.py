@@ -87,6 +87,7 @@ def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
         parts.append(said)
     if len(tied) > _MANY:
         parts.append(f"and {len(tied) - _MANY} pairs more")
+    parts += found["combinations"][:_MANY]
     if not tied and found["dependence"]:
         parts.append("no two inputs depend on each other beyond chance")
     return parts

@@ -342,8 +342,7 @@ def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
     from uqsphere.runner.results import Findings
     from uqsphere.runner.tolerance import find_tolerance
 
-    assert dear.sampled is not None
-    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity)
+    sampled, sensitivity = settle_heavy(work, dear)
     tolerance = find_tolerance(work)
     work.ledger.close("tolerance intervals")
     return Findings(

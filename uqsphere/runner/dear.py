@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, widest
 from uqsphere.runner.dear_margins import dear_margins
+from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, reserve, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, judge_limits
 from uqsphere.runner.margins import MarginAnswer
@@ -41,7 +42,10 @@ WORTHLESS = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Dear:
-    """What the surrogate way found; without `sampled` where the model has to be sampled instead, and `why`."""
+    """What the surrogate way found; without `sampled` where the model has to be sampled instead, and `why`.
+
+    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments.
+    """
 
     why: str
     surrogate: bool
@@ -51,6 +55,8 @@ class Dear:
     history: list[dict[str, Any]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stopped: str = "accuracy"
+    believed: tuple[str, ...] = ()
+    tails: dict[str, HeavyTail | None] = field(default_factory=dict)
 
 
 def answer_dear(work: Work, priced: Priced) -> Dear:
@@ -295,6 +301,8 @@ def _conclude(
         history=history,
         seconds=seconds,
         stopped=stopped,
+        believed=tuple(quantity for quantity in work.quantities if not rough),
+        tails=dear_tails(work, design, trusted),
     )
 
 
@@ -410,3 +418,4 @@ def _believable(estimate: Estimate) -> Estimate:
 
 if TYPE_CHECKING:
     from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.heavy_tails import HeavyTail

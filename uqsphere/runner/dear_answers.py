@@ -19,7 +19,9 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, widened, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.estimates import Description, Estimate, absent, describe
+from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent, describe
+from uqsphere.uq.heavy_tails import widened_share, without_moments
+from uqsphere.uq.released import reach_of, released, stretched
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
@@ -90,10 +92,16 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     indices = {}
     if not dependent_names(work):
         indices = {quantity: trusted_indices(trusted[k], work.study.seed) for k, quantity in enumerate(work.quantities)}
-    descriptions, limits, alone = _described(work, design, trusted, LARGE)
+    descriptions, limits, alone, reaches = _described(work, design, trusted, LARGE)
     if alone:
-        descriptions, limits, _ = _described(work, design, trusted, LARGER)
+        descriptions, limits, _, reaches = _described(work, design, trusted, LARGER)
     excess = excess_of(work, descriptions, limits)
+    for quantity, described in descriptions.items():
+        if described.mean.value is None and not (described.mean.reason or "").startswith(NO_MOMENT):
+            excess[quantity] = math.inf
+    for quantity, sd in reaches.items():
+        if quantity in indices:
+            indices[quantity] = {order: [widened_share(e, sd) for e in row] for order, row in indices[quantity].items()}
     for limit in work.study.limits:
         # what active learning goes on with is not waited for
         if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
@@ -108,8 +116,12 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
 
 def _described(
     work: Work, design: Design, trusted: Mapping[int, Trusted], size: int
-) -> tuple[dict[str, Description], dict[str, LimitAnswer], bool]:
-    """Descriptions and limits off `size` points of each replicate; whether these points leave too little room."""
+) -> tuple[dict[str, Description], dict[str, LimitAnswer], bool, dict[str, Estimate]]:
+    """Descriptions and limits off `size` points of each replicate; whether these points leave too little room.
+
+    Last the standard deviations of surrogates that are held back by the bounds of a transform, from theirs with these
+    bounds to those without.
+    """
     from uqsphere.uq.chaos import germ_points, predict
 
     germs, d, q = germs_of(work), len(work.scene_names), len(work.quantities)
@@ -117,17 +129,26 @@ def _described(
     points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs)
     centre = np.empty((*large.normals.shape[:2], q))
     reach = np.empty_like(centre)
+    beyond: dict[int, Array] = {}
     for k, one in trusted.items():
         rng = random_generator(seed=work.study.seed, task=f"dear.residuals.{k}")
         values = predict(one.chaos, points).reshape(centre.shape[:2])
         centre[:, :, k], reach[:, :, k] = with_residuals(one, values, rng)
+        free = released(one.chaos, points, values.ravel())
+        if free is not None:
+            beyond[k] = centre[:, :, k] + (free.reshape(values.shape) - values)
     samples = [_sample(centre + side * reach) for side in (0.0, -1.0, 1.0)]
     quantiles = work.study.analysis.quantiles
-    descriptions, plain = {}, {}
+    descriptions, plain, reaches = {}, {}, {}
     for k, quantity in enumerate(work.quantities):
         told = [describe(sample.values[:, :, k], quantiles=quantiles, method=augmented.METHOD) for sample in samples]
         plain[quantity] = told[0]
         descriptions[quantity] = widened(trusted[k], *told)
+        if k in beyond:
+            farther = describe(beyond[k], quantiles=quantiles, method=augmented.METHOD)
+            whole = stretched(descriptions[quantity], farther, beyond[k], design.count)
+            descriptions[quantity] = without_moments(whole, None, beyond[k])
+            reaches[quantity] = reach_of(told[0].sd, farther.sd if whole.sd.value is not None else whole.sd)
     middle, down, up = (judge_limits(work, large, sample) for sample in samples)
     limits = {}
     for limit in work.study.limits:
@@ -139,7 +160,7 @@ def _described(
         **{key: 0.5 * getattr(work.study.analysis.accuracy, key) for key in ("mean", "quantile", "probability")},
     )
     strict = replace(work, study=replace(work.study, analysis=replace(work.study.analysis, accuracy=halved)))
-    return descriptions, limits, bool(excess_of(strict, plain, middle))
+    return descriptions, limits, bool(excess_of(strict, plain, middle)), reaches
 
 
 def _sample(values: Any) -> Sample:
@@ -191,3 +212,4 @@ def _limit(
 
 if TYPE_CHECKING:
     from uqsphere.study import Limit
+    from uqsphere.uq.families import Array

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import AccessError, ModelError, UqsphereError
-from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered
+from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, where_of
 from uqsphere.runner.worker import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
 
 __all__ = ["Executor", "LocalWorkers", "TimeOver", "WorkerDied", "evaluate_guarded", "gather", "processors"]
@@ -186,7 +187,7 @@ class LocalWorkers:
             if over.is_set():
                 raise TimeOver(f"it took longer than {job.limit:g} s") from error
             code = process.wait()
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            how = f"signal {-code}{_signal_name(-code)}" if code < 0 else f"exit code {code}"
             raise WorkerDied(f"its process ended with {how}") from error
         finally:
             if timer is not None:
@@ -194,6 +195,13 @@ class LocalWorkers:
         if kind == "failed":
             raise content
         return content
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return f" ({signal.Signals(number).name})"
+    except ValueError:
+        return ""
 
 
 _guard: dict[int, LocalWorkers] = {}
@@ -276,7 +284,7 @@ def gather(
             try:
                 answered, seconds = piece.future.result()
             except Exception as error:
-                found = _after(error, piece, task, todo)
+                found = _after(error, piece, task, rows, todo)
                 if found is None:
                     continue
                 answered, seconds = found, 0.0
@@ -302,14 +310,14 @@ def _submit(executor: Any, packed: bytes, rows: Array, limit: float | None) -> A
     return executor.submit(evaluate_guarded, packed, rows, limit)
 
 
-def _after(error: Exception, piece: _Piece, task: Task, todo: deque[_Piece]) -> Answered | None:
+def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece]) -> Answered | None:
     """What becomes of a piece without an answer: None if it is handed out again, else failed rows."""
     if isinstance(error, UqsphereError):
         raise error
     single = piece.stop - piece.start == 1
     if isinstance(error, TimeOver):
         if single:
-            return _fail(task, STATUS_TIME, f"the model: {error}")
+            return _fail(task, STATUS_TIME, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
         piece.deaths += 1
         if piece.deaths < LIVES:
@@ -318,7 +326,7 @@ def _after(error: Exception, piece: _Piece, task: Task, todo: deque[_Piece]) -> 
         if task.model is None:
             raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
         if single:
-            return _fail(task, STATUS_DIED, f"the model: {error}")
+            return _fail(task, STATUS_DIED, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     else:
         raise _broken(error) from error
     todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))

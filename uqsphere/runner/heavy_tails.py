@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.uq.distribution import tail_orders
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
-from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, widened_share, without_moments
+from uqsphere.uq.heavy_tails import NOT_KNOWN, HeavyTail, heavy_tail, widened_share, without_moments
 
-__all__ = ["describe_heavy", "settle_heavy", "share_heavy"]
+__all__ = ["dear_tails", "describe_heavy", "settle_heavy", "share_heavy"]
 
 #: samples that must differ from the most frequent value for the variance to be shared out
 FEWEST_VARIED = 20
@@ -55,11 +57,21 @@ def share_heavy(
     Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
     of the design carry it and no expansion helps, they hold what so few may have missed.
     """
+    tails = {q: _tail(work, sampled.points, sampled.sample, k) for k, q in enumerate(work.quantities)}
+    return _shares(work, sampled, found, tails, pairs)
+
+
+def _shares(
+    work: Work,
+    sampled: Sampled,
+    found: dict[str, Sensitivity],
+    tails: Mapping[str, HeavyTail | None],
+    pairs: Pairs | None,
+) -> dict[str, Sensitivity]:
     answers, asked = {}, work.study.analysis.accuracy.sobol
     for k, quantity in enumerate(work.quantities):
-        indices, sd = found[quantity], sampled.descriptions[quantity].sd
+        indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
         reason = _why_none(_outputs(work, sampled.sample, k), sd)
-        tail = _tail(work, sampled.points, sampled.sample, k)
         if reason:
             indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations))  # type: ignore[misc]
             # no number of evaluations gives what is not there, so that none is missed
@@ -84,25 +96,64 @@ def _admitted(indices: Sensitivity, asked: float) -> Sensitivity:
     return replace(indices, missed=[f"indices: half-width {width:.2g}, asked {asked:g} ({why})"])
 
 
-def settle_heavy(work: Work, sampled: Sampled, found: dict[str, Sensitivity]) -> tuple[Sampled, dict[str, Sensitivity]]:
+def dear_tails(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> dict[str, HeavyTail | None]:
+    """The tail that each quantity of a dear model inherits, off its runs.
+
+    A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
+    """
+    from uqsphere.runner.dear_answers import germs_of
+    from uqsphere.uq.chaos import germ_points, predict
+
+    d = len(work.scene_names)
+    normals, physical = design.points.normals[0, :, :d], design.points.physical[0, :, :d]
+    laws = {name: work.study.random[name] for name in work.scene_names}
+    heavy = [j for j, law in enumerate(laws.values()) if min(tail_orders(law)) < math.inf]
+    answers = {}
+    for k, quantity in enumerate(work.quantities):
+        outputs = np.where(design.sample.failed[0], np.nan, design.sample.values[0, :, k])
+        centred = {}
+        if k in trusted and trusted[k].usable:
+            for j in heavy:
+                moved = normals.copy()
+                moved[:, j] = 0.0
+                centred[work.scene_names[j]] = predict(trusted[k].chaos, germ_points(moved, germs_of(work)))
+        answers[quantity] = heavy_tail(laws, physical, outputs, centred) if heavy else None
+    return answers
+
+
+def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity]]:
     """Answers of a design that is not enlarged for what does not exist: without such moments and their shares."""
-    descriptions = describe_heavy(work, sampled.points, sampled.sample, sampled.descriptions)
+    assert dear.sampled is not None
+    sampled, found = dear.sampled, dear.sensitivity
+    descriptions = {}
+    order = min((min(tail_orders(work.study.random[name])) for name in work.scene_names), default=math.inf)
+    for k, (name, described) in enumerate(sampled.descriptions.items()):
+        tail, outputs = dear.tails.get(name), _outputs(work, sampled.sample, k)
+        # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
+        kept = name in dear.believed and tail is None
+        descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
     gone = tuple(f"{q}: mean: " for q, d in descriptions.items() if (d.mean.reason or "").startswith(NO_MOMENT))
+    gone += tuple(f"{q}: mean: " for q, d in descriptions.items() if _left_open(d.mean))
     missed = [text for text in sampled.missed if not (gone and text.startswith(gone))]
+    missed += [f"{q}: mean: {d.mean.reason}" for q, d in descriptions.items() if _left_open(d.mean)]
     settled = replace(sampled, descriptions=descriptions, missed=missed)
-    return settled, share_heavy(work, settled, found, None)
+    return settled, _shares(work, settled, found, dear.tails, None)
 
 
 def _why_none(outputs: Array, sd: Estimate) -> str:
     """Why the variance of outputs (n,) cannot be shared out, or an empty text."""
-    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, "does not converge")):
-        return f"the variance {sd.reason}"
+    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, NOT_KNOWN, "does not converge")):
+        return f"the variance {'is ' if sd.reason.startswith(NOT_KNOWN) else ''}{sd.reason}"
     kept = outputs[np.isfinite(outputs)]
     varied = int((kept != np.median(kept)).sum()) if kept.size else 0
     if kept.size > 10 * FEWEST_VARIED and varied < FEWEST_VARIED:
         times = "none" if varied == 0 else f"{varied}"
         return f"{times} of the {kept.size:,} samples differ from {np.median(kept):.6g}: too few for shares"
     return ""
+
+
+def _left_open(mean: Estimate) -> bool:
+    return (mean.reason or "").startswith(NOT_KNOWN)
 
 
 def _carriers(pairs: Pairs, k: int) -> float:
@@ -145,9 +196,12 @@ def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate]) -> Sensi
 
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
+    from uqsphere.runner.dear import Dear
+    from uqsphere.runner.price import Design
     from uqsphere.runner.sampling import Sampled
     from uqsphere.runner.sensitivity import Pairs, Sensitivity
     from uqsphere.runner.work import Draw, Sample, Work
+    from uqsphere.uq.augmented import Trusted
     from uqsphere.uq.families import Array

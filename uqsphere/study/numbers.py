@@ -11,6 +11,7 @@ from typing import Any, Final
 from uqsphere.quantities import INPUTS, Quantity, UnitError, format_value, parse_value
 from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.uq.ignorance import LEAST_TESTS, count_tests
 from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
 
 __all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
@@ -24,6 +25,8 @@ _SHARE_WORTH_A_WORD: Final = 1e-6
 #: standard deviation over mean of a positive number that is worth a warning, and that is refused
 _WIDE: Final = 3.0
 _TOO_WIDE: Final = 1000.0
+#: fewer observations than these are worth a warning, and leave open what cannot be told
+_FEW: Final = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +140,27 @@ def _read_law(
         return None
     if not _sensible_scatter(law, place, raw, findings):
         return None
+    if empirical:
+        _warn_of_few(law, (*place, "file"), findings)
     return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+
+
+def _warn_of_few(law: Law, place: Place, findings: Findings) -> None:
+    """A law fitted to few observations enters the answers as if it were known."""
+    count = count_tests(law)
+    if count < LEAST_TESTS:
+        findings.warn(
+            place,
+            f"found {count} observations: a law can be laid through any so few, and how far it is off cannot be told "
+            "(the standard deviation of a normal law by more than a factor of 30); the intervals take it "
+            f"for exact: {_FEW} observations are a start",
+        )
+    elif count < _FEW:
+        findings.warn(
+            place,
+            f"found {count} observations: what so few leave open is told beside the answers where the evaluations "
+            f"reach it, and is not in their intervals; {_FEW} and more leave less",
+        )
 
 
 def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Any], findings: Findings) -> bool:

@@ -17,12 +17,20 @@ from uqsphere.uq.distribution import Law, tail_orders
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
 from uqsphere.uq.families import Array
 
-__all__ = ["MEAN", "VARIANCE", "HeavyTail", "heavy_tail", "hill", "widened_share", "without_moments"]
+__all__ = ["MEAN", "NOT_KNOWN", "VARIANCE", "HeavyTail", "heavy_tail", "hill", "widened_share", "without_moments"]
 
+#: how the reason of a moment begins that more evaluations may give
+NOT_KNOWN: Final = "not known: "
 #: orders of the moments that are judged
 MEAN, VARIANCE = 1.0, 2.0
 #: least and largest number of rows that a growth is read off, and the share of all that are taken between them
 FEWEST, MOST, SHARE = 32, 512, 1.0 / 32.0
+#: the same where there are few rows: more than this share are no tail, and fewer than these show no growth
+FEW_SHARE, LEAST = 1.0 / 8.0, 8
+#: rows below which nothing is read off, and below which one that makes most of the variance says that it is not known
+UNREADABLE, FEW = 32, 1000
+#: share of the variance that one of few rows may make
+DOMINANT: Final = 0.4
 #: standard errors by which a growth must differ from none, and by which it may be larger than it looks
 SEEN, DOUBT = 4.0, 2.0
 #: a Hill estimate below this is no mean: that of a Cauchy law from as many rows as are taken here
@@ -33,26 +41,36 @@ CAUCHY: Final = 1.2
 class HeavyTail:
     """The input whose tail an output inherits, the order from which on the law has no moments, and the growth.
 
-    `order` is that of the output, at the growth that the rows leave possible.
+    `order` is that of the output, at the growth that the rows leave possible.  A growth of nan is one that too few
+    `rows` leave open.
     """
 
     name: str
     law_order: float
     growth: float
     order: float
+    rows: int = 0
 
     def reason(self) -> str:
         """Why a moment is not given."""
+        if math.isnan(self.growth):
+            return (
+                f"{NOT_KNOWN}{self.name} has no moments from order {self.law_order:.3g} on, and {self.rows} runs are "
+                f"too few to show how this grows with it: at least {UNREADABLE}, or truncate the law where it ends"
+            )
         return (
             f"{NO_MOMENT}{self.name} has no moments from order {self.law_order:.3g} on, and this grows like its power "
             f"{self.growth:.2g}: truncate the law where it ends"
         )
 
 
-def heavy_tail(laws: Mapping[str, Law], inputs: Array, outputs: Array) -> HeavyTail | None:
+def heavy_tail(
+    laws: Mapping[str, Law], inputs: Array, outputs: Array, centred: Mapping[str, Array] | None = None
+) -> HeavyTail | None:
     """The heaviest tail that outputs (n,) inherit from inputs (n, d), or None where they inherit none.
 
-    Rows that are not finite are left out.
+    Rows that are not finite are left out.  `centred` holds what is known (n,) of the outputs with one input at its
+    median: growth is then that of the difference, without the scatter of the other inputs.
 
     >>> rng = np.random.default_rng(1)
     >>> x = rng.standard_t(1.0, size=(4096, 1))
@@ -66,27 +84,30 @@ def heavy_tail(laws: Mapping[str, Law], inputs: Array, outputs: Array) -> HeavyT
     orders = {(j, side): order for j, law in enumerate(laws.values())
               for side, order in zip((-1.0, 1.0), tail_orders(law), strict=True) if math.isfinite(order)}  # fmt: skip
     kept = np.isfinite(outputs)
-    if not orders or kept.sum() < 2 * FEWEST:
+    count = int(kept.sum())
+    if not orders or count == 0:
         return None
+    if count < UNREADABLE:
+        (j, _), law_order = min(orders.items(), key=lambda item: item[1])
+        return HeavyTail(name=list(laws)[j], law_order=law_order, growth=math.nan, order=law_order, rows=count)
     found = []
-    away = np.abs(outputs[kept] - np.median(outputs[kept]))
     for (j, side), law_order in orders.items():
-        x = inputs[kept, j]
+        x, name = inputs[kept, j], list(laws)[j]
         out = side * (x - np.median(x))
-        growth, error = _growth(out, away)
+        middle = np.median(outputs[kept]) if centred is None or name not in centred else centred[name][kept]
+        growth, error = _growth(out, np.abs(outputs[kept] - middle))
         if growth > SEEN * error and growth > 0.0:
             order = law_order / (growth + DOUBT * error)
-            name = list(laws)[j]
-            found.append(HeavyTail(name=name, law_order=law_order, growth=growth, order=order))
+            found.append(HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count))
     return min(found, key=lambda tail: tail.order, default=None)
 
 
 def _growth(out: Array, away: Array) -> tuple[float, float]:
     """Exponent of `away` (n,) against the largest of `out` (n,), and its standard error."""
-    count = min(max(int(SHARE * out.size), FEWEST), MOST)
+    count = _far(out.size)
     far = np.argpartition(out, out.size - count)[out.size - count :]
     far = far[(away[far] > 0.0) & (out[far] > 0.0)]
-    if far.size < FEWEST // 2:
+    if far.size < count // 2:
         return 0.0, math.inf
     x, y = np.log(out[far]), np.log(away[far])
     x, y = x - x.mean(), y - y.mean()
@@ -100,37 +121,65 @@ def _growth(out: Array, away: Array) -> tuple[float, float]:
     return slope, math.sqrt(float(rest @ rest) / max(far.size - 2, 1) / squares) if abs(rest).max() > 1e-9 else 0.0
 
 
+def _far(rows: int) -> int:
+    """How many of so many rows are taken for a tail."""
+    return min(max(int(SHARE * rows), FEWEST), MOST, max(int(FEW_SHARE * rows), LEAST))
+
+
 def hill(outputs: Array) -> float:
     """Order from which on outputs (n,) seem to have no moments, off their largest distances from the median.
 
-    Hill (1975), Annals of Statistics 3, 1163.  Infinite where fewer than 32 rows lie away from it.
+    Hill (1975), Annals of Statistics 3, 1163.  Infinite where too few rows lie away from it.
     """
     kept = outputs[np.isfinite(outputs)]
     away = np.sort(np.abs(kept - np.median(kept)))[::-1] if kept.size else kept
-    count = min(max(int(SHARE * kept.size), FEWEST), MOST)
+    count = _far(kept.size)
     if away.size <= count or away[count] <= 0.0:
         return math.inf
     spread = float(np.mean(np.log(away[:count] / away[count])))
     return 1.0 / spread if spread > 0.0 else math.inf
 
 
-def without_moments(described: Description, tail: HeavyTail | None, outputs: Array) -> Description:
+def without_moments(
+    described: Description, tail: HeavyTail | None, outputs: Array, law_order: float = math.inf
+) -> Description:
     """The same without the moments that do not exist, and accuracies relative to half the 16-84 % range.
 
     Where no law says so, a mean is withheld if the standard deviation does not converge and the outputs (n,) fall off
-    as slowly as a Cauchy law.
+    as slowly as a Cauchy law.  One of few outputs that makes most of their variance leaves it open,
+    and the mean as well where a law of the inputs has no moments from `law_order` 1 on.
     """
     mean, sd = described.mean, described.sd
     if tail is not None and tail.order <= VARIANCE and (sd.value is not None or sd.reason is not None):
         mean = _gone(mean, tail.reason()) if tail.order <= MEAN else mean
         sd = _gone(sd, tail.reason())
-        kept = outputs[np.isfinite(outputs)]
-        low, high = np.quantile(kept, (0.16, 0.84)) if kept.size else (0.0, 0.0)
-        return replace(described, mean=mean, sd=sd, scale=float(0.5 * (high - low)))
+        return replace(described, mean=mean, sd=sd, scale=_half_range(outputs))
+    if sd.value is not None and outputs.size < FEW and (text := _dominated(outputs)):
+        described = replace(described, sd=_gone(sd, text), scale=_half_range(outputs))
+        return replace(described, mean=_gone(mean, text)) if min(law_order, hill(outputs)) <= CAUCHY else described
     if sd.value is None and mean.value is not None and (order := hill(outputs)) <= CAUCHY:
         text = f"{NO_MOMENT}large values are as frequent as in a law without moments from order {order:.2g} on"
         return replace(described, mean=_gone(mean, text))
     return described
+
+
+def _half_range(outputs: Array) -> float:
+    kept = outputs[np.isfinite(outputs)]
+    low, high = np.quantile(kept, (0.16, 0.84)) if kept.size else (0.0, 0.0)
+    return float(0.5 * (high - low))
+
+
+def _dominated(outputs: Array) -> str:
+    """Why a variance is not known where one of few outputs (n,) makes most of it; empty where none does."""
+    kept = outputs[np.isfinite(outputs)]
+    if kept.size < UNREADABLE:
+        return ""
+    away = np.abs(kept - kept.mean())
+    largest = float(away.max())
+    share = 1.0 / float(((away / largest) ** 2).sum()) if 0.0 < largest < math.inf else 0.0
+    if share <= DOMINANT:
+        return ""
+    return f"{NOT_KNOWN}one of {kept.size} runs makes {100.0 * share:.0f} % of the variance"
 
 
 def _gone(estimate: Estimate, reason: str) -> Estimate:
