@@ -21,6 +21,7 @@ def _run(path: Path, budget: int) -> dict[str, Any]:
     from uqsphere.report.contents import read_contents
     from uqsphere.report.progress import error_series
     from uqsphere.runner import run
+    from uqsphere.runner.further import FURTHER
     from uqsphere.study import load_study
 
     study = load_study(path, (f"analysis.budget.evaluations={budget}", 'analysis.budget.time="60 min"'))
@@ -36,6 +37,7 @@ def _run(path: Path, budget: int) -> dict[str, Any]:
             {"method": s.method, "quantity": s.quantity, "kind": s.kind, "asked": s.asked,
              "points": [[n, seconds, error * s.asked] for n, seconds, error in s.points]}
             for s in series
+            if s.kind not in FURTHER  # those are not pursued
         ],
     }  # fmt: skip
 
