@@ -187,7 +187,7 @@ def _pursuit(task: Task, orthogonal: bool) -> Path:
             scores[closed] = -1.0
             rows = np.argmax(scores, axis=1)
             wanted = scores[every, rows] >= 0.0
-            if not wanted[0]:
+            if not wanted.any():
                 break
         lanes.add(rows, wanted)
         closed[every, rows] = True
@@ -232,7 +232,7 @@ def least_angles(task: Task) -> Path:
     rows = np.argmax(np.abs(correlations), axis=1)
     for k in range(1, most):
         wanted = usable[every, rows] & (height > floors)
-        if not wanted[0]:
+        if not wanted.any():
             break
         signs = np.where(correlations[every, rows] > 0.0, 1.0, -1.0)
         lengths, overlaps = lanes.add(rows, wanted)
