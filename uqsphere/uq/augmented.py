@@ -23,7 +23,7 @@ from uqsphere.uq.chaos import Chaos, chaos_indices, validation_error
 from uqsphere.uq.chaos.bases import orthonormal_values
 from uqsphere.uq.chaos.surrogate import Piece
 from uqsphere.uq.chaos.truncation import products
-from uqsphere.uq.estimates import Description, Estimate, absent
+from uqsphere.uq.estimates import Description, Estimate, absent, student
 from uqsphere.uq.families import Array
 
 __all__ = [
@@ -44,10 +44,8 @@ __all__ = [
 METHOD: Final = "surrogate, corrected by its residuals"
 #: largest share of the variance that a surrogate may leave and still be used
 MOST: Final = 0.05
-#: 97.5 % of Student's t for the few residuals that a mean rests on, and of many
-_FEW: Final = 2.3
-#: the same for a level of the distribution and for a standard deviation, wider since a few skewed residuals carry them
-#: where a surrogate is rough: `uqsphere.bench.dear` measures what they cover
+#: standard errors to either side of a level of the distribution and of a standard deviation: more than Student's t,
+#: since a few skewed residuals carry them where a surrogate is rough: `uqsphere.bench.dear` measures what they cover
 _LEVEL: Final = 3.2
 _SPREAD: Final = 3.7
 #: the same for an index: what residuals leave of it is mostly far less than their share of the variance, not always
@@ -223,7 +221,7 @@ def widened(trusted: Trusted, middle: Description, down: Description, up: Descri
     quantiles = {p: joined(estimate, down.quantiles[p], up.quantiles[p], n) for p, estimate in middle.quantiles.items()}
     mean, sd = middle.mean, middle.sd
     if mean.value is not None:
-        mean = _added(mean, _FEW * trusted.scatter / math.sqrt(n), n)
+        mean = _added(mean, student(n) * trusted.scatter / math.sqrt(n), n)
     if sd.value is not None and middle.mean.value is not None and middle.scale > 0.0:
         from_middle = (trusted.levels - middle.mean.value) / middle.scale
         off = trusted.residuals / middle.scale

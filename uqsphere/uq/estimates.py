@@ -107,7 +107,7 @@ def absent(reason: str, method: str, evaluations: int) -> Estimate:
     )
 
 
-def student(replicates: int) -> float:
+def student(replicates: float) -> float:
     """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are replicates."""
     from scipy.special import stdtrit
 

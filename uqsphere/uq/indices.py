@@ -8,10 +8,11 @@ of freedom: the replicates' own ratios would each carry the bias of a ratio of f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -39,6 +40,9 @@ METHOD: Final = "pick and freeze"
 #: What is left of a difference of two sums that cancel, over V.
 _ROUNDING: Final = 1e-15
 _CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
+#: answers (R, m) of the replicates with the method of each, and the numbers of the inputs and groups read off pairs
+_Answer: TypeAlias = tuple[Array, list[str]]
+_Chosen: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
 _NO_SCATTER: Final = "the output does not vary"
 
 
@@ -174,17 +178,11 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     large = _large(y, y.ab) if y.ba is None else ()
     chosen = large, _large(y, y.groups)
     answers = _answers(y, *chosen)
-    if surrogate is None:
+    known = None if surrogate is None else blocks.split(surrogate.outputs)
+    if surrogate is None or known is None or not known.varies:
         found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
     else:
-        known = blocks.split(surrogate.outputs)
-        others = _answers(known, *chosen) if known.varies else {}
-        found = {
-            order: _corrected(rows, others[order][0], surrogate.indices[order], methods, y.evaluations)
-            if order in others
-            else _estimates(rows, methods, y.evaluations)
-            for order, (rows, methods) in answers.items()
-        }
+        found = _controlled(y, known, surrogate.indices, answers, chosen)
     return SampledIndices(
         first=found["first"],
         total=found["total"],
@@ -196,29 +194,65 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     )
 
 
-def _corrected(rows: Array, known: Array, truth: Array, methods: Sequence[str], evaluations: int) -> list[Estimate]:
-    """Estimates with the surrogate's answers (R, m), and what they should have been (m,), as control variate."""
-    replicates = len(rows)
-    factor = student(replicates - 1)
-    found = []
-    for j, method in enumerate(methods):
-        if not (np.isfinite(rows[:, j]).all() and np.isfinite(known[:, j]).all()):
-            found += _estimates(rows[:, [j]], [method], evaluations)
-            continue
-        value, error = corrected(rows[:, j], known[:, j] - truth[j])
-        # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
-        error = max(error, 1e-13) if np.any(rows[:, j]) else 0.0
-        found.append(
-            Estimate(
-                value=value,
-                low=value - factor * error,
-                high=value + factor * error,
-                std_error=error,
-                method=f"{method}, controlled by a surrogate",
-                evaluations=evaluations,
-            )
-        )
-    return found
+def _controlled(
+    y: Outputs, known: Outputs, truths: Mapping[str, Array], answers: Mapping[str, _Answer], chosen: _Chosen
+) -> dict[str, list[Estimate]]:
+    """Estimates by order with the surrogate's answers, and what they should have been (m,), as control variate."""
+    others = _answers(known, *chosen)
+    found = {
+        order: [corrected(rows[:, j], others[order][0][:, j] - truths[order][j]) for j in range(rows.shape[1])]
+        for order, (rows, _) in answers.items()
+    }
+    slopes = {order: np.array([slope for _, _, slope in line]) for order, line in found.items()}
+    carriers = _carriers(y, known, chosen, slopes)
+    return {
+        order: [
+            _estimate(*found[order][j][:2], rows[:, j], method, float(carriers[order][j]), y.evaluations)
+            for j, method in enumerate(methods)
+        ]
+        for order, (rows, methods) in answers.items()
+    }
+
+
+def _estimate(value: float, error: float, rows: Array, method: str, carriers: float, evaluations: int) -> Estimate:
+    """A corrected answer; where few points carry what it may be off by, its standard error is that much less known.
+
+    Degrees of freedom are the R - 2 of the regression and half the number of those points, together as resistances in
+    parallel: with skewed outputs the few that were met speak for those that were not.
+    """
+    if not math.isfinite(error):
+        return absent(_NO_SCATTER, method, evaluations)
+    freedom = max(1.0 / (1.0 / (len(rows) - 2) + 2.0 / carriers), 1.0)
+    # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
+    error = max(error, 1e-13) if np.any(rows) else 0.0
+    half = student(1.0 + freedom) * error
+    return Estimate(value=value, low=value - half, high=value + half, std_error=error,
+                    method=f"{method}, controlled by a surrogate", evaluations=evaluations)  # fmt: skip
+
+
+def _carriers(y: Outputs, known: Outputs, chosen: _Chosen, slopes: Mapping[str, Array]) -> dict[str, Array]:
+    """How many points of the design carry what each corrected answer may be off by, by Kish's count: (m,) by order."""
+    sums = {order: np.zeros((2, len(slope))) for order, slope in slopes.items()}
+    for r in range(len(y.a)):
+        own, other = (_answers(_each_point(outputs, r), *chosen) for outputs in (y, known))
+        for order, slope in slopes.items():
+            off = own[order][0] - slope * other[order][0]
+            squares = (off - off.mean(axis=0)) ** 2
+            sums[order] += [squares.sum(axis=0), (squares**2).sum(axis=0)]
+    return {
+        order: np.where(fourth > 0.0, second**2 / np.where(fourth > 0.0, fourth, 1.0), math.inf)
+        for order, (second, fourth) in sums.items()
+    }
+
+
+def _each_point(outputs: Outputs, replicate: int) -> Outputs:
+    """The points of one replicate, each as if it were a replicate."""
+
+    def points(rows: Array) -> Array:
+        return np.asarray(rows[replicate][:, None, :])
+
+    return replace(outputs, a=points(outputs.a), b=points(outputs.b), ab=points(outputs.ab),
+                   ba=None if outputs.ba is None else points(outputs.ba), groups=points(outputs.groups))  # fmt: skip
 
 
 def _large(outputs: Outputs, mixed: Array) -> tuple[int, ...]:
@@ -229,9 +263,7 @@ def _large(outputs: Outputs, mixed: Array) -> tuple[int, ...]:
     return tuple(np.flatnonzero(numerator.mean(axis=0) > LARGE * denominator.mean(axis=0)).tolist())
 
 
-def _answers(
-    outputs: Outputs, large: tuple[int, ...], large_groups: tuple[int, ...]
-) -> dict[str, tuple[Array, list[str]]]:
+def _answers(outputs: Outputs, large: tuple[int, ...], large_groups: tuple[int, ...]) -> dict[str, _Answer]:
     """Answers (R, m) of the replicates and their methods, by order."""
     found = {}
     if outputs.ba is not None:
@@ -248,7 +280,7 @@ def _answers(
     return found | {f"group_{order}": answer for order, answer in groups.items()}
 
 
-def _by_size(outputs: Outputs, mixed: Array, large: tuple[int, ...]) -> dict[str, tuple[Array, list[str]]]:
+def _by_size(outputs: Outputs, mixed: Array, large: tuple[int, ...]) -> dict[str, _Answer]:
     """First and total answers from the blocks AB of inputs or groups; those that are `large` off pairs."""
     found = {}
     for order in ("first", "total"):
