@@ -16,9 +16,10 @@ from uqsphere.errors import StudyError
 from uqsphere.study import Study
 from uqsphere.uq.blocks import Blocks, uniform_halves
 from uqsphere.uq.chaos import fit_chaos, germ_points
+from uqsphere.uq.estimates import student
 from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.sampling import sobol_points
-from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
+from uqsphere.uq.surrogate import Surrogate, chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
 
 MODELS = {model.name: model for model in coverage_models()}
 ISHIGAMI = """
@@ -181,6 +182,26 @@ def test_intervals_with_a_surrogate_that_is_wrong_still_cover() -> None:
             hits += [e.low <= t <= e.high for e, t in zip(getattr(found, order), getattr(model, order), strict=True)]
     # 240 answers of 40 repetitions
     assert 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 120) <= np.mean(hits) <= 1.0
+
+
+def test_a_surrogate_that_is_off_at_few_points_has_wider_intervals() -> None:
+    """In standard errors: Student's t of the replicates where all points share the error, more where few have it."""
+    blocks, rng = Blocks(inputs_count=2), np.random.default_rng(4)
+    halves = rng.standard_normal((2, 16 * 64, 2))
+    known = np.sum(blocks.mix(*halves), axis=2).reshape(16, 64, blocks.count)
+    truth = dict.fromkeys(("first", "total"), np.array([0.5, 0.5]))
+    truth |= dict.fromkeys(("second", "group_first", "group_total"), np.empty(0))
+    surrogate = Surrogate(outputs=known, indices=truth)
+
+    def reach(off: np.ndarray) -> list[float]:
+        found = sampled_indices(known + off, blocks, surrogate)
+        return [e.half_width / e.std_error for e in (*found.first, *found.total) if e.std_error]
+
+    noise = rng.standard_normal(known.shape)
+    everywhere, rare = 0.1 * noise, np.where(rng.random((16, 64, 1)) < 0.004, 2.0 * noise, 0.0)
+    assert np.count_nonzero(rare[:, :, 0]) < 8
+    assert max(reach(everywhere)) < 1.1 * student(15)
+    assert min(reach(rare)) > 1.3 * student(15)
 
 
 def test_indices_of_an_expansion_are_those_of_its_terms() -> None:
