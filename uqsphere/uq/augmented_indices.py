@@ -41,11 +41,9 @@ __all__ = [
 #: designs on which an expansion that was transformed or split is sampled, their mean is the answer
 DESIGNS: Final = 8
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
-#: of few points confounds more with what the surrogate lacks.  More than 1.96 since the errors have long tails
+#: of few points confounds more with what the surrogate lacks, and whose errors have longer tails
 FIRST: Final = 2.0
-TOTAL: Final = 2.2
-#: how much more than Student's t the few designs count by which an expansion is sampled: their errors have long tails
-_TAILS: Final = 1.15
+TOTAL: Final = 2.3
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
 _MOST_MOVED: Final = 50.0
@@ -218,13 +216,14 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
     """
     n, error = len(trusted.residuals), trusted.error
     value = min(max(float(np.mean(shares)), 0.0), 1.0)
-    sampled = 0.0
+    # half of Student's interval: the two standard errors of many designs
+    designs = 0.0
     if shares.size > 1:
-        sampled = _TAILS * student(shares.size) * float(np.std(shares, ddof=1)) / math.sqrt(shares.size)
+        designs = 0.5 * student(shares.size) * float(np.std(shares, ddof=1)) / math.sqrt(shares.size)
     if spread is None:
-        return index_estimate(exact(value), error, n, sampled=sampled)
+        return index_estimate(exact(value), error, n, sampled=factor * designs)
     unseen = error * max(1.0 / n, error / (error + n * max(total, 0.0))) if error > 0.0 else 0.0
-    half = math.hypot(factor * spread, sampled) + unseen + 1e-15
+    half = factor * math.hypot(spread, designs) + unseen + 1e-15
     low, high = max(0.0, value - half), min(1.0, value + half)
     return Estimate(value=value, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=n)
 
