@@ -88,6 +88,8 @@ def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pyt
         monkeypatch.setitem(uncertainty.PARTS, name, part)
     out = tmp_path / "uq"
     assert main(["bench", "--uq", "coverage", "--quick", "--out", str(out)]) == 0
+    elsewhere = {"processor": "another", "system": "Linux", "python": "3.12", "packages": {"numpy": "2.0"}}
+    monkeypatch.setattr(uncertainty, "_machine", lambda: elsewhere)
     found = run_uncertainty(out, parts=["chaos"], quick=False, notice=silent)
     assert list(found["parts"]) == ["chaos", "coverage"]
     stored = json.loads((out / "uq.json").read_text(encoding="utf-8"))
@@ -95,6 +97,9 @@ def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pyt
     assert [stored["parts"][name]["quick"] for name in ("chaos", "coverage")] == [False, True]
     text = (out / "uq.md").read_text(encoding="utf-8")
     assert text == found["text"] + "\n"
+    assert "another, Linux, Python 3.12; numpy 2.0." in text
+    assert "another" not in text.split("--uq coverage`")[1]
+    assert " On " in text.split("--uq coverage`")[1].split("\n")[0]
     assert "| 64 | 2 | 2 | 3 |" in text
     assert "| c | 1 | 0 | 1 | 0.1 |" in text
     assert "Lowest of 2 cells: 90.0%" in text

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PARTS", "SCHEMA_VERSION", "Part", "run_uncertainty"]
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 _FILE: Final = "uq.json"
 _SIZES: Final = (64, 128, 256, 512)
 
@@ -189,16 +189,22 @@ def _kept(folder: Path) -> dict[str, Any]:
     return parts
 
 
-def _text(content: dict[str, Any]) -> str:
-    machine = content["machine"]
+def _machine_text(machine: dict[str, Any]) -> str:
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
-    lines = ["# The uncertainty engine, measured", "", f"{machine['processor']}, {machine['system']}, Python "
-             f"{machine['python']}; {packages}.", "One thread of linear algebra throughout."]  # fmt: skip
+    return f"{machine['processor']}, {machine['system']}, Python {machine['python']}; {packages}."
+
+
+def _text(content: dict[str, Any]) -> str:
+    last = _machine_text(content["machine"])
+    lines = ["# The uncertainty engine, measured", "", last, "One thread of linear algebra throughout."]
     for name, part in content["parts"].items():
         how = ", quick" if part["quick"] else ""
         told = f"`uqsphere bench --uq {name}`: {part['seconds']:,.0f} s{how}."
         # what was measured in pieces says so
         told += f" {part['note']}" if "note" in part else ""
+        # as was what was measured elsewhere
+        on = _machine_text(part["machine"])
+        told += "" if on == last else f" On {on}"
         lines += ["", f"## {PARTS[name].title}", "", told, "", PARTS[name].text(part)]
     return "\n".join(lines)
 
@@ -235,11 +241,12 @@ def run_uncertainty(
         begin = time.monotonic()
         with threadpool_limits(limits=1, user_api="blas"):
             found = PARTS[name].measure(quick, notice)
-        part = {"quick": quick, "seconds": time.monotonic() - begin, **found}
+        machine = _machine()
+        part = {"quick": quick, "seconds": time.monotonic() - begin, "machine": machine, **found}
         # read again: another process may have measured another part meanwhile
         kept = {**_kept(folder), name: part}
         content = {
-            "schema_version": SCHEMA_VERSION, "machine": _machine(),
+            "schema_version": SCHEMA_VERSION, "machine": machine,
             "parts": {each: kept[each] for each in PARTS if each in kept},
         }  # fmt: skip
         (folder / "figures").mkdir(parents=True, exist_ok=True)
