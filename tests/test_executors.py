@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,8 +18,8 @@ import pytest
 import uqsphere
 from uqsphere.bench.kills import answers_of
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
-from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
 from uqsphere.model import model_digest
+from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
 from uqsphere.runner.executors import LocalWorkers, TimeOver, WorkerDied, gather
 from uqsphere.runner.worker import Task
 from uqsphere.study import Study
@@ -169,6 +170,40 @@ def test_a_limit_of_time_is_kept(workers: LocalWorkers) -> None:
     assert workers.submit_limited(abs, -1, limit=lambda: 60.0).result() == 1
 
 
+@pytest.mark.parametrize("how", ["limit", "close", "gone"])
+def test_what_the_model_has_started_ends_with_it(tmp_path: Path, how: str) -> None:
+    """A solver that a model waits for would go on for ever, and hold the processor of the evaluations to come."""
+    mark = tmp_path / "pid"
+    line = f"echo $$ > {mark}.new; mv {mark}.new {mark}; exec sleep 3600"
+    pool = LocalWorkers(1)
+    limit = (lambda: 2.0) if how == "limit" else None
+    slow = pool.submit_limited(subprocess.call, ["sh", "-c", line], limit=limit)
+    while not mark.exists():
+        time.sleep(0.01)
+    if how == "gone":
+        # as when the run itself is killed: the other end of the pipe is closed
+        (process,) = pool._processes
+        assert process.stdin is not None
+        process.stdin.close()
+    elif how == "close":
+        pool.close()
+    with pytest.raises((TimeOver, WorkerDied)):
+        slow.result(timeout=60.0)
+    pool.close()
+    number, until = int(mark.read_text()), time.monotonic() + 30.0
+    while time.monotonic() < until and _alive(number):
+        time.sleep(0.05)
+    assert not _alive(number)
+
+
+def _alive(number: int) -> bool:
+    """Whether a process is there that is not dead already: who has no parent left may wait long to be fetched."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
 def test_closing_ends_what_runs() -> None:
     pool = LocalWorkers(1)
     slow = pool.submit(time.sleep, 3600)
@@ -296,9 +331,7 @@ def test_a_model_that_never_answers_ends_every_policy(box: Any, tmp_path: Path) 
         uqsphere.run(study, out=tmp_path / "r", model=broken)
 
 
-def test_a_model_that_hangs_on_every_row_is_given_up(
-    box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_that_hangs_on_every_row_is_given_up(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A call of 64 rows, then as many rows as show it: the calls of all 2048 would take minutes."""
     monkeypatch.setattr("uqsphere.runner.executors.HUNG", 6)
     study, reference = box("dead", "analysis.on_failure='bound'", "analysis.rows_per_call=64",

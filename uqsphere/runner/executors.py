@@ -117,8 +117,7 @@ class LocalWorkers:
         for _ in self._threads:
             self._jobs.put(None)
         for process in list(self._processes):
-            with contextlib.suppress(OSError):
-                process.kill()
+            _end(process)
         for thread in self._threads:
             thread.join(timeout=10.0)
 
@@ -155,16 +154,17 @@ class LocalWorkers:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **single},
+            start_new_session=True,  # what the model starts ends with it, and Ctrl-C is for the run
         )
         self._processes.add(process)
         if self._closed:
-            process.kill()
+            _end(process)
         return process
 
     def _bury(self, process: subprocess.Popen[bytes] | None) -> None:
         if process is None:
             return
-        process.kill()
+        _end(process)
         for stream in (process.stdin, process.stdout):
             with contextlib.suppress(OSError):
                 if stream is not None:
@@ -179,7 +179,7 @@ class LocalWorkers:
 
         def end() -> None:
             over.set()
-            process.kill()
+            _end(process)
 
         timer: threading.Timer | None = None
         limit = math.inf
@@ -205,6 +205,15 @@ class LocalWorkers:
         if kind == "failed":
             raise content
         return content
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and what it has started, a solver that hangs among it."""
+    if process.poll() is None:
+        with contextlib.suppress(OSError, AttributeError):
+            os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(OSError):
+        process.kill()
 
 
 def _signal_name(number: int) -> str:
