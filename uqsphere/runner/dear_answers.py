@@ -21,7 +21,7 @@ from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent, describe
 from uqsphere.uq.heavy_tails import widened_share, without_moments
-from uqsphere.uq.released import drawn_in, farthest, reach_of, released, shifted, stretched, within_runs
+from uqsphere.uq.released import UNSURE, drawn_in, farthest, reach_of, released, shifted, stretched, within_runs
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
@@ -153,7 +153,8 @@ def _described(
         if k in drawn:
             inside = describe(within[:, :, k], quantiles=quantiles, method=augmented.METHOD)
             descriptions[quantity] = drawn_in(descriptions[quantity], told[0], inside)
-            reaches[quantity] = reach_of(told[0].sd, inside.sd)
+            if trusted[k].error >= UNSURE:
+                reaches[quantity] = reach_of(told[0].sd, inside.sd)
         if k in beyond:
             farther = describe(beyond[k], quantiles=quantiles, method=augmented.METHOD)
             whole = stretched(descriptions[quantity], farther, beyond[k], design.count)

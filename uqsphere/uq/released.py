@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.families import Array
 from uqsphere.uq.heavy_tails import NOT_KNOWN, hill
 
-__all__ = ["drawn_in", "farthest", "reach_of", "released", "shifted", "stretched", "within_runs"]
+__all__ = ["UNSURE", "drawn_in", "farthest", "reach_of", "released", "shifted", "stretched", "within_runs"]
 
 #: how near to zero, over its bound, a reciprocal or root is let
 _NEAR_ZERO = 1e-6
@@ -31,7 +32,9 @@ _NEAR_ZERO = 1e-6
 _NOTHING = 1e-9
 #: how many times its relative error among the runs an expansion may be wrong in what it adds beyond the outermost
 #: ones: measured on outputs that level off (tanh and arctan of Cauchy, Student and normal inputs, 1/(1 + c²))
-_GROWS = 60.0
+_GROWS: Final = 60.0
+#: error from which on nothing that is added beyond the runs is believed
+UNSURE: Final = _GROWS**-2
 #: a Hill estimate below this may well be that of no variance
 _HEAVY = 2.4
 
