@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,8 +18,10 @@ import pytest
 import uqsphere
 from uqsphere.bench.kills import answers_of
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
+from uqsphere.model import model_digest
 from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
-from uqsphere.runner.executors import LocalWorkers, TimeOver, WorkerDied
+from uqsphere.runner.executors import LocalWorkers, TimeOver, WorkerDied, gather
+from uqsphere.runner.worker import Task
 from uqsphere.study import Study
 
 #: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands
@@ -44,6 +47,14 @@ def raising(inputs):
 
 def hanging(inputs):
     if odd(inputs).any():
+        time.sleep(3600)
+    return good(inputs)
+
+def dead(inputs):
+    time.sleep(3600)
+
+def often(inputs):
+    if (inputs["x1"] > 0.9).any():
         time.sleep(3600)
     return good(inputs)
 
@@ -153,10 +164,44 @@ def test_a_process_that_dies_is_replaced(workers: LocalWorkers) -> None:
 
 
 def test_a_limit_of_time_is_kept(workers: LocalWorkers) -> None:
-    late = workers.submit_limited(time.sleep, 3600, limit=0.05)
+    late = workers.submit_limited(time.sleep, 3600, limit=lambda: 0.05)
     with pytest.raises(TimeOver, match=r"0\.05 s"):
         late.result()
-    assert workers.submit_limited(abs, -1, limit=60.0).result() == 1
+    assert workers.submit_limited(abs, -1, limit=lambda: 60.0).result() == 1
+
+
+@pytest.mark.parametrize("how", ["limit", "close", "gone"])
+def test_what_the_model_has_started_ends_with_it(tmp_path: Path, how: str) -> None:
+    """A solver that a model waits for would go on for ever, and hold the processor of the evaluations to come."""
+    mark = tmp_path / "pid"
+    line = f"echo $$ > {mark}.new; mv {mark}.new {mark}; exec sleep 3600"
+    pool = LocalWorkers(1)
+    limit = (lambda: 2.0) if how == "limit" else None
+    slow = pool.submit_limited(subprocess.call, ["sh", "-c", line], limit=limit)
+    while not mark.exists():
+        time.sleep(0.01)
+    if how == "gone":
+        # as when the run itself is killed: the other end of the pipe is closed
+        (process,) = pool._processes
+        assert process.stdin is not None
+        process.stdin.close()
+    elif how == "close":
+        pool.close()
+    with pytest.raises((TimeOver, WorkerDied)):
+        slow.result(timeout=60.0)
+    pool.close()
+    number, until = int(mark.read_text()), time.monotonic() + 30.0
+    while time.monotonic() < until and _alive(number):
+        time.sleep(0.05)
+    assert not _alive(number)
+
+
+def _alive(number: int) -> bool:
+    """Whether a process is there that is not dead already: who has no parent left may wait long to be fetched."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 def test_closing_ends_what_runs() -> None:
@@ -284,6 +329,37 @@ def test_a_model_that_never_answers_ends_every_policy(box: Any, tmp_path: Path) 
 
     with pytest.raises(TooManyFailures, match=r"none of 2048.*no such name"):
         uqsphere.run(study, out=tmp_path / "r", model=broken)
+
+
+def test_a_model_that_hangs_on_every_row_is_given_up(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call of 64 rows, then as many rows as show it: the calls of all 2048 would take minutes."""
+    monkeypatch.setattr("uqsphere.runner.executors.HUNG", 6)
+    study, reference = box("dead", "analysis.on_failure='bound'", "analysis.rows_per_call=64",
+                           'analysis.time_limit="0.1 s"')  # fmt: skip
+    began = time.monotonic()
+    with pytest.raises(TooManyFailures, match=r"6 evaluations in a row took longer .*, 0.1 s, .* at x1 = "):
+        uqsphere.run(study, out=tmp_path / "r", model=reference)
+    assert time.monotonic() - began < 60.0
+
+
+def test_calls_that_hold_a_row_that_hangs_do_not_take_the_limit_of_all_their_rows(box: Any, tmp_path: Path) -> None:
+    """The calls after the first are cut as soon as they are far slower than rows have been."""
+    study, reference = box("often", "analysis.on_failure='drop'", 'analysis.time_limit="2 s"')
+    rows = np.random.default_rng(1).random((120, 2))
+    rows[:, 0] *= 0.89
+    rows[45, 0] = rows[70, 0] = 0.95
+    task = Task(study=study, names=("x1", "x2"), columns=("y",), needed=("y",), fidelity="full", tolerance=1e-6,
+                model=reference, digest=model_digest(reference), go_on=True)  # fmt: skip
+    pool, began = LocalWorkers(1), time.monotonic()
+    try:
+        found = list(gather(pool, task, rows, [(k, k + 40) for k in range(0, 120, 40)], limit=2.0, go_on=lambda: True))
+    finally:
+        pool.close()
+    failed = sorted(start for start, _, answered, _ in found if answered.status.any())
+    assert failed == [45, 70]
+    assert sorted(k for start, stop, _, _ in found for k in range(start, stop)) == list(range(120))
+    # 8 s and two rows, with processes that start; not the 80 s of 40 rows
+    assert time.monotonic() - began < 50.0
 
 
 def test_what_needs_a_reference_says_so(box: Any, tmp_path: Path) -> None:

@@ -218,7 +218,8 @@ def _answer_black_box(
         try:
             if np.iscomplexobj(found[name]):
                 raise TypeError("found complex numbers")
-            column = np.asarray(found[name], dtype=float)
+            # what a masked array hides is no answer
+            column: npt.NDArray[np.float64] = np.ma.filled(np.ma.asarray(found[name], dtype=float), np.nan)
         except (TypeError, ValueError) as error:
             raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
         if column.shape != (len(rows),):

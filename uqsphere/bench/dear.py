@@ -14,6 +14,7 @@ from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
 from uqsphere.uq.families import Array
+from uqsphere.uq.released import drawn_in, shifted, within_runs
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["MODELS", "SIZES", "dear_rows"]
@@ -39,12 +40,19 @@ def _large(model: CoverageModel, seed: int) -> Array:
 
 def _described(trusted: Trusted, large: Array, seed: int, above: float) -> tuple[Description, Estimate]:
     """The description, and the probability of lying above a threshold."""
-    values = predict(trusted.chaos, large).reshape(REPLICATES, POINTS)
+    flat = predict(trusted.chaos, large)
+    values = flat.reshape(REPLICATES, POINTS)
     moved, reach = with_residuals(trusted, values, random_generator(seed=seed, task="dear: residuals"))
     told = [describe(moved + side * reach, quantiles=QUANTILES) for side in (0.0, -1.0, 1.0)]
     shares = [(moved + side * reach > above).mean(axis=1) for side in (0.0, -1.0, 1.0)]
     middle, down, up = (from_replicates(share, WAY, POINTS * REPLICATES) for share in shares)
-    return widened(trusted, *told), joined(middle, down, up, len(trusted.residuals))
+    found, exceeded = widened(trusted, *told), joined(middle, down, up, len(trusted.residuals))
+    drawn = within_runs(trusted, large, flat)
+    if drawn is None:
+        return found, exceeded
+    inner = moved + (drawn - flat).reshape(values.shape)
+    share = from_replicates((inner > above).mean(axis=1), WAY, POINTS * REPLICATES)
+    return drawn_in(found, told[0], describe(inner, quantiles=QUANTILES)), shifted(exceeded, middle, share)
 
 
 def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:

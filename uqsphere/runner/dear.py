@@ -24,7 +24,7 @@ from uqsphere.runner.rare import limits_missed
 from uqsphere.runner.sampling import METHOD, Sampled, missed_texts, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
 from uqsphere.runner.stopping import MOST_NAMED, NO_NUMBER
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
+from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, none_answered
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import MOST, Trusted, trust
 from uqsphere.uq.estimates import Estimate, absent, describe
@@ -91,6 +91,8 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
             stopped = "evaluations"
             break
         design = enlarge(work, design, count)
+        if design.sample.failed.all():
+            raise none_answered(work)
         trusted, fits = _fit(work, design, fits)
         for k, one in trusted.items():
             _note(history, seconds, work, work.quantities[k], count, one)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +16,12 @@ from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Draw, Sample, Work, draw
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted, joined, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, deviation, joined, widened, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent, describe
 from uqsphere.uq.heavy_tails import widened_share, without_moments
-from uqsphere.uq.released import reach_of, released, stretched
+from uqsphere.uq.released import UNSURE, drawn_in, farthest, reach_of, released, shifted, stretched, within_runs
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
@@ -60,7 +60,7 @@ def demands_of(work: Work, trusted: Mapping[int, Trusted]) -> dict[str, tuple[De
         return lambda normals: np.asarray(predict(one.chaos, germ_points(normals, germs)))
 
     return {
-        work.quantities[k]: (demand(one), one.scatter, float(np.std(one.levels + one.residuals)))
+        work.quantities[k]: (demand(one), one.scatter, deviation(one.levels + one.residuals))
         for k, one in trusted.items()
         if one.usable
     }
@@ -120,7 +120,7 @@ def _described(
     """Descriptions and limits off `size` points of each replicate; whether these points leave too little room.
 
     Last the standard deviations of surrogates that are held back by the bounds of a transform, from theirs with these
-    bounds to those without.
+    bounds to those without, and of those that may be wrong beyond their runs.
     """
     from uqsphere.uq.chaos import germ_points, predict
 
@@ -128,12 +128,18 @@ def _described(
     large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)
     points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs)
     centre = np.empty((*large.normals.shape[:2], q))
-    reach = np.empty_like(centre)
+    reach, within = np.empty_like(centre), np.empty_like(centre)
     beyond: dict[int, Array] = {}
+    drawn = set()
     for k, one in trusted.items():
         rng = random_generator(seed=work.study.seed, task=f"dear.residuals.{k}")
         values = predict(one.chaos, points).reshape(centre.shape[:2])
         centre[:, :, k], reach[:, :, k] = with_residuals(one, values, rng)
+        inner = within_runs(one, points, values.ravel())
+        within[:, :, k] = centre[:, :, k]
+        if inner is not None:
+            within[:, :, k] += inner.reshape(values.shape) - values
+            drawn.add(k)
         free = released(one.chaos, points, values.ravel())
         if free is not None:
             beyond[k] = centre[:, :, k] + (free.reshape(values.shape) - values)
@@ -144,16 +150,24 @@ def _described(
         told = [describe(sample.values[:, :, k], quantiles=quantiles, method=augmented.METHOD) for sample in samples]
         plain[quantity] = told[0]
         descriptions[quantity] = widened(trusted[k], *told)
+        if k in drawn:
+            inside = describe(within[:, :, k], quantiles=quantiles, method=augmented.METHOD)
+            descriptions[quantity] = drawn_in(descriptions[quantity], told[0], inside)
+            if trusted[k].error >= UNSURE:
+                reaches[quantity] = reach_of(told[0].sd, inside.sd)
         if k in beyond:
             farther = describe(beyond[k], quantiles=quantiles, method=augmented.METHOD)
             whole = stretched(descriptions[quantity], farther, beyond[k], design.count)
             descriptions[quantity] = without_moments(whole, None, beyond[k])
-            reaches[quantity] = reach_of(told[0].sd, farther.sd if whole.sd.value is not None else whole.sd)
+            far = reach_of(told[0].sd, farther.sd if whole.sd.value is not None else whole.sd)
+            reaches[quantity] = farthest(reaches.get(quantity, far), far)
     middle, down, up = (judge_limits(work, large, sample) for sample in samples)
+    inwards = judge_limits(work, large, _sample(within)) if drawn else middle
     limits = {}
     for limit in work.study.limits:
         carried = _carried(work, limit, large, samples[0], design.count)
-        limits[limit.name] = _limit(middle[limit.name], down[limit.name], up[limit.name], design.count, carried)
+        told_of = [answers[limit.name] for answers in (middle, down, up, inwards)]
+        limits[limit.name] = _limit(told_of, design.count, carried)
     # a design whose own half-widths take more than half of what is asked leaves too little for the surrogate
     halved = replace(
         work.study.analysis.accuracy,
@@ -184,18 +198,25 @@ def _carried(work: Work, limit: Limit, points: Draw, sample: Sample, runs: int) 
     return found
 
 
-def _limit(
-    middle: LimitAnswer, down: LimitAnswer, up: LimitAnswer, runs: int, carried: Mapping[str, float]
-) -> LimitAnswer:
-    """A limit whose intervals hold what its probabilities are where the demand is shifted down and up."""
+def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, float]) -> LimitAnswer:
+    """A limit whose intervals hold what its probabilities are where the demand is shifted down, up and drawn in.
+
+    `answers` are those as they are, and of the three.
+    """
+    middle, down, up, within = answers
 
     def probability(which: str) -> Estimate:
-        found = joined(getattr(middle, which), getattr(down, which), getattr(up, which), runs)
+        plain = getattr(middle, which)
+        found = joined(plain, getattr(down, which), getattr(up, which), runs)
         if found.value is None or carried[which] >= SEEN:
-            return found
+            return shifted(found, plain, getattr(within, which))
         bound = max(found.high or 0.0, -math.expm1(math.log(0.05) / runs))
         reason = f"too small for a surrogate of {runs} runs: none of them would be expected to show it"
         return replace(absent(reason, augmented.METHOD, runs), low=0.0, high=min(bound, 1.0))
+
+    def of_margin(key: str) -> Estimate:
+        plain = middle.margin[key]
+        return shifted(joined(plain, down.margin[key], up.margin[key], runs), plain, within.margin[key])
 
     missed = probability("miss")
     return replace(
@@ -204,7 +225,7 @@ def _limit(
         miss=missed,
         reliability_index=reliability_index(missed.value),
         reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
-        margin={key: joined(e, down.margin[key], up.margin[key], runs) for key, e in middle.margin.items()},
+        margin={key: of_margin(key) for key in middle.margin},
         met=None if middle.target is None else target_met(missed, middle.target),
         design_reason="no search for a design point was made: the model is dear",
     )

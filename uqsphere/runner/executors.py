@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import queue
 import signal
@@ -14,12 +15,13 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, ModelError, UqsphereError
+from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError
 from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, where_of
 from uqsphere.runner.worker import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
 
@@ -31,6 +33,12 @@ Array = npt.NDArray[np.float64]
 LIVES: Final = 4
 #: pieces of work that are handed out at once where it is not known how many workers there are
 WINDOW: Final = 64
+#: rows in a row that took too long, each by itself, after which no more is tried
+HUNG: Final = 32
+#: what a call of many rows may take once rows have been answered: so many limits of a row, and so many times what its
+#: rows take on average; rows of a call that takes longer are tried one by one, each with its whole limit
+_SLOW_ROWS: Final = 4.0
+_SLOWER: Final = 10.0
 #: seconds without an answer after which an executor looks after its workers
 PATIENCE: Final = 5.0
 _START: Final = (
@@ -64,7 +72,7 @@ class _Job:
     first: Callable[..., None] | None
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    limit: float | None
+    limit: Callable[[], float] | None
 
 
 class LocalWorkers:
@@ -90,9 +98,9 @@ class LocalWorkers:
         /,
         *args: Any,
         first: Callable[..., None] | None = None,
-        limit: float | None = None,
+        limit: Callable[[], float] | None = None,
     ) -> Future[Any]:
-        """The same; `first(*args)` is done before the `limit` in seconds begins to count."""
+        """The same; `first(*args)` is done before the `limit` in seconds, asked for then, begins to count."""
         if self._closed:
             raise RuntimeError("the workers have been sent home")
         future: Future[Any] = Future()
@@ -109,8 +117,7 @@ class LocalWorkers:
         for _ in self._threads:
             self._jobs.put(None)
         for process in list(self._processes):
-            with contextlib.suppress(OSError):
-                process.kill()
+            _end(process)
         for thread in self._threads:
             thread.join(timeout=10.0)
 
@@ -147,16 +154,17 @@ class LocalWorkers:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **single},
+            start_new_session=True,  # what the model starts ends with it, and Ctrl-C is for the run
         )
         self._processes.add(process)
         if self._closed:
-            process.kill()
+            _end(process)
         return process
 
     def _bury(self, process: subprocess.Popen[bytes] | None) -> None:
         if process is None:
             return
-        process.kill()
+        _end(process)
         for stream in (process.stdin, process.stdout):
             with contextlib.suppress(OSError):
                 if stream is not None:
@@ -171,21 +179,23 @@ class LocalWorkers:
 
         def end() -> None:
             over.set()
-            process.kill()
+            _end(process)
 
         timer: threading.Timer | None = None
+        limit = math.inf
         try:
             send(process.stdin, (job.first, job.function, job.arguments))
             kind, content = receive(process.stdout)
             if kind == "started":
                 if job.limit is not None:
-                    timer = threading.Timer(job.limit, end)
+                    limit = job.limit()
+                    timer = threading.Timer(limit, end)
                     timer.daemon = True
                     timer.start()
                 kind, content = receive(process.stdout)
         except (EOFError, OSError) as error:
             if over.is_set():
-                raise TimeOver(f"it took longer than {job.limit:g} s") from error
+                raise TimeOver(f"it took longer than {limit:g} s") from error
             code = process.wait()
             how = f"signal {-code}{_signal_name(-code)}" if code < 0 else f"exit code {code}"
             raise WorkerDied(f"its process ended with {how}") from error
@@ -195,6 +205,15 @@ class LocalWorkers:
         if kind == "failed":
             raise content
         return content
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and what it has started, a solver that hangs among it."""
+    if process.poll() is None:
+        with contextlib.suppress(OSError, AttributeError):
+            os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(OSError):
+        process.kill()
 
 
 def _signal_name(number: int) -> str:
@@ -213,7 +232,7 @@ def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[Answered
     with _guard_lock:
         workers = _guard.setdefault(os.getpid(), LocalWorkers(1))
         found: tuple[Answered, float] = workers.submit_limited(
-            evaluate_remote, packed, rows, first=prepare, limit=limit
+            evaluate_remote, packed, rows, first=prepare, limit=lambda: limit
         ).result()
     return found
 
@@ -245,8 +264,14 @@ def gather(
     No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  A block whose worker died
     is handed out again; one that goes on to do so, or passes its limit of time, is cut into rows, and a row that does
     fails.
+
+    Raises
+    ------
+    TooManyFailures
+        When `HUNG` rows in a row have passed the limit.
     """
     packed = pack_task(task)
+    pace = None if limit is None else _Pace(limit=limit)
     todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
     pending: set[int] = set()
     pieces: dict[int, _Piece] = {}
@@ -257,7 +282,7 @@ def gather(
         while todo and len(pending) < _window(executor):
             piece, number = todo.popleft(), next(numbers)
             try:
-                piece.future = _submit(executor, packed, rows[piece.start : piece.stop], limit)
+                piece.future = _submit(executor, packed, rows[piece.start : piece.stop], pace)
             except Exception as error:
                 raise _broken(error) from error
             pieces[number] = piece
@@ -266,6 +291,14 @@ def gather(
                 piece.future.add_done_callback(lambda _, number=number: ready.put(number))
             else:
                 ready.put(number)  # it has to be waited for in its turn
+
+    def take_back() -> None:
+        """Calls of many rows that no worker has begun wait until rows of one that took too long are known."""
+        for number in sorted(pending, reverse=True):
+            piece = pieces[number]
+            if piece.stop - piece.start > 1 and isinstance(piece.future, Future) and piece.future.cancel():
+                pending.discard(number)
+                todo.appendleft(pieces.pop(number))
 
     try:
         while True:
@@ -279,15 +312,21 @@ def gather(
                 if hasattr(executor, "look_after"):
                     executor.look_after()
                 continue
+            if number not in pending:
+                continue
             pending.discard(number)
             piece = pieces.pop(number)
             try:
                 answered, seconds = piece.future.result()
             except Exception as error:
+                if isinstance(error, TimeOver):
+                    take_back()
                 found = _after(error, piece, task, rows, todo)
                 if found is None:
                     continue
                 answered, seconds = found, 0.0
+            if pace is not None:
+                pace.note(answered, seconds)
             yield piece.start, piece.stop, answered, seconds
     finally:
         for number in pending:
@@ -301,13 +340,42 @@ def _window(executor: Any) -> int:
     return 2 * int(count) + 2 if count else WINDOW
 
 
-def _submit(executor: Any, packed: bytes, rows: Array, limit: float | None) -> Any:
-    if limit is None:
+@dataclass(kw_only=True)
+class _Pace:
+    """What rows have taken so far, and how many in a row have passed their `limit` in seconds."""
+
+    limit: float
+    rows: int = 0
+    seconds: float = 0.0
+    hung: int = 0
+
+    def allowance(self, count: int) -> float:
+        """Seconds that a call of so many rows may take, as far as is known now."""
+        if self.rows == 0:
+            return count * self.limit
+        return min(count * self.limit, _SLOW_ROWS * self.limit + _SLOWER * count * self.seconds / self.rows)
+
+    def note(self, answered: Answered, seconds: float) -> None:
+        """Take down an answer; no more is tried once `HUNG` in a row are none for want of time."""
+        if not (answered.status == STATUS_TIME).all():
+            self.rows, self.seconds, self.hung = self.rows + len(answered.status), self.seconds + seconds, 0
+            return
+        self.hung += len(answered.status)
+        if self.hung >= HUNG:
+            raise TooManyFailures(
+                f"{self.hung} evaluations in a row took longer than analysis.time_limit, {self.limit:g} s, and no more "
+                f"is tried; the last: {answered.note}. What was evaluated before is kept: mend the model, or raise "
+                "analysis.time_limit"
+            )
+
+
+def _submit(executor: Any, packed: bytes, rows: Array, pace: _Pace | None) -> Any:
+    if pace is None:
         return executor.submit(evaluate_remote, packed, rows)
-    limit *= len(rows)
     if isinstance(executor, LocalWorkers):
-        return executor.submit_limited(evaluate_remote, packed, rows, first=prepare, limit=limit)
-    return executor.submit(evaluate_guarded, packed, rows, limit)
+        allowance = partial(pace.allowance, len(rows))
+        return executor.submit_limited(evaluate_remote, packed, rows, first=prepare, limit=allowance)
+    return executor.submit(evaluate_guarded, packed, rows, pace.allowance(len(rows)))
 
 
 def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece]) -> Answered | None:

@@ -42,6 +42,7 @@ __all__ = [
     "Sample",
     "Work",
     "evaluate_points",
+    "none_answered",
     "sub_inputs",
 ]
 
@@ -52,7 +53,7 @@ Flags = npt.NDArray[np.bool_]
 REPLICATES = 16
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01
-#: evaluations without a single answer after which no policy goes on
+#: evaluations without a single answer after which no policy goes on, unless the budget has no more to begin with
 NONE_ANSWERED = 1000
 
 
@@ -299,14 +300,11 @@ def _account(work: Work, fidelity: str, answered: Answered) -> None:
     failed = sum(ledger.failures.values())
     if not failed:
         return
-    reasons = "; ".join(
-        f"{number} x {status_text(code, work.study.black_box)}" for code, number in sorted(ledger.failures.items())
-    )
     ledger.note = ledger.note or answered.note
-    reasons += f"; the first: {ledger.note}" if ledger.note else ""
+    reasons = _reasons(work)
     policy = work.study.analysis.on_failure
-    if failed == ledger.total and ledger.total >= NONE_ANSWERED:
-        raise TooManyFailures(f"none of {ledger.total} evaluations has an answer ({reasons})")
+    if failed == ledger.total and ledger.total >= min(NONE_ANSWERED, work.study.analysis.budget.evaluations):
+        raise none_answered(work)
     if policy == "abort":
         raise TooManyFailures(
             f'{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '
@@ -317,6 +315,18 @@ def _account(work: Work, fidelity: str, answered: Answered) -> None:
             f"{failed} of {ledger.total} evaluations failed ({reasons}), more than {100.0 * MOST_DROPPED:.0f} % of "
             'them: too many to leave out; narrow the inputs, or choose on_failure = "bound"'
         )
+
+
+def _reasons(work: Work) -> str:
+    ledger = work.ledger
+    counted = sorted(ledger.failures.items())
+    text = "; ".join(f"{number} x {status_text(code, work.study.black_box)}" for code, number in counted)
+    return f"{text}; the first: {ledger.note}" if ledger.note else text
+
+
+def none_answered(work: Work) -> TooManyFailures:
+    """The error of a run whose evaluations have all failed."""
+    return TooManyFailures(f"none of {work.ledger.total} evaluations has an answer ({_reasons(work)})")
 
 
 def evaluate_draw(work: Work, key: str, drawn: Draw) -> Sample:

@@ -229,7 +229,10 @@ def serve() -> None:
             try:
                 jobs.put(receive(stdin))
             except EOFError:
-                os._exit(0)  # whoever asked has gone: nobody waits for what is being evaluated
+                # whoever asked has gone: nobody waits for what is being evaluated, here or by what the model started
+                if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
+                    os.killpg(0, signal.SIGKILL)
+                os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
     while True:

@@ -30,6 +30,7 @@ __all__ = [
     "METHOD",
     "MOST",
     "Trusted",
+    "deviation",
     "index_estimate",
     "indices_of",
     "joined",
@@ -138,11 +139,13 @@ def trust(chaos: Chaos, points: Array, outputs: Array, before: Chaos | None = No
 
     `before` was fitted to the first `before.samples` of them: the others are an independent check of what it claimed.
     """
-    spread = float(np.std(outputs))
-    if not spread > 0.0 or spread <= 1e-14 * abs(float(np.mean(outputs))):
-        zero = np.zeros(len(outputs))
-        return Trusted(chaos=chaos, levels=outputs, residuals=zero, scatter=0.0, error=0.0, seen_by_none=None,
-                       points=points)  # fmt: skip
+    spread, unit = deviation(outputs), _unit(outputs)
+    middle = float(np.mean(outputs / unit))
+    if not spread > 0.0 or spread / unit <= 1e-14 * abs(middle):
+        # what scatters by rounding is no function of the inputs, and is there all the same
+        levels = np.full(len(outputs), float(outputs[0]) if spread == 0.0 else middle * unit)
+        return Trusted(chaos=chaos, levels=levels, residuals=outputs - levels, scatter=spread, error=0.0,
+                       seen_by_none=None, points=points)  # fmt: skip
     levels = left_out(chaos, points, outputs)
     residuals = outputs - levels
     own = float(np.mean((residuals / spread) ** 2))
@@ -191,6 +194,12 @@ def with_residuals(trusted: Trusted, values: Array, rng: np.random.Generator) ->
 
 def _unit(residuals: Array) -> float:
     return float(np.abs(residuals).max(initial=0.0)) or 1.0
+
+
+def deviation(values: Array) -> float:
+    """Standard deviation of values (n,) of any size: squares of 1e155 are beyond floating point."""
+    unit = _unit(values)
+    return float(np.std(values / unit)) * unit
 
 
 def _span(estimate: Estimate, low: float, high: float, evaluations: int) -> Estimate:
