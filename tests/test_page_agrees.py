@@ -145,7 +145,7 @@ def test_a_strength_that_two_limits_share_is_drawn_once(tmp_path: Path) -> None:
     ]
 
 
-def test_specimens_count_for_the_rarer_outcome(tmp_path: Path) -> None:
+def test_tests_count_for_the_rarer_outcome(tmp_path: Path) -> None:
     row = {"input": "limits.crusher.strength", "share": 0.98, "tests": 1, "observations": None}
     row["sway"] = {**estimate(1.83149e-4, 1e-9)}
     entry = {"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5, "rows": [row], "reason": "",
@@ -153,9 +153,9 @@ def test_specimens_count_for_the_rarer_outcome(tmp_path: Path) -> None:
     crusher = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
     folder = write_folder(tmp_path, limits={"crusher": crusher})
     text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
-    assert "limits.crusher.strength (1,692 specimens to know the probability to the contrary to 10 %)" in text
+    assert "limits.crusher.strength (1,692 tests in all to know the probability to the contrary to 10 %)" in text
     page = re.sub(r"[\u00a0\u202f]", " ", build_report(folder).read_text(encoding="utf-8"))
-    assert "the probability to the contrary itself is known to 10 % (one standard error) after 1 692 tests" in page
+    assert "the probability to the contrary itself is known to 10 % (one standard error) after 1 692 tests of it in all" in page
     assert "What to measure first for “crusher”: strength of “crusher”" in page
 
 
