@@ -15,9 +15,10 @@ import pytest
 
 import uqsphere
 from uqsphere.attend import Silence, last_words
+from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
 from uqsphere.console import Progress
-from uqsphere.errors import ModelRaised, UsageError
+from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.headings import measure_heading
@@ -172,6 +173,29 @@ def test_an_exception_is_told_with_its_place(tmp_path: Path) -> None:
     line = bad.__code__.co_firstlineno + 1
     with pytest.raises(ModelRaised, match=rf"no convergence \(test_bad_models.py, line {line}\)"):
         answer(study, ("a", "b"), np.zeros((2, 2)), ("y",), black_box=bad)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("def f(rows):\n    return np.linalg.inv(np.zeros((2, 2)))\n", "LinAlgError: Singular matrix (own.py, line 3)"),
+        ("def f(rows):\n    return json.loads('{')\n", "(own.py, line 3)"),
+        ("def f():\n    return 1\n", "takes 0 positional arguments but 1 was given"),
+    ],
+)
+def test_the_place_of_an_exception_is_in_the_users_own_file(body: str, said: str, tmp_path: Path) -> None:
+    """Not in the library that raised it, and not where the model is called from."""
+    (tmp_path / "own.py").write_text(f"import json, numpy as np\n{body}", "utf-8")
+    box = load_black_box(f"{tmp_path / 'own.py'}:f")
+    with pytest.raises(ModelRaised) as raised:
+        answer(written(tmp_path), ("a", "b"), np.zeros((2, 2)), ("y",), black_box=box)
+    assert str(raised.value).endswith(said)
+
+
+def test_a_model_that_fails_on_loading_is_told_with_its_place(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("import math\nlimit = math.squareroot(2.0)\n", "utf-8")
+    with pytest.raises(ModelError, match=r"AttributeError on loading: .*\(own.py, line 2\)$"):
+        uqsphere.run(written(tmp_path), out=tmp_path / "r", model=f"{tmp_path / 'own.py'}:f")
 
 
 def test_a_model_that_ends_the_process_has_last_words(tmp_path: Path) -> None:

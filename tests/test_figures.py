@@ -159,6 +159,52 @@ def test_margin_keeps_its_labels_apart(
     assert ("unbounded" in picture.finding) == (margin[2] is None)
 
 
+def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path: Path) -> None:
+    """A probability of 1e-16 is not drawn as one of 1e-6."""
+    folder = write_folder(tmp_path, limits={"x": limit(3.9e-16, 0.01, True, half=1e-17)})
+    contents = read_contents(folder)
+    entry = contents.results["margins"]["x"]
+    for point in entry["curve"][:6]:
+        point[1:] = [1e-30, 1e-31, 1e-29]
+    picture = decision.fragility_figure(contents, "x")
+    assert picture is not None
+    axes = picture.figure.axes[0]
+    marks = [line for line in axes.lines if line.get_marker() in ("D", "v", "^")]
+    assert [line.get_marker() for line in marks] == ["v"]
+    curve = max(axes.lines, key=lambda line: len(line.get_xdata()))
+    assert min(curve.get_ydata()) < axes.get_ylim()[0]
+    assert marks[0].get_ydata()[0] == pytest.approx(axes.get_ylim()[0])
+
+
+def test_of_two_methods_for_one_question_the_better_is_labelled_and_none_below_the_axis() -> None:
+    def series(method: str, error: float, quantity: str = "p_max") -> progress.Series:
+        return progress.Series(
+            method=method, quantity=quantity, kind="mean", asked=0.01, points=((10.0, 1.0, 9.0), (20.0, 2.0, error))
+        )
+
+    plain, controlled, tiny = series("sampled", 0.5), series("controlled", 0.1), series("sampled", 1e-9, "a_max")
+    assert progress._labelled([plain, controlled, tiny]) == [controlled]
+
+
+def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: Path) -> None:
+    contents = read_contents(write_folder(tmp_path))
+    contents.results["speed_error"][-1]["error"] = 1e-14
+    picture = progress.convergence_figure(contents)
+    assert picture is not None
+    axes = picture.figure.axes[0]
+    assert axes.get_ylim()[0] == pytest.approx(1e-3)
+    assert "not shown: 1 below 0.001" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_band_that_is_drawn_on_keeps_its_width() -> None:
+    middles = np.array([40.0, 50.0, 60.0])
+    band = np.array([[1.9, 2.0, 2.2], [2.45, 2.5, 2.55], [2.8, 3.0, 3.4]])
+    places, found = limit_surface._to_the_ends(middles, band, np.array([30.0, 90.0]))
+    assert places.tolist() == [30.0, 40.0, 50.0, 60.0, 90.0]
+    assert found[0] == pytest.approx([1.4, 1.5, 1.7])
+    assert found[-1] == pytest.approx([4.3, 4.5, 4.9])
+
+
 def test_dollars_and_markup_are_drawn_as_they_stand(tmp_path: Path) -> None:
     name = "<b>$\\frac{1}{$ & \x00"
     folder = write_folder(tmp_path, quantities=(name,), limits={name: limit(0.01, 0.02, True, quantity=name)})

@@ -23,6 +23,8 @@ from uqsphere.mechanics.loading import path_of
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
+from uqsphere.report.contents import read_contents
+from uqsphere.report.fracture import interplay_figure
 from uqsphere.runner.tables import tables
 from uqsphere.summary import summary_of
 
@@ -353,6 +355,21 @@ def test_the_union_over_the_speed_lies_above_each_limit(several: uqsphere.Run) -
             if value in curve:
                 assert curve[value] >= p - 1e-9
     assert found["values"]["0.5"]["value"] < several.results["margins"]["crushing"]["values"]["0.5"]["value"]
+
+
+def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_all(several: uqsphere.Run) -> None:
+    contents = read_contents(several.folder)
+    first = several.results["fracture"]["limits"][0]
+    for point in contents.results["margins"][first]["curve"][:4]:
+        point[2:] = [0.1 * point[1], min(1.0, 10.0 * point[1])]
+    drawn = []
+    for name in (first, several.results["fracture"]["limits"][1]):
+        picture = interplay_figure(contents)
+        assert picture is not None
+        line = next(line for line in picture.figure.axes[0].lines if name in str(line.get_label()))
+        drawn.append(int(np.isnan(line.get_ydata()).sum()))
+    assert drawn[0] >= 1
+    assert drawn[1] == 0
 
 
 def test_fracture_in_report_tables_and_summary(several: uqsphere.Run) -> None:

@@ -145,7 +145,7 @@ def test_a_strength_that_two_limits_share_is_drawn_once(tmp_path: Path) -> None:
     ]
 
 
-def test_specimens_count_for_the_rarer_outcome(tmp_path: Path) -> None:
+def test_tests_count_for_the_rarer_outcome(tmp_path: Path) -> None:
     row = {"input": "limits.crusher.strength", "share": 0.98, "tests": 1, "observations": None}
     row["sway"] = {**estimate(1.83149e-4, 1e-9)}
     entry = {"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5, "rows": [row], "reason": "",
@@ -153,9 +153,10 @@ def test_specimens_count_for_the_rarer_outcome(tmp_path: Path) -> None:
     crusher = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
     folder = write_folder(tmp_path, limits={"crusher": crusher})
     text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
-    assert "limits.crusher.strength (1,692 specimens to know the probability to the contrary to 10 %)" in text
+    assert "limits.crusher.strength (1,692 tests in all to know the probability to the contrary to 10 %)" in text
     page = re.sub(r"[\u00a0\u202f]", " ", build_report(folder).read_text(encoding="utf-8"))
-    assert "the probability to the contrary itself is known to 10 % (one standard error) after 1 692 tests" in page
+    assert "the probability to the contrary itself is known to 10 % (one standard error)" in page
+    assert "after 1 692 tests of it in all" in page
     assert "What to measure first for “crusher”: strength of “crusher”" in page
 
 
@@ -169,6 +170,25 @@ def test_a_comparison_shows_what_the_verdicts_take_for_granted(tmp_path: Path) -
     (change,) = [c for c in found["changes"] if "without the assumed dependence" in c["statistic"]]
     assert (change["before"]["value"], change["after"]["value"]) == (0.0105, 0.0305)
     assert change["verdict"] == "changed"
+
+
+def test_a_table_behind_a_figure_begins_on_its_page() -> None:
+    """It went to the next page as a whole, and left half a page white."""
+    pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
+    from uqsphere import report
+    from uqsphere.report.pdf import typeset
+
+    style = (Path(report.__file__).parent / "style.css").read_text(encoding="utf-8")
+    rows = "<tr><th>a</th><td>1</td></tr>" * 40
+    drawing = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 500 300"><rect width="500" height="300"/></svg>'
+    body = f'<figure><div class="drawing">{drawing}</div><figcaption>c</figcaption></figure><div class="scroll"><table>'
+    head = "<caption>x</caption><thead><tr><th>a</th><th>b</th></tr></thead>"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        text = f"<style>{style}</style><main>{body}{head}<tbody>{rows}</tbody></table></div></main>"
+        pages = typeset(text).pages
+    assert len(pages) == 2
+    assert any(getattr(box, "element_tag", "") == "td" for box in pages[0]._page_box.descendants())
 
 
 def test_the_typeset_document_lists_its_chapters_with_their_pages(tmp_path: Path) -> None:

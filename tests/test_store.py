@@ -13,7 +13,7 @@ import pytest
 
 import uqsphere
 from uqsphere.cli import main
-from uqsphere.errors import AccessError, FolderError
+from uqsphere.errors import AccessError, FolderError, ModelError
 from uqsphere.store import open_store, read_json, write_atomically, write_json
 from uqsphere.study import Study
 
@@ -190,6 +190,22 @@ def test_evaluations_of_another_model_are_refused_until_dropped(tmp_path: Path) 
     assert store.load("k") is None
     store.close()
     opened(tmp_path / "r", model="two").close()
+
+
+def test_a_model_that_failed_at_its_first_row_leaves_the_folder_to_its_mended_state(
+    tmp_path: Path, box_study: Study
+) -> None:
+    model = tmp_path / "model.py"
+    model.write_text("def f(inputs):\n    return {'y': inputs['x9']}\n")
+    with pytest.raises(ModelError, match="x9"):
+        uqsphere.run(box_study, out=tmp_path / "r", model=f"{model}:f")
+    model.write_text("def f(inputs):\n    return {'y': inputs['x1'] + inputs['x2']}\n")
+    uqsphere.run(box_study, out=tmp_path / "r", model=f"{model}:f")
+    for path in (tmp_path / "r" / "evaluations").iterdir():
+        path.unlink()
+    model.write_text("def f(inputs):\n    return {'y': inputs['x9']}\n")
+    with pytest.raises(FolderError, match="another model"):  # results are something to lose, too
+        uqsphere.run(box_study, out=tmp_path / "r", model=f"{model}:f")
 
 
 def test_a_file_in_the_place_of_the_folder(tmp_path: Path) -> None:

@@ -250,6 +250,15 @@ def test_a_tail_without_meaning_is_warned_of(load: Load) -> None:
     assert warning.startswith(f"sphere.radius: a share of {0.5 * math.erfc(10 / 3 / math.sqrt(2)):.2g} ")
 
 
+def test_a_mean_that_the_bounds_cut_off_is_warned_of(load: Load) -> None:
+    """Of a radius of 10 mm that must be above 11 mm only the tail beyond six standard deviations is drawn."""
+    (warning,) = load(BASE, ('lower = "9 mm"', 'lower = "11 mm"')).warnings
+    assert warning.startswith("sphere.radius.lower: the mean 10 mm lies below the bound 11 mm: ")
+    (warning,) = load(BASE, ('lower = "9 mm"', 'upper = "9.5 mm"')).warnings
+    assert warning.startswith("sphere.radius.upper: the mean 10 mm lies above the bound 9.5 mm: ")
+    assert load(BASE, ('lower = "9 mm"', 'lower = "10 mm"')).warnings == ()
+
+
 def test_an_unusual_number_is_warned_of(load: Load) -> None:
     (warning,) = load(BASE, ("nu = 0.25", 'nu = 0.25\ndensity = "26 g/cm3"')).warnings
     assert warning.startswith("sphere.density: 2.6e+04 kg/m3 is unusual (usual: 500 kg/m3 to 2e+04 kg/m3)")

@@ -86,6 +86,15 @@ def test_the_chunks_are_drawn_by_the_seed(box: Path) -> None:
     assert len({tuple(chosen(seed)) for seed in range(4)}) > 1
 
 
+def test_what_an_evaluation_cost_is_no_evaluation(box: Path) -> None:
+    """A time never comes out the same: a whole run would be called damaged for it."""
+    stored = {path.name.rpartition("_")[0] for path in (box / "run" / "evaluations").glob("*.npy")}
+    assert "cost" in stored
+    found = verify_folder(box / "run", chunks=len(stored), model=f"{box / 'model.py'}:f")
+    assert (found["verdict"], found["faults"]) == ("whole", [])
+    assert {entry["chunk"] for entry in found["repeated"]} == stored - {"cost"}
+
+
 def test_no_code_is_run_without_a_model(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uqsphere.model.load_black_box", None)
     found = verify_folder(box / "run")

@@ -71,7 +71,7 @@ def load_black_box(reference: str) -> BlackBox:
         with prints_to_stderr():
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise ModelError(f"{file} raised {type(error).__name__} on loading: {error}") from error
+        raise ModelError(f"{file} raised {type(error).__name__} on loading: {error}{where_raised(error)}") from error
     function = getattr(module, name, None)
     if not callable(function):
         raise UsageError(f"{file} has no function {name!r}")
@@ -79,10 +79,19 @@ def load_black_box(reference: str) -> BlackBox:
 
 
 def where_raised(error: BaseException) -> str:
-    """Where in the user's code an exception began: " (bad.py, line 3)", or nothing where that is not known."""
+    """Where in the user's code an exception began: " (bad.py, line 3)", or nothing where that is not known.
+
+    Frames of this package, of the standard library and of what is installed are left out: nobody is to mend those.
+    """
+    import sysconfig
     import traceback
 
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent != Path(__file__).parent]
+    rooms = {Path(__file__).parent, *(Path(sysconfig.get_path(key)) for key in ("stdlib", "purelib", "platlib"))}
+    frames = [
+        f
+        for f in traceback.extract_tb(error.__traceback__)
+        if not f.filename.startswith("<") and rooms.isdisjoint(Path(f.filename).parents)
+    ]
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
 

@@ -222,6 +222,15 @@ def _leftover(path: Path) -> bool:
     return path.name == ".lock" or path.name.startswith((f".{_MARK}.", ".study.toml."))
 
 
+def _in_use(folder: Path) -> bool:
+    """Whether a marked folder has anything to lose: a model that failed at its first row leaves nothing there."""
+    with _system_errors(folder):
+        if (folder / "results.json").exists():
+            return True
+        place = folder / "evaluations"
+        return place.is_dir() and any(CHUNK_NAME.fullmatch(name) for name in os.listdir(place))
+
+
 def _check_owner(
     folder: Path, study_hash: str, resolved: dict[str, Any], model: str | None, fresh: bool, extension: Extension | None
 ) -> bool:
@@ -246,7 +255,7 @@ def _check_owner(
         raise FolderError(
             f"{folder} was written by another version, whose run cannot be extended: choose another --out"
         )
-    if found.get("model_digest") != model and not fresh:
+    if found.get("model_digest") != model and not fresh and _in_use(folder):
         raise FolderError(
             f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
             "run with --fresh to evaluate again, or choose another folder with --out"

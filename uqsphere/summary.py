@@ -201,7 +201,7 @@ def _governing(results: dict[str, Any], width: int) -> list[str]:
         if first is not None:
             tests, known = specimens(measured, first) or 0, plain_percent(measured["wanted"])
             side = " to the contrary" if (measured.get("probability") or 0.0) > 0.5 else ""
-            count = f"{tests:,} specimen{'' if tests == 1 else 's'} to know the probability{side} to {known}"
+            count = f"{tests:,} test{'' if tests == 1 else 's'} in all to know the probability{side} to {known}"
             advice.append(wrap(f"to measure first for {name}: {first['input']} ({count})", width))
         elif measured.get("rows"):
             why = "the mean of none moves the probability by more than chance would show"

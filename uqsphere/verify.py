@@ -208,7 +208,9 @@ def _black_box(needed: bool, resolved: Mapping[str, Any], model: str | None) -> 
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
     import numpy as np
 
-    whole = [key for key in keys if not PART_END.search(key)]
+    from uqsphere.runner.price import COST
+
+    whole = [key for key in keys if key != COST and not PART_END.search(key)]
     order = np.random.default_rng(seed).permutation(len(whole))
     return frozenset(whole[k] for k in order[:count])
 

@@ -34,8 +34,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: probabilities outside this range are drawn at its ends
-_LEAST: Final = 1e-6
+#: probabilities outside this range lie beyond the axis, and are followed this far
+_LEAST, _LAST = 1e-6, 1e-15
 _TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
 _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
 
@@ -174,14 +174,15 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         figure, (axes,) = canvas.new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
         x = curve[kept, 0] * factor
-        axes.fill_between(x, score(curve[kept, 2]), score(curve[kept, 3]), color=BLUE, alpha=0.25, linewidth=0.0)
-        axes.plot(x, score(curve[kept, 1]), color=BLUE)
+        middle, low, high = (score(curve[kept, k], _LAST) for k in (1, 2, 3))
+        axes.fill_between(x, low, high, color=BLUE, alpha=0.25, linewidth=0.0)
+        axes.plot(x, middle, color=BLUE)
         x_scale(axes, x)
         rising = bool(curve[-1, 1] >= curve[0, 1])
         _lognormal_line(axes, entry, curve[kept, :2], factor)
         _asked_points(axes, entry, factor, x, subject, limit["aim"])
         _target_line(axes, limit, rising, _crossing(axes, curve[kept, :2], factor, limit))
-        bottom, top = axes.get_ylim()
+        bottom, top = np.clip(axes.get_ylim(), score(_LEAST), -score(_LEAST))
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
             _operating_point(axes, here * factor, limit["exceedance"], rising)
@@ -361,18 +362,22 @@ def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising
     if p is None:
         return
     y = float(score(p))
-    if exceedance["low"] is not None and exceedance["high"] is not None:
-        axes.plot([x, x], [float(score(exceedance["low"])), float(score(exceedance["high"]))], color=INK, linewidth=1.4)
-    axes.plot(x, y, marker="D", markersize=8, color=ORANGE, markeredgecolor=INK)
+    bottom, top = axes.get_ylim()
+    mark = "v" if p < _LEAST else ("^" if p > 1.0 - _LEAST else "D")
+    if mark != "D":  # an arrow: it lies beyond the axis
+        y = bottom if mark == "v" else top
+    elif exceedance["low"] is not None and exceedance["high"] is not None:
+        axes.plot([x, x], score([exceedance["low"], exceedance["high"]]), color=INK, linewidth=1.4)
+    axes.plot(x, y, marker=mark, markersize=8, color=ORANGE, markeredgecolor=INK, clip_on=False, zorder=5)
     across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
     below = (across if rising else 1.0 - across) <= 0.6
-    bottom, top = axes.get_ylim()
     axes.plot([x, x], [y, bottom if below else top], color=INK, linewidth=0.8, linestyle=":")
     right = rising == below
     axes.annotate(
         f"as planned: {plain_percent(p)}",
         (x, bottom if below else top),
-        xytext=(5 if right else -5, 4 if below else -4),
+        # clear of the word for the dashed line at the bottom, and of the hatches at the top
+        xytext=(5 if right else -5, (17 if right and across > 0.35 else 4) if below else -12),
         ha="left" if right else "right",
         va="bottom" if below else "top",
         textcoords="offset points",

@@ -40,6 +40,8 @@ _COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 _STYLES: Final = ("-", "--", "-.", ":")
 #: normal scores go so far out that a curve leaves the picture where it would
 _FAR: Final = 1e-14
+#: high over low beyond which the curve of one limit is not drawn beside that of all
+_KNOWN: Final = 4.0
 #: limits that are drawn
 MOST_CURVES: Final = 8
 
@@ -169,6 +171,8 @@ def interplay_figure(contents: Contents) -> Picture | None:
         )
         for k, (name, curve) in enumerate(curves.items()):
             kept = curve[(curve[:, 0] >= lowest * 0.999) & (curve[:, 0] <= highest * 1.001)]
+            # not known to a factor of two, it may seem to lie above that of any of them
+            kept[kept[:, 3] > _KNOWN * kept[:, 2], 1] = np.nan
             axes.plot(
                 kept[:, 0] * factor,
                 score(kept[:, 1], least=_FAR),

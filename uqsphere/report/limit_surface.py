@@ -189,11 +189,14 @@ def _chosen(sides: Sides) -> tuple[npt.NDArray[np.bool_], bool]:
 
 
 def _to_the_ends(middles: Array, band: Array, x: Array) -> tuple[Array, Array]:
-    """Slices drawn on, along straight lines, to the first and the last point of the picture."""
+    """Slices drawn on to the first and the last point of the picture, along the median's straight line.
+
+    The band keeps its width: it is not known there, and the lines of its ends would spread without reason.
+    """
     ends = []
     for place, near, far in ((float(x.min()), 0, 1), (float(x.max()), -1, -2)):
         width = middles[near] - middles[far]
-        slope = (band[near] - band[far]) / width if width else np.zeros(3)
+        slope = (band[near, 1] - band[far, 1]) / width if width else 0.0
         ends.append((place, band[near] + slope * (place - middles[near])))
     (low, first), (high, last) = ends
     return np.concatenate([[low], middles, [high]]), np.concatenate([first[None], band, last[None]])
@@ -203,7 +206,7 @@ def _legend(axes: Axes, sides: Sides, quantity: str, whole: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    label = f"one of all {int(sides.missed.sum())} that miss it" if whole else "sample that misses it"
+    label = f"all {int(sides.missed.sum())} that miss it" if whole else "sample that misses it"
     thinned = -(-len(sides.x) // _DRAWN)
     met = f"one in {thinned} of those that meet the aim" if whole and thinned > 1 else "sample that meets the aim"
     handles: list[Any] = [

@@ -27,6 +27,8 @@ nav a::after { content: " " target-counter(attr(href), page); }
 /* the typesetter parts a floating figure from its caption */
 figure { float: none; }
 .scroll, .drawing { overflow: visible; }
+/* beside a figure that floats all the same a table would go to the next page as a whole */
+.scroll { clear: both; }
 figure svg { min-width: 0; max-width: 100%; width: 165mm; }
 table { font-size: 8pt; }
 th, td { min-width: 0 !important; padding-right: 6pt; overflow-wrap: anywhere; }

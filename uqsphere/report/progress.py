@@ -22,6 +22,8 @@ __all__ = ["Series", "convergence_figure", "course_finding", "error_series", "sp
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
 #: series with a label; the rest is drawn thin
 _LABELLED: Final = 10
+#: errors below this share of what was asked lie below the axis: they would leave the rest no room
+_LEAST: Final = 1e-3
 #: what the errors of answers without a course are called in a label, in the order of `FURTHER`
 _WORDS: Final = dict(
     zip(FURTHER, ("value", "fracture", "share", "median", "delta", "PAWN", "index of a miss", "inputs of a miss"),
@@ -106,6 +108,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
     further = [s for s in series if s.kind in FURTHER]
     pursued = [s for s in series if s.kind not in FURTHER]
     methods = sorted({s.method for s in pursued})
+    labelled = _labelled(pursued)
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.9)
         axes.set_xscale("log")
@@ -122,16 +125,27 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
                 marker=canvas.MARKS[where % len(canvas.MARKS)],
                 markersize=4.5,
                 linestyle=_STYLES[k % len(_STYLES)],
-                linewidth=1.2 if k < _LABELLED else 0.6,
+                linewidth=1.2 if s in labelled else 0.6,
             )
         axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
         _limits(axes, series, column)
-        _end_labels(axes, pursued[:_LABELLED], column)
+        _end_labels(axes, labelled, column)
         axes.set_xlabel(label)
         axes.set_ylabel("error over what was asked")
         axes.grid()
-        _method_legend(axes, methods, bool(further))
+        _method_legend(axes, methods, bool(further), sum(s.points[-1][2] < _LEAST for s in series))
     return Picture(name=name, title=title, finding=finding, figure=figure)
+
+
+def _labelled(pursued: list[Series]) -> list[Series]:
+    """The series with a label: of two methods for one question the better one, and none that ends below the axis."""
+    best: dict[tuple[str, str], Series] = {}
+    for s in pursued:
+        other = best.setdefault((s.quantity, s.kind), s)
+        if s.points[-1][2] < other.points[-1][2]:
+            best[s.quantity, s.kind] = s
+    kept = [s for s in pursued if s is best[s.quantity, s.kind] and s.points[-1][2] >= _LEAST]
+    return kept[:_LABELLED]
 
 
 def _limits(axes: Axes, series: list[Series], column: int) -> None:
@@ -143,7 +157,7 @@ def _limits(axes: Axes, series: list[Series], column: int) -> None:
     low, high = math.log10(min(xs)), math.log10(max(xs))
     width = max(high - low, 0.5)
     axes.set_xlim(10.0 ** (low - 0.1 * width), 10.0 ** (high + 0.1 * width))
-    axes.set_ylim(min(ys) / 2.0, max(ys) * 2.0)
+    axes.set_ylim(max(min(ys) / 2.0, _LEAST), max(ys) * 2.0)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0,), numticks=8))
     axes.xaxis.set_major_locator(FixedLocator(_ticks(low - 0.1 * width, high + 0.1 * width)))
     axes.xaxis.set_minor_locator(NullLocator())
@@ -217,7 +231,7 @@ def _legend_names(methods: list[str]) -> list[str]:
     ]
 
 
-def _method_legend(axes: Axes, methods: list[str], further: bool) -> None:
+def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) -> None:
     from matplotlib.lines import Line2D
 
     handles: list[Any] = [
@@ -234,6 +248,8 @@ def _method_legend(axes: Axes, methods: list[str], further: bool) -> None:
     if further:
         handles.append(Line2D([], [], linestyle="", label="read off the same rows", **_FURTHER_MARK))
     handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
+    if below:
+        handles.append(Line2D([], [], linestyle="", label=f"not shown: {below} below {_LEAST:g}"))
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
 
 

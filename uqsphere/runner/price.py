@@ -15,13 +15,15 @@ from uqsphere.model import BlackBox
 from uqsphere.runner.work import Draw, Sample, Work, draw, evaluate_draw
 from uqsphere.ways import Way, choose_way
 
-__all__ = ["FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
+__all__ = ["COST", "FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
 
 Array = npt.NDArray[np.float64]
 
 #: runs of the first stage of the surrogate way, all of which are timed, and those that are timed by themselves
 FIRST_RUNS, FEW = 32, 8
 TASK = "dear"
+#: the chunk that holds what an evaluation costs [s]: a time, which never comes out the same
+COST = "cost"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +111,7 @@ def price(work: Work) -> Priced:
     undecided = study.black_box and study.random and "auto" in study.analysis.methods
     if not undecided or study.analysis.cost is not None or budget.evaluations < FIRST_RUNS:
         return Priced(way=way, cost=study.analysis.cost)
-    kept = work.store.load("cost") if work.store is not None else None
+    kept = work.store.load(COST) if work.store is not None else None
     design, first = _timed(work, None, FEW)
     if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
         cost = float(kept[0])
@@ -124,6 +126,6 @@ def price(work: Work) -> Priced:
             # an earlier run was cut off between its runs and their time
             cost = _timed(replace(work, store=None, spare=True), None, FEW)[1] or 0.0
         if work.store is not None:
-            work.store.save("cost", np.array([cost]))
+            work.store.save(COST, np.array([cost]))
     way = choose_way(study, cost, work.seconds)
     return Priced(way=way, cost=cost, design=design)

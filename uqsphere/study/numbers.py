@@ -142,7 +142,22 @@ def _read_law(
         return None
     if empirical:
         _warn_of_few(law, (*place, "file"), findings)
+    _warn_of_bounds(law, given, place, quantity, findings)
     return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+
+
+def _warn_of_bounds(law: Law, given: Mapping[str, float], place: Place, quantity: Quantity, findings: Findings) -> None:
+    """A mean that the bounds cut off is the mean of nothing that is drawn: the law in force is a tail of it."""
+    middle = given.get("mean")
+    if middle is None or law.lower <= middle <= law.upper:
+        return
+    key, end = ("lower", law.lower) if middle < law.lower else ("upper", law.upper)
+    found, limit = (format_value(value, quantity.name) for value in (middle, end))
+    findings.warn(
+        (*place, key),
+        f"the mean {found} lies {'below' if key == 'lower' else 'above'} the bound {limit}: what is drawn is a tail of "
+        "the law alone, and its mean is another; is that meant?",
+    )
 
 
 def _warn_of_few(law: Law, place: Place, findings: Findings) -> None:
