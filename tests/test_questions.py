@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from conftest import SUM
 
 import uqsphere
 from uqsphere.report.contents import read_contents
@@ -22,32 +23,15 @@ from uqsphere.study import Study
 from uqsphere.summary import summary_of
 
 Array = npt.NDArray[np.float64]
-STUDY = """
-title = "rows without an answer"
-seed = 3
-[inputs]
-a = { dist = "normal", mean = 0.0, sd = 1.0 }
-b = { dist = "normal", mean = 0.0, sd = 1.0 }
-[outputs]
-names = ["y"]
-[limits.high]
-quantity = "y"
-strength = { dist = "normal", mean = 1.0, sd = 0.05 }
-aim = "survive"
-target = 0.01
-[analysis]
-cost = "1 us"
-accuracy = { mean = 0.005, quantile = 0.02, sobol = 0.001, probability = 0.01 }
-quantiles = [0.05, 0.5, 0.95]
-budget = { evaluations = 60_000, time = "10 h" }
-methods = ["qmc", "sobol"]
-on_failure = "bound"
-[margins]
-solve = "a"
-between = ["-6", "8"]
-for_probability = [0.5]
-family = { path = "b", values = [0.0, 3.5] }
-"""
+#: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input
+ASKED = (
+    "limits.high.strength={ dist = 'normal', mean = 1.0, sd = 0.05 }",
+    "analysis.accuracy={ mean = 0.005, quantile = 0.02, sobol = 0.001, probability = 0.01 }",
+    "analysis.budget.evaluations=60_000",
+    "analysis.methods=['qmc', 'sobol']",
+    "analysis.on_failure='bound'",
+    "margins.family={ path = 'b', values = [0.0, 3.5] }",
+)
 
 
 def failing(x: dict[str, Array]) -> dict[str, Array]:
@@ -62,8 +46,8 @@ def smooth(x: dict[str, Array]) -> dict[str, Array]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     file = tmp_path_factory.mktemp("questions") / "study.toml"
-    file.write_text(STUDY, encoding="utf-8")
-    return uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=failing)
+    file.write_text(SUM, encoding="utf-8")
+    return uqsphere.run(uqsphere.load_study(file, ASKED), out=file.parent / "r", model=failing)
 
 
 def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
@@ -113,8 +97,8 @@ def test_the_summary_and_the_page_name_every_shortfall(run: Run) -> None:
 
 
 def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    text = STUDY.replace("60_000", "400_000")
-    found = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=smooth).results
+    study = study_from(*ASKED, "analysis.budget.evaluations=400_000", text=SUM)
+    found = uqsphere.run(study, out=tmp_path / "r", model=smooth).results
     members = found["margins"]["high"]["family"]["members"]
     assert all(member["band"]["asked"] == found["margins"]["high"]["band"]["asked"] for member in members)
     named = {row["quantity"] for row in found["speed_error"]}
