@@ -123,6 +123,72 @@ def test_steps_are_measured_in_normal_scores() -> None:
     assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
 
 
+# --- each question has what is said of it -----------------------------------------------------------------
+
+#: names that begin or continue each other, inputs that depend on each other, and rows without an answer
+TIED = """
+title = "tied"
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "normal", mean = 0.0, sd = 1.0 }
+c = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y", "y-mean"]
+[[dependence]]
+of = ["a", "b"]
+spearman = 0.6
+[limits.y]
+quantity = "y"
+strength = 1.0
+[limits.y-mean]
+quantity = "y-mean"
+strength = 1.0
+aim = "break"
+[analysis]
+cost = "1 us"
+accuracy = { mean = 0.005, quantile = 0.02, sobol = 0.1, probability = 0.01 }
+quantiles = [0.01, 0.5]
+budget = { evaluations = 4000, time = "10 h" }
+on_failure = "bound"
+"""
+
+
+def tied(x: dict[str, Array]) -> dict[str, Array]:
+    y = np.where(np.abs(x["a"]) > 3.0, np.nan, x["a"] + x["b"] + x["c"])
+    return {"y": y, "y-mean": y * y}
+
+
+@pytest.fixture(scope="module")
+def tied_rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    file = tmp_path_factory.mktemp("tied") / "study.toml"
+    file.write_text(TIED, encoding="utf-8")
+    found = uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=tied).results["accuracy"]
+    assert {text for row in found["questions"] for text in row["text"].split("; ") if text} == set(found["missed"])
+    return list(found["questions"])
+
+
+def test_what_is_said_of_a_name_is_not_said_of_one_that_begins_alike(tied_rows: list[dict[str, Any]]) -> None:
+    assert len({(row["quantity"], row["question"]) for row in tied_rows}) == len(tied_rows) == 9
+    for row in tied_rows:
+        own = row["quantity"].replace("limits.", "limit ")
+        assert all(text.startswith(f"{own}: ") for text in row["text"].split("; ") if text), row
+
+
+def test_what_evaluations_do_not_reach_has_no_number_from_what_they_do(tied_rows: list[dict[str, Any]]) -> None:
+    row = next(row for row in tied_rows if row["quantity"] == "y" and "quantile" in row["question"])
+    beyond, within = row["text"].split("; ")
+    assert beyond.endswith("no further ones would narrow it)")
+    assert within.endswith("evaluations would reach it)")
+    assert row["needed"] is None
+
+
+def test_what_the_first_indices_take_is_not_what_their_accuracy_takes(tied_rows: list[dict[str, Any]]) -> None:
+    row = next(row for row in tied_rows if row["quantity"] == "y" and "index" in row["question"])
+    assert "evaluations would give the first" in row["text"]
+    assert row["needed"] is None
+
+
 # --- rows of the speed-error table ------------------------------------------------------------------------
 
 
