@@ -84,6 +84,31 @@ quantiles = [0.5]
 accuracy = { mean = 0.1, quantile = 0.1, sobol = 0.5, probability = 0.5 }
 """
 
+#: a black box of two normal inputs, a limit and its curve over one of them
+SUM = """\
+title = "a sum"
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[limits.high]
+quantity = "y"
+strength = { dist = "normal", mean = 5.0, sd = 1.0 }
+aim = "survive"
+target = 0.01
+[analysis]
+cost = "1 us"
+accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.5 }
+quantiles = [0.05, 0.5, 0.95]
+budget = { evaluations = 9000, time = "10 h" }
+[margins]
+solve = "a"
+between = ["-6", "8"]
+for_probability = [0.5]
+"""
+
 #: infinite bars in closed form: thousands of rows in no time
 QUICK = (
     'bars.infinite=true', 'model.fidelity="massless"', 'analysis.quantities=["p_max"]', 'analysis.methods=["sobol"]',

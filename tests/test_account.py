@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import SUM
 
 import uqsphere
 from uqsphere import forecast as forecasts
@@ -20,29 +21,6 @@ from uqsphere.runner.work import REPLICATES
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"
-SMALL = """
-title = "a sum"
-seed = 3
-[inputs]
-a = { dist = "normal", mean = 0.0, sd = 1.0 }
-b = { dist = "normal", mean = 0.0, sd = 1.0 }
-[outputs]
-names = ["y"]
-[limits.high]
-quantity = "y"
-strength = { dist = "normal", mean = 5.0, sd = 1.0 }
-aim = "survive"
-target = 0.01
-[analysis]
-cost = "1 us"
-accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.5 }
-quantiles = [0.05, 0.5, 0.95]
-budget = { evaluations = 9000, time = "10 h" }
-[margins]
-solve = "a"
-between = ["-6", "8"]
-for_probability = [0.5]
-"""
 
 
 def course(*stages: tuple[int, float, int], **more: object) -> Band:
@@ -155,14 +133,14 @@ def test_what_the_forecast_repeats_is_what_the_runner_has() -> None:
 def test_a_finer_quantile_takes_more_and_the_most_is_no_less_than_likely(study_from: Callable[..., Study]) -> None:
     sizes = []
     for asked in (0.1, 0.03, 0.01):
-        parts = forecast(study_from(f"analysis.accuracy.quantile={asked}", text=SMALL))
+        parts = forecast(study_from(f"analysis.accuracy.quantile={asked}", text=SUM))
         assert all(part.most >= part.likely for part in parts)
         sizes.append(next(part.likely for part in parts if part.name == "sampling"))
     assert sizes[0] < sizes[1] < sizes[2]
 
 
 def test_the_plan_is_the_sum_of_its_parts(study_from: Callable[..., Study]) -> None:
-    study = study_from(text=SMALL)
+    study = study_from(text=SUM)
     plan = plan_run(study)
     assert plan["evaluations"] == sum(part["likely"] for part in plan["parts"]) <= plan["most"] <= 9000
     text = plan_text(study, plan)
@@ -177,7 +155,7 @@ def test_the_plan_is_the_sum_of_its_parts(study_from: Callable[..., Study]) -> N
 
 
 def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    study = study_from(text=SMALL)
+    study = study_from(text=SUM)
     found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["a"] + x["b"]})
     results = found.results
     parts = {row["part"]: row for row in results["plan"]["parts"]}

@@ -23,7 +23,7 @@ from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.headings import measure_heading
 from uqsphere.runner.design import lost_designs
-from uqsphere.runner.stopping import NO_NUMBER, cost_text, out_of_reach
+from uqsphere.runner.stopping import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.study import Study, load_study
 from uqsphere.summary import summary_of
 from uqsphere.uq.blocks import Blocks
@@ -402,5 +402,6 @@ def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypa
 
 
 def test_no_number_of_evaluations_is_named_that_nobody_could_make() -> None:
-    assert cost_text([(1000, 1e9), (2000, 0.7e9)]) == f" ({NO_NUMBER})"
-    assert NO_NUMBER in out_of_reach([(1000, 1e9), (2000, 0.7e9)], 1.0, 1e4)
+    course = [(1000, 1e9), (2000, 0.7e9)]
+    assert cost_of(course) == Cost(f" ({NO_NUMBER})")
+    assert out_of_reach(course, 1.0, 1e4) == Cost(f" (given up: {NO_NUMBER})")

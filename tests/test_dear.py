@@ -16,7 +16,7 @@ from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.plan import plan_run
 from uqsphere.runner import price as pricing
-from uqsphere.runner.stopping import cost_text
+from uqsphere.runner.stopping import Cost, cost_of
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
@@ -248,9 +248,12 @@ def plane(x: dict[str, np.ndarray]) -> np.ndarray:
 def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     from scipy.special import ndtr
 
-    monkeypatch.setitem(globals(), "DEAR", PLANE)
+    # the limit goes by the name of its quantity, whose mean is asked for to more than any run gives
+    text = PLANE.replace("[limits.high]", "[limits.y]").replace("mean = 0.02", "mean = 1e-7")
+    monkeypatch.setitem(globals(), "DEAR", text)
     box = Counted(lambda x: x["x1"] + 0.1 * x["x2"])
-    limit = ask(box).results["limits"]["high"]
+    results = ask(box).results
+    limit = results["limits"]["y"]
     truth = float(ndtr(-4.0 / np.sqrt(1.01)))
     assert box.rows <= 300
     assert limit["miss"]["method"].startswith("active learning")
@@ -259,6 +262,11 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
     assert limit["modes"] == 1
     point = limit["design_point"]
     assert point["x1"] + 0.1 * point["x2"] == pytest.approx(14.0, abs=0.01)
+    (mean,) = (row for row in results["accuracy"]["questions"] if row["question"].startswith("mean"))
+    assert mean["met"] is False
+    # what was learned of the limit is no answer to what the mean of its quantity would take
+    assert "active learning" not in mean["text"]
+    assert mean["needed"] > mean["evaluations"]
 
 
 def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,10 +359,9 @@ def test_a_cost_that_is_not_given_leaves_the_hash(study_from: Callable[..., Stud
 
 
 def test_what_a_missed_accuracy_would_take() -> None:
-    assert cost_text([]) == ""
-    assert cost_text([(100, 0.5)]) == ""
+    assert cost_of([]) == cost_of([(100, 0.5)]) == Cost()
     # halved by four times as many: four times as many again
-    assert "1,600 evaluations" in cost_text([(100, 4.0), (400, 2.0)])
+    assert cost_of([(100, 4.0), (400, 2.0)]) == Cost(" (about 1,600 evaluations would reach it)", 1600)
 
 
 # --- the statistics -------------------------------------------------------------------------------------------

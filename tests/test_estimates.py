@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.estimates import Estimate, absent, describe, from_replicates, hazen, reached, share
+from uqsphere.uq.estimates import Estimate, absent, describe, from_replicates, hazen, lacking, share
 from uqsphere.uq.sampling import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -79,7 +79,7 @@ def test_censored_quantiles_are_absent_beyond_the_share_and_unmoved_below() -> N
     assert found.exempt == (0.95,)
     assert found.censored_share.value == pytest.approx(censored.mean())
     assert "restricted to the record" in found.mean.method
-    assert not any("quantile 0.95" in text for text in reached(found, mean=1.0, quantile=1.0)[1])
+    assert not any(p == 0.95 for p, _ in lacking(found, mean=1.0, quantile=1.0))
 
 
 def test_a_record_that_ends_at_random_widens_the_quantile_to_what_is_known() -> None:
@@ -124,15 +124,14 @@ def test_heavy_tails_are_said_and_not_printed() -> None:
     assert 1.0 < found.scale < 4.0
 
 
-def test_reached_compares_half_widths_with_the_standard_deviation() -> None:
+def test_what_is_lacking_compares_half_widths_with_the_standard_deviation() -> None:
     found = describe(5.0 * np.random.default_rng(2).standard_normal((16, 1024)), quantiles=(0.5,))
     need = found.mean.half_width / found.sd.value
-    assert reached(found, mean=1.001 * need, quantile=1.0) == (True, [])
-    met, missed = reached(found, mean=0.999 * need, quantile=1e-9)
-    assert not met
-    assert [text.split(":")[0] for text in missed] == ["mean", "quantile 0.5"]
+    assert lacking(found, mean=1.001 * need, quantile=1.0) == []
+    missed = lacking(found, mean=0.999 * need, quantile=1e-9)
+    assert [(p, text.split(":")[0]) for p, text in missed] == [(None, "mean"), (0.5, "quantile 0.5")]
     constant = describe(np.full((4, 1024), 0.1))
-    assert reached(constant, mean=1e-9, quantile=1e-9) == (True, [])
+    assert lacking(constant, mean=1e-9, quantile=1e-9) == []
 
 
 def test_estimates_are_ready_for_json_and_refuse_what_is_not() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from conftest import SUM
 
 import uqsphere
 from uqsphere.report.contents import read_contents
@@ -22,32 +23,15 @@ from uqsphere.study import Study
 from uqsphere.summary import summary_of
 
 Array = npt.NDArray[np.float64]
-STUDY = """
-title = "rows without an answer"
-seed = 3
-[inputs]
-a = { dist = "normal", mean = 0.0, sd = 1.0 }
-b = { dist = "normal", mean = 0.0, sd = 1.0 }
-[outputs]
-names = ["y"]
-[limits.high]
-quantity = "y"
-strength = { dist = "normal", mean = 1.0, sd = 0.05 }
-aim = "survive"
-target = 0.01
-[analysis]
-cost = "1 us"
-accuracy = { mean = 0.005, quantile = 0.02, sobol = 0.001, probability = 0.01 }
-quantiles = [0.05, 0.5, 0.95]
-budget = { evaluations = 60_000, time = "10 h" }
-methods = ["qmc", "sobol"]
-on_failure = "bound"
-[margins]
-solve = "a"
-between = ["-6", "8"]
-for_probability = [0.5]
-family = { path = "b", values = [0.0, 3.5] }
-"""
+#: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input
+ASKED = (
+    "limits.high.strength={ dist = 'normal', mean = 1.0, sd = 0.05 }",
+    "analysis.accuracy={ mean = 0.005, quantile = 0.02, sobol = 0.001, probability = 0.01 }",
+    "analysis.budget.evaluations=60_000",
+    "analysis.methods=['qmc', 'sobol']",
+    "analysis.on_failure='bound'",
+    "margins.family={ path = 'b', values = [0.0, 3.5] }",
+)
 
 
 def failing(x: dict[str, Array]) -> dict[str, Array]:
@@ -62,8 +46,8 @@ def smooth(x: dict[str, Array]) -> dict[str, Array]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     file = tmp_path_factory.mktemp("questions") / "study.toml"
-    file.write_text(STUDY, encoding="utf-8")
-    return uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=failing)
+    file.write_text(SUM, encoding="utf-8")
+    return uqsphere.run(uqsphere.load_study(file, ASKED), out=file.parent / "r", model=failing)
 
 
 def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
@@ -113,8 +97,8 @@ def test_the_summary_and_the_page_name_every_shortfall(run: Run) -> None:
 
 
 def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    text = STUDY.replace("60_000", "400_000")
-    found = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=smooth).results
+    study = study_from(*ASKED, "analysis.budget.evaluations=400_000", text=SUM)
+    found = uqsphere.run(study, out=tmp_path / "r", model=smooth).results
     members = found["margins"]["high"]["family"]["members"]
     assert all(member["band"]["asked"] == found["margins"]["high"]["band"]["asked"] for member in members)
     named = {row["quantity"] for row in found["speed_error"]}
@@ -137,6 +121,72 @@ def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
 def test_steps_are_measured_in_normal_scores() -> None:
     rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
     assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
+
+
+# --- each question has what is said of it -----------------------------------------------------------------
+
+#: names that begin or continue each other, inputs that depend on each other, and rows without an answer
+TIED = """
+title = "tied"
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+b = { dist = "normal", mean = 0.0, sd = 1.0 }
+c = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y", "y-mean"]
+[[dependence]]
+of = ["a", "b"]
+spearman = 0.6
+[limits.y]
+quantity = "y"
+strength = 1.0
+[limits.y-mean]
+quantity = "y-mean"
+strength = 1.0
+aim = "break"
+[analysis]
+cost = "1 us"
+accuracy = { mean = 0.005, quantile = 0.02, sobol = 0.1, probability = 0.01 }
+quantiles = [0.01, 0.5]
+budget = { evaluations = 4000, time = "10 h" }
+on_failure = "bound"
+"""
+
+
+def tied(x: dict[str, Array]) -> dict[str, Array]:
+    y = np.where(np.abs(x["a"]) > 3.0, np.nan, x["a"] + x["b"] + x["c"])
+    return {"y": y, "y-mean": y * y}
+
+
+@pytest.fixture(scope="module")
+def tied_rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    file = tmp_path_factory.mktemp("tied") / "study.toml"
+    file.write_text(TIED, encoding="utf-8")
+    found = uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=tied).results["accuracy"]
+    assert {text for row in found["questions"] for text in row["text"].split("; ") if text} == set(found["missed"])
+    return list(found["questions"])
+
+
+def test_what_is_said_of_a_name_is_not_said_of_one_that_begins_alike(tied_rows: list[dict[str, Any]]) -> None:
+    assert len({(row["quantity"], row["question"]) for row in tied_rows}) == len(tied_rows) == 9
+    for row in tied_rows:
+        own = row["quantity"].replace("limits.", "limit ")
+        assert all(text.startswith(f"{own}: ") for text in row["text"].split("; ") if text), row
+
+
+def test_what_evaluations_do_not_reach_has_no_number_from_what_they_do(tied_rows: list[dict[str, Any]]) -> None:
+    row = next(row for row in tied_rows if row["quantity"] == "y" and "quantile" in row["question"])
+    beyond, within = row["text"].split("; ")
+    assert beyond.endswith("no further ones would narrow it)")
+    assert within.endswith("evaluations would reach it)")
+    assert row["needed"] is None
+
+
+def test_what_the_first_indices_take_is_not_what_their_accuracy_takes(tied_rows: list[dict[str, Any]]) -> None:
+    row = next(row for row in tied_rows if row["quantity"] == "y" and "index" in row["question"])
+    assert "evaluations would give the first" in row["text"]
+    assert row["needed"] is None
 
 
 # --- rows of the speed-error table ------------------------------------------------------------------------

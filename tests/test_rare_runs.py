@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,9 @@ import pytest
 from scipy.stats import norm
 
 import uqsphere
-from uqsphere.runner.rare import narrower
+from uqsphere.runner.limits import LimitAnswer
+from uqsphere.runner.rare import _with_cost, narrower
+from uqsphere.runner.stopping import Cost, Missed
 from uqsphere.uq.estimates import Estimate
 
 TEXT = """\
@@ -212,3 +216,22 @@ def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_c
         assert kept.high is not None
         assert kept.low <= other.value <= kept.high  # type: ignore[operator]
     assert "both" in narrower(told(1.17e-3, 0.01e-3), told(1.10e-3, 0.02e-3))[1]
+
+
+def test_what_sampling_said_of_its_own_estimate_is_not_said_of_another_that_reads_alike() -> None:
+    def answer(half: float, evaluations: int) -> LimitAnswer:
+        e = Estimate(value=0.01, low=0.01 - half, high=0.01 + half, std_error=0.5 * half, method="m",
+                     evaluations=evaluations)  # fmt: skip
+        return LimitAnswer(quantity="y", aim="survive", target=None, exceedance=e, miss=e, reliability_index=None,
+                           reliability_interval=(None, None), margin={}, governing=None, met=None)  # fmt: skip
+
+    asked = SimpleNamespace(analysis=SimpleNamespace(accuracy=SimpleNamespace(probability=0.05)))
+    work: Any = SimpleNamespace(study=asked)
+    sampled, own = answer(0.002, 1000), answer(0.00201, 4000)
+    assert sampled.accuracy_missed("miss", 0.05) == own.accuracy_missed("miss", 0.05)
+    missed = Missed(subject="limits.high", kind="miss", said="limit high: miss: too wide")
+    told = replace(missed, cost=Cost(" (about 1,600 evaluations would reach it)", 1600))
+    before: Any = SimpleNamespace(limits={"high": sampled}, missed=[told])
+    assert _with_cost(work, missed, "high", sampled, before) == told
+    # half-widths fall by the root at least: (0.201 / 0.05)^2 times as many
+    assert _with_cost(work, missed, "high", own, before).cost.needed == 65_000

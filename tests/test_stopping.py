@@ -27,9 +27,12 @@ def test_an_accuracy_that_is_reached_needs_nothing_more() -> None:
 def test_nothing_is_given_up_on_one_look_or_within_caution() -> None:
     course = [(1000, 0.1), (4000, 0.05)]
     needed = evaluations_needed(course, 0.01)
-    assert out_of_reach(course[-1:], 0.01, 0.0) == ""
-    assert out_of_reach(course, 0.01, needed / CAUTION * 1.001) == ""
-    assert "about 100,000 evaluations" in out_of_reach(course, 0.01, needed / CAUTION * 0.999)
+    assert out_of_reach(course[-1:], 0.01, 0.0) is None
+    assert out_of_reach(course, 0.01, needed / CAUTION * 1.001) is None
+    given_up = out_of_reach(course, 0.01, needed / CAUTION * 0.999)
+    assert given_up is not None
+    assert given_up.needed == 100_000
+    assert "about 100,000 evaluations" in given_up.text
 
 
 def test_a_hopeless_width_is_forecast_as_infinite_not_as_an_error() -> None:

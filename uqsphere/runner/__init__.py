@@ -314,7 +314,7 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
         "why": way.why if dear is None else dear.why,
         "sampling_evaluations": way.sampling,
         "surrogate_evaluations": way.runs,
-        "parts": account(work, way.surrogate, taken == "surrogate", way.affordable, found),
+        "parts": account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
     }
     found = replace(found, plan=plan)
     store.settle()

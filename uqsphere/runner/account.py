@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.forecast import CHEAPER, forecast
+from uqsphere.runner.stopping import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND
 from uqsphere.runner.work import Work
 
 if TYPE_CHECKING:
@@ -16,17 +17,19 @@ __all__ = ["FACTOR", "account"]
 FACTOR: Final = 2.0
 #: parts beside which a cheaper model may be evaluated, and what that is called
 _CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
+#: what sampling answers, by what its errors are called
+_ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
 
 
-def account(work: Work, planned: bool, surrogate: bool, affordable: int, found: Findings) -> list[dict[str, Any]]:
+def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affordable: int) -> list[dict[str, Any]]:
     """Every part with the evaluations that were likely, the most, and those taken, for results.json.
 
     Parameters
     ----------
     work : the run, its ledger closed for every part.
+    found : what the run found: why its stages ended.
     planned, surrogate : whether it was to be answered through a surrogate, and whether it was.
     affordable : evaluations that the budget had room for.
-    found : what the run found: why its stages ended.
     """
     parts = {part.name: part for part in forecast(work.study, affordable, planned)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
@@ -43,7 +46,7 @@ def account(work: Work, planned: bool, surrogate: bool, affordable: int, found: 
         part, spent = parts.get(name), taken.get(name, 0)
         likely, most = (part.likely, part.most) if part else (0, 0)
         row = {"part": name, "likely": likely, "most": most, "taken": spent}
-        rows.append({**row, "why": _why(name, likely, spent, (planned, surrogate), found)})
+        rows.append({**row, "why": _why(name, likely, spent, found, planned=planned, surrogate=surrogate)})
     return rows
 
 
@@ -53,12 +56,11 @@ def _answering(found: Findings) -> tuple[str, ...]:
     return (chosen,) if found.pilot.fallback is None else (chosen, "full")
 
 
-def _why(name: str, likely: int, taken: int, ways: tuple[bool, bool], found: Findings) -> str:
+def _why(name: str, likely: int, taken: int, found: Findings, *, planned: bool, surrogate: bool) -> str:
     """Why a part took much more or less than was likely, in a sentence; nothing where it did not."""
     if max(likely, 1) <= FACTOR * max(taken, 1) and max(taken, 1) <= FACTOR * max(likely, 1):
         return ""
     more = taken > likely
-    planned, surrogate = ways
     if planned and not surrogate and name != "surrogate" and not likely:
         return "No surrogate was good enough, and the model was sampled."
     stop = found.stops.get("sensitivity" if name == "sensitivity" else "sampling", "")
@@ -109,16 +111,11 @@ def _why(name: str, likely: int, taken: int, ways: tuple[bool, bool], found: Fin
 
 def _slowest(found: Findings, name: str) -> str:
     """The answer of a part with the largest error over its standard deviation, as it is called."""
-    kinds = ("index",) if name == "sensitivity" else ("quantile", "mean", "miss")
-    last: dict[tuple[str, str], float] = {}
-    for row in found.history:
-        if any(kind in row["error_kind"] for kind in kinds) and not row["quantity"].startswith("margins."):
-            last[row["quantity"], row["error_kind"]] = float(row["error"])
+    told = {INDEX_KIND: "The indices"} if name == "sensitivity" else _ANSWERS
+    last = {
+        (row["quantity"], row["error_kind"]): float(row["error"]) for row in found.history if row["error_kind"] in told
+    }
     if not last:
         return "It"
     quantity, kind = max(last, key=lambda key: last[key])
-    word = next(word for word in ("index", "quantile", "mean", "miss") if word in kind)
-    told = {"index": "the indices", "quantile": "the worst quantile", "mean": "the mean", "miss": "the probability"}[
-        word
-    ]
-    return f"{told[0].upper()}{told[1:]} of {quantity.removeprefix('limits.')}"
+    return f"{told[kind]} of {quantity.removeprefix('limits.')}"

@@ -17,13 +17,12 @@ from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, reserve, with_surrogate_design
-from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
-from uqsphere.runner.rare import limits_missed
-from uqsphere.runner.sampling import METHOD, Sampled, missed_texts, speed_rows
+from uqsphere.runner.sampling import METHOD, Sampled, find_missed, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
-from uqsphere.runner.stopping import MOST_NAMED, NO_NUMBER
+from uqsphere.runner.stopping import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, none_answered
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import MOST, Trusted, trust
@@ -106,8 +105,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
             for quantity in work.quantities:
                 width = widest(found.indices.get(quantity, {}))
                 if width is not None:
-                    kind = "largest half-width of an index"
-                    note(history, seconds, work, augmented.METHOD, quantity, count, width, kind)
+                    note(history, seconds, work, augmented.METHOD, quantity, count, width, INDEX_KIND)
             for name, ratio in found.excess.items():
                 course.setdefault(name, []).append((count, ratio))
             if not found.excess:
@@ -275,10 +273,9 @@ def _conclude(
     found = replace(found, limits=limits)
     margins = dear_margins(work, trusted, priced.way.affordable)
     costs = {name: _needed(way, 1.0) for name, way in course.items()}
-    missed = missed_texts(work, found.descriptions, {})
-    missed = _with_costs([*missed, *limits_missed(work, found.limits)], costs, priced, learned.calls)
-    if rough:
-        missed = [f"{work.quantities[k]}: {_refused_text(trusted.get(k))}" for k in rough] + missed
+    lacking = [*find_missed(work, found.descriptions, {}), *limits_missed(work, found.limits)]
+    missed = [_refused(work.quantities[k], trusted.get(k)) for k in rough]
+    missed += _with_costs(lacking, costs, priced, learned.calls)
     sensitivity = {
         quantity: _sensitivity(work, quantity, found.indices.get(quantity), trusted.get(k), costs, priced)
         for k, quantity in enumerate(work.quantities)
@@ -329,33 +326,33 @@ def _from_runs(work: Work, points: Draw, sample: Sample) -> Answers:
     return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample), indices={}, excess={})
 
 
-def _refused_text(one: Trusted | None) -> str:
+def _refused(quantity: str, one: Trusted | None) -> Missed:
     reason = "no surrogate was fitted" if one is None else one.reason
-    return f"{reason}; the answers are those of the runs alone, and there are no indices"
+    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
+    return Missed(subject=quantity, kind="surrogate", said=said)
 
 
 def _with_costs(
-    texts: Sequence[str], costs: Mapping[str, int | None], priced: Priced, learned: Mapping[str, int]
-) -> list[str]:
-    """The texts with what each accuracy is forecast to take."""
+    missed: Sequence[Missed], costs: Mapping[str, int | None], priced: Priced, learned: Mapping[str, int]
+) -> list[Missed]:
+    """The same with what each accuracy is forecast to take."""
+    calls = {f"limits.{name}": count for name, count in learned.items()}
     answer = []
-    for text in texts:
-        head = text.split(":")[0]
-        if head.removeprefix("limit ") in learned:
-            answer.append(f"{text} (after {learned[head.removeprefix('limit ')]} calls of active learning)")
-            continue
-        names = [name for name in costs if name == head or name.startswith(head.replace("limit ", "limits.") + ".")]
-        answer.append(text + _price_text([costs[name] for name in names], priced))
+    for one in missed:
+        cost = _price(costs.get(one.subject, costs.get(f"{one.subject}.{one.kind}")), priced)
+        if one.subject in calls:
+            cost = Cost(f" (after {calls[one.subject]} calls of active learning)")
+        answer.append(replace(one, cost=cost))
     return answer
 
 
-def _price_text(found: Sequence[int | None], priced: Priced) -> str:
-    known = [n for n in found if n is not None]
-    if known and len(known) == len(found):
-        return f" (about {max(known):,} evaluations would reach it)"
-    far = priced.way.sampling > MOST_NAMED
-    text = NO_NUMBER if far else f"sampling is forecast to take {priced.way.sampling:,} evaluations"
-    return f" (more runs of this design would not do: {text})"
+def _price(runs: int | None, priced: Priced) -> Cost:
+    if runs is not None:
+        return Cost(f" (about {runs:,} evaluations would reach it)", runs)
+    if priced.way.sampling > MOST_NAMED:
+        return Cost(f" (more runs of this design would not do: {NO_NUMBER})")
+    text = f"sampling is forecast to take {priced.way.sampling:,} evaluations"
+    return Cost(f" (more runs of this design would not do: {text})", priced.way.sampling)
 
 
 def _sensitivity(
@@ -388,14 +385,15 @@ def _sensitivity(
     sets = dear_sets(work, None if found is None else one, reason)
     if found is None:
         rows = dict.fromkeys(names, nothing)
-        missed = [f"indices: none, asked {analysis.accuracy.sobol:g}: {reason} ({priced.way.sampling:,} evaluations)"]
+        cost = Cost(f" ({priced.way.sampling:,} evaluations)", priced.way.sampling)
+        missed = [indices_missed(quantity, None, analysis.accuracy.sobol, f": {reason}", cost)]
         return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
                            text=f"No index is given: {reason}.", missed=missed, **sets)  # fmt: skip
     width = widest(found)
     missed = []
     if width is not None and width > analysis.accuracy.sobol:
-        text = f"indices: half-width {width:.2g}, asked {analysis.accuracy.sobol:g}"
-        missed = [text + _price_text([costs.get(f"{quantity}: indices")], priced)]
+        cost = _price(costs.get(f"{quantity}: indices"), priced)
+        missed = [indices_missed(quantity, width, analysis.accuracy.sobol, cost=cost)]
     text = "Indices are those of the surrogate; their intervals hold what it leaves of the variance."
     given = {order: [_believable(e) for e in row] for order, row in found.items()}
     return Sensitivity(

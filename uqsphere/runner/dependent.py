@@ -11,7 +11,7 @@ import numpy.typing as npt
 from uqsphere.model import is_answered
 from uqsphere.runner.design import clean
 from uqsphere.runner.sensitivity import Pairs, Sensitivity, note
-from uqsphere.runner.stopping import INDEX_KIND, index_cost, out_of_reach
+from uqsphere.runner.stopping import INDEX_KIND, Cost, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.shapley import (
@@ -100,7 +100,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
     pairs: Pairs | None = None
     found: dict[str, dict[str, list[Estimate]]] = {}
     course: dict[str, list[tuple[int, float]]] = {q: [] for q in work.quantities}
-    given_up = dict.fromkeys(work.quantities, "")
+    given_up: dict[str, Cost | None] = dict.fromkeys(work.quantities)
     stopped, start = "accuracy", 0
     widest = dict.fromkeys(work.quantities, asked)
     while True:
@@ -126,7 +126,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
                 course[quantity].append((spent, widest[quantity]))
                 within = spent + budget.evaluations - work.ledger.total
                 reached = widest[quantity] <= asked
-                given_up[quantity] = "" if reached else out_of_reach(course[quantity], asked, within)
+                given_up[quantity] = None if reached else out_of_reach(course[quantity], asked, within)
         if all(width <= asked for width in widest.values()):
             break
         if all(widest[q] <= asked or given_up[q] for q in work.quantities):
@@ -137,7 +137,7 @@ def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
             break
     answers = {
         q: _conclude(
-            work.scene_names, refused[q], found.get(q), asked, index_cost(given_up[q], history, q, asked), design
+            q, work.scene_names, refused[q], found.get(q), asked, index_cost(given_up[q], history, q, asked), design
         )
         for q in work.quantities
     }
@@ -178,20 +178,19 @@ def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict
 
 
 def _conclude(
+    quantity: str,
     names: tuple[str, ...],
     refused: Sensitivity,
     found: dict[str, list[Estimate]] | None,
     asked: float,
-    cost: str,
+    cost: Cost,
     design: SubsetDesign,
 ) -> Sensitivity:
     if found is None:
         text = f"{refused.text}; for the former not enough of the budget was left"
-        return replace(refused, text=text, missed=[f"indices: none, asked {asked:g}: {_least(design)}"])
+        return replace(refused, text=text, missed=[indices_missed(quantity, None, asked, f": {_least(design)}")])
     width = _widest(found)
-    missed = []
-    if width > asked:
-        missed = [f"indices: half-width {width:.2g}, asked {asked:g}{cost}"]
+    missed = [indices_missed(quantity, width, asked, cost=cost)] if width > asked else []
     how = "every subset of the inputs" if design.exact else "random orders of the inputs"
     return replace(
         refused,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.runner.stopping import Missed, indices_missed
 from uqsphere.uq.distribution import tail_orders
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
 from uqsphere.uq.heavy_tails import NOT_KNOWN, HeavyTail, heavy_tail, widened_share, without_moments
@@ -76,24 +77,24 @@ def _shares(
             indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations))  # type: ignore[misc]
             # no number of evaluations gives what is not there, so that none is missed
             nowhere = sd.reason is not None and sd.reason.startswith(NO_MOMENT)
-            missed = [] if nowhere else [f"indices: none, asked {asked:g}: {reason}"]
+            missed = [] if nowhere else [indices_missed(quantity, None, asked, f": {reason}")]
             indices = replace(indices, text=reason, missed=missed, sampled={}, expanded={}, agree=None)
         elif tail is not None and tail.order <= 4.0:
             indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
         elif pairs is not None and not indices.expanded and (count := _carriers(pairs, k)) < FEW_CARRIERS:
             indices = _each(indices, lambda e, half=NONE_SEEN / count: _no_narrower(e, half))  # type: ignore[misc]
-        answers[quantity] = _admitted(indices, asked)
+        answers[quantity] = _admitted(quantity, indices, asked)
     return answers
 
 
-def _admitted(indices: Sensitivity, asked: float) -> Sensitivity:
+def _admitted(quantity: str, indices: Sensitivity, asked: float) -> Sensitivity:
     """Indices whose intervals were widened beyond what was asked, with that said."""
     rows = (indices.first, indices.total, indices.shapley)
     width = max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
     if indices.missed or width <= asked:
         return indices
-    why = "so few samples carry the variance: how many evaluations would reach it is not known"
-    return replace(indices, missed=[f"indices: half-width {width:.2g}, asked {asked:g} ({why})"])
+    why = " (so few samples carry the variance: how many evaluations would reach it is not known)"
+    return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
 
 
 def dear_tails(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> dict[str, HeavyTail | None]:
@@ -132,10 +133,13 @@ def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity
         # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
         kept = name in dear.believed and tail is None
         descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
-    gone = tuple(f"{q}: mean: " for q, d in descriptions.items() if (d.mean.reason or "").startswith(NO_MOMENT))
-    gone += tuple(f"{q}: mean: " for q, d in descriptions.items() if _left_open(d.mean))
-    missed = [text for text in sampled.missed if not (gone and text.startswith(gone))]
-    missed += [f"{q}: mean: {d.mean.reason}" for q, d in descriptions.items() if _left_open(d.mean)]
+    gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith((NO_MOMENT, NOT_KNOWN))}
+    missed = [one for one in sampled.missed if (one.subject, one.kind) not in gone]
+    missed += [
+        Missed(subject=q, kind="mean", said=f"{q}: mean: {d.mean.reason}")
+        for q, d in descriptions.items()
+        if (d.mean.reason or "").startswith(NOT_KNOWN)
+    ]
     settled = replace(sampled, descriptions=descriptions, missed=missed)
     return settled, _shares(work, settled, found, dear.tails, None)
 
@@ -150,10 +154,6 @@ def _why_none(outputs: Array, sd: Estimate) -> str:
         times = "none" if varied == 0 else f"{varied}"
         return f"{times} of the {kept.size:,} samples differ from {np.median(kept):.6g}: too few for shares"
     return ""
-
-
-def _left_open(mean: Estimate) -> bool:
-    return (mean.reason or "").startswith(NOT_KNOWN)
 
 
 def _carriers(pairs: Pairs, k: int) -> float:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from uqsphere.model import is_answered
 from uqsphere.runner.limits import LimitAnswer, takes_over
 from uqsphere.runner.rare import complement, limit_space, tied_strength, with_design
+from uqsphere.runner.stopping import MISS_KIND
 from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq.inputs import physical_from_normal
@@ -106,9 +107,8 @@ def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], affordable: int)
         if learned.estimate.value:
             error = learned.estimate.half_width / learned.estimate.value
             if np.isfinite(error):
-                kind = "half-width of the miss probability over itself"
                 row = {"method": METHOD, "quantity": f"limits.{limit.name}", "evaluations": learned.calls}
-                found.history.append({**row, "error": float(error), "error_kind": kind})
+                found.history.append({**row, "error": float(error), "error_kind": MISS_KIND})
                 found.seconds.append(work.ledger.elapsed)
     return found
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.stopping import Missed
 from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf
@@ -24,7 +25,7 @@ from uqsphere.uq.reliability import (
     target_met,
 )
 
-__all__ = ["LimitAnswer", "judge_limits", "state_of", "takes_over", "tie_strength"]
+__all__ = ["LimitAnswer", "judge_limits", "limits_missed", "state_of", "takes_over", "tie_strength"]
 
 Array = npt.NDArray[np.float64]
 
@@ -84,6 +85,17 @@ def takes_over(work: Work, answer: LimitAnswer) -> bool:
         return False
     small = answer.miss.value is None or answer.miss.value < RARE
     return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
+
+
+def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[Missed]:
+    """What of the limits is not yet as accurate as the study asks."""
+    asked = work.study.analysis.accuracy.probability
+    return [
+        Missed(subject=f"limits.{name}", kind=which, said=f"limit {name}: {text}")
+        for name, limit in limits.items()
+        for which in (("exceedance", "miss") if limit.aim == "break" else ("miss",))
+        if (text := limit.accuracy_missed(which, asked))
+    ]
 
 
 def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitState:

@@ -7,7 +7,7 @@ run's own chunks.  Rows far out of the ordinary may have no answer: they widen t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.limits import LimitAnswer, takes_over
+from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.stopping import cost_text
+from uqsphere.runner.stopping import MISS_KIND, Cost, Missed, cost_of
 from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, from_normal
@@ -35,7 +35,6 @@ __all__ = [
     "complement",
     "find_design",
     "limit_space",
-    "limits_missed",
     "narrower",
     "physical_values",
     "refine_limits",
@@ -104,8 +103,9 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
         except OutOfBudget:
             stopped = "time"
             break
-    missed = [text for text in sampled.missed if not text.startswith("limit ")]
-    missed += [_with_cost(work, text, found, sampled.missed) for text in limits_missed(work, found)]
+    missed = [one for one in sampled.missed if one.subject in sampled.descriptions]
+    for name, answer in found.items():
+        missed += [_with_cost(work, one, name, answer, sampled) for one in limits_missed(work, {name: answer})]
     return replace(sampled, limits=found, missed=missed, history=history, seconds=seconds, stopped=stopped)
 
 
@@ -137,29 +137,17 @@ def _goes_on(work: Work, answer: LimitAnswer, budget: int) -> bool:
     return bool(missed) or doubtful
 
 
-def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[str]:
-    """What is not yet as accurate as asked of the limits, small probabilities included, in words."""
-    asked = work.study.analysis.accuracy.probability
-    texts = []
-    for name, limit in limits.items():
-        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
-            text = limit.accuracy_missed(which, asked)
-            if text:
-                texts.append(f"limit {name}: {text}")
-    return texts
-
-
-def _with_cost(work: Work, text: str, limits: Mapping[str, LimitAnswer], before: Sequence[str]) -> str:
-    """A missed accuracy with what it would take: as sampling said of the same, or by the answer's own evaluations."""
-    said = next((earlier for earlier in before if earlier.startswith(text)), "")
-    if said:
-        return said
-    name, which = text.split(": ")[0].removeprefix("limit "), text.split(": ")[1]
-    estimate: Estimate = getattr(limits[name], which)
+def _with_cost(work: Work, missed: Missed, name: str, answer: LimitAnswer, sampled: Sampled) -> Missed:
+    """What was missed with its cost: as sampling said of the same estimate, or by the answer's own evaluations."""
+    estimate: Estimate = getattr(answer, missed.kind)
+    if estimate == getattr(sampled.limits[name], missed.kind):
+        told = [one for one in sampled.missed if (one.subject, one.kind) == (missed.subject, missed.kind)]
+        if told:
+            return told[0]
     if not estimate.value:
-        return f"{text} (how many evaluations would reach it is not known)"
+        return replace(missed, cost=Cost(" (how many evaluations would reach it is not known)"))
     excess = estimate.half_width / estimate.value / work.study.analysis.accuracy.probability
-    return text + cost_text([(estimate.evaluations, excess)])
+    return replace(missed, cost=cost_of([(estimate.evaluations, excess)]))
 
 
 # --- the limit as a function of normal scores -----------------------------------------------------
@@ -322,7 +310,7 @@ def _record(name: str, answer: LimitAnswer, rare: RareAnswer) -> list[dict[str, 
             "quantity": f"limits.{name}",
             "evaluations": evaluations,
             "error": float(error),
-            "error_kind": "half-width of the miss probability over itself",
+            "error_kind": MISS_KIND,
         }
         for method, evaluations, error in rare.history
         if np.isfinite(error)

@@ -214,11 +214,9 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
     assumed = find_assumed(work, found.sampled)
-    missed = list(found.sampled.missed)
-    for quantity, indices in found.sensitivity.items():
-        missed += [f"{quantity}: {text}" for text in indices.missed]
-    for name, margin in found.margins.items():
-        missed += [f"margins {name}: {text}" for text in margin.missed]
+    missed = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
+    told = [one.text for one in missed]
+    told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
     return {
         "schema_version": SCHEMA_VERSION,
         "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
@@ -258,8 +256,8 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "plan": found.plan,
         "speed_error": found.history,
         "accuracy": {
-            "met": not missed,
-            "missed": missed,
+            "met": not told,
+            "missed": told,
             "stopped_by": found.stops,
             "questions": questions(work, found, missed),
         },

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from uqsphere.errors import UsageError
 from uqsphere.runner.heavy_tails import describe_heavy
-from uqsphere.runner.limits import LimitAnswer, judge_limits, takes_over
+from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
-from uqsphere.runner.stopping import cost_text, out_of_reach
+from uqsphere.runner.stopping import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, cost_of, out_of_reach
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
-from uqsphere.uq.estimates import Description, absent, describe, exact, reached
+from uqsphere.uq.estimates import Description, absent, describe, exact, lacking
 
-__all__ = ["METHOD", "Sampled", "excess_of", "missed_texts", "sample_distributions", "speed_rows"]
+__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "speed_rows"]
 
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
@@ -26,7 +26,7 @@ LEAST = 2
 #: points of each replicate from which on an accuracy may be given up
 JUDGED = 512
 #: what is said of an accuracy that failed rows prevent
-FOR_FAILED = " (the failed evaluations leave that open, and no further ones would narrow it)"
+FOR_FAILED = Cost(" (the failed evaluations leave that open, and no further ones would narrow it)")
 #: share of the budget that sampling may take where sensitivities and margins are still to come
 SHARE = 0.7
 
@@ -39,7 +39,7 @@ class Sampled:
     sample: Sample
     descriptions: dict[str, Description]
     limits: dict[str, LimitAnswer]
-    missed: list[str]
+    missed: list[Missed]
     stopped: str
     history: list[dict[str, Any]]
     seconds: list[float]
@@ -96,21 +96,15 @@ def _describe(work: Work, sample: Sample) -> dict[str, Description]:
     }
 
 
-def missed_texts(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[str]:
-    """What is not yet as accurate as the study asks, in words."""
+def find_missed(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> list[Missed]:
+    """What is not yet as accurate as the study asks; limits that are left to the methods for rare events aside."""
     asked = work.study.analysis.accuracy
-    missed = []
-    for name, description in descriptions.items():
-        _, texts = reached(description, mean=asked.mean, quantile=asked.quantile)
-        missed += [f"{name}: {text}" for text in texts]
-    for name, limit in limits.items():
-        if takes_over(work, limit):
-            continue
-        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
-            text = limit.accuracy_missed(which, asked.probability)
-            if text:
-                missed.append(f"limit {name}: {text}")
-    return missed
+    missed = [
+        Missed(subject=name, kind="mean" if at is None else "quantile", said=f"{name}: {text}", at=at)
+        for name, description in descriptions.items()
+        for at, text in lacking(description, mean=asked.mean, quantile=asked.quantile)
+    ]
+    return missed + limits_missed(work, {name: one for name, one in limits.items() if not takes_over(work, one)})
 
 
 def speed_rows(
@@ -135,14 +129,14 @@ def speed_rows(
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
-        add(name, description.mean.half_width / description.scale, "half-width of the mean over the standard deviation")
+        add(name, description.mean.half_width / description.scale, MEAN_KIND)
         widths = [e.half_width for p, e in description.quantiles.items() if p not in description.exempt]
         if widths:
-            add(name, max(widths) / description.scale, "half-width of the worst quantile over the standard deviation")
+            add(name, max(widths) / description.scale, QUANTILE_KIND)
     for name, limit in limits.items():
         miss = limit.miss
         if miss.value:
-            add(f"limits.{name}", miss.half_width / miss.value, "half-width of the miss probability over itself")
+            add(f"limits.{name}", miss.half_width / miss.value, MISS_KIND)
     return rows
 
 
@@ -168,22 +162,12 @@ def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str
     return {name: ratio for name, ratio in found.items() if ratio > 1.0}
 
 
-def _course_of(text: str) -> str:
-    """The name by which the course of a missed accuracy goes.
-
-    >>> _course_of("limit crushing: miss: half-width 0.2 of the probability, asked 0.05")
-    'limits.crushing.miss'
-    """
-    head, which = text.split(": ")[:2]
-    return f"limits.{head.removeprefix('limit ')}.{which}" if head.startswith("limit ") else head
-
-
-def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description], texts: list[str]) -> set[str]:
-    """Those of the missed accuracies that the failed rows alone prevent: no number of evaluations reaches them."""
+def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description]) -> set[tuple[str, float | None]]:
+    """Quantiles (quantity, probability) that the failed rows alone leave open: no number of evaluations helps."""
     analysis = work.study.analysis
     if analysis.on_failure != "bound" or not sample.failed.any():
         return set()
-    found = set()
+    found: set[tuple[str, float | None]] = set()
     for k, name in enumerate(work.quantities):
         without = describe(
             sample.values[:, :, k],
@@ -197,7 +181,7 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description],
             # what the interval is wider by than the same samples without the failed ones have it
             wider = estimate.half_width - without.quantiles[p].half_width
             if estimate.value is None or wider > analysis.accuracy.quantile * without.scale:
-                found |= {text for text in texts if text.startswith(f"{name}: quantile {p:g}: ")}
+                found.add((name, p))
     return found
 
 
@@ -253,7 +237,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
     start = 0
     descriptions: dict[str, Description] = {}
     limits: dict[str, LimitAnswer] = {}
-    missed: list[str] = []
+    missed: list[Missed] = []
     course: dict[str, list[tuple[int, float]]] = {}
     control = control or Control(plan=None, text="", used=False)
     while True:
@@ -292,7 +276,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         if control.used:
             descriptions, limits = control.descriptions, control.limits
         descriptions = describe_heavy(work, points, sample, descriptions)
-        missed = missed_texts(work, descriptions, limits)
+        missed = find_missed(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
             course.setdefault(name, []).append((sample.status.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
@@ -314,14 +298,17 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             break
     assert points is not None
     assert sample is not None
-    never = _left_open(work, sample, descriptions, missed)
+    never = _left_open(work, sample, descriptions)
+    # the course of a quantity is that of all of it, a limit has one of each probability
+    courses = [course.get(one.subject, course.get(f"{one.subject}.{one.kind}", [])) for one in missed]
     return Sampled(
         points=points,
         sample=sample,
         descriptions=descriptions,
         limits=limits,
         missed=[
-            text + (FOR_FAILED if text in never else cost_text(course.get(_course_of(text), []))) for text in missed
+            replace(one, cost=FOR_FAILED if (one.subject, one.at) in never else cost_of(way))
+            for one, way in zip(missed, courses, strict=True)
         ],
         stopped=stopped,
         history=history,

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.stopping import INDEX_KIND, index_cost, out_of_reach
+from uqsphere.runner.stopping import INDEX_KIND, Cost, Missed, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.indices import METHOD, SampledIndices, sampled_indices
@@ -57,7 +57,7 @@ class Sensitivity:
     expanded: dict[str, list[Estimate]]
     agree: bool | None
     text: str
-    missed: list[str] = field(default_factory=list)
+    missed: list[Missed] = field(default_factory=list)
     shapley: dict[str, Estimate] = field(default_factory=dict)
     kucherenko: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     second: dict[str, Estimate] = field(default_factory=dict)
@@ -191,7 +191,8 @@ def find_sensitivity(
         refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
         return refused, [], [], "accuracy", IndexControl(used=False), None
     if lost := lost_designs(sampled.sample.failed):
-        refused = {q: replace(_refused(work, lost), missed=[f"indices: none: {lost}"]) for q in work.quantities}
+        missed = {q: Missed(subject=q, kind="indices", said=f"{q}: indices: none: {lost}") for q in work.quantities}
+        refused = {q: replace(_refused(work, lost), missed=[missed[q]]) for q in work.quantities}
         return refused, [], [], "failures", IndexControl(used=False), None
     tied = dependent_names(work)
     if tied:
@@ -233,7 +234,7 @@ def find_sensitivity(
     widest = dict.fromkeys(work.quantities, asked)
     done = dict.fromkeys(work.quantities, False)
     course: dict[str, list[tuple[int, float]]] = {q: [] for q in work.quantities}
-    given_up = dict.fromkeys(work.quantities, "")
+    given_up: dict[str, Cost | None] = dict.fromkeys(work.quantities)
     budget = work.study.analysis.budget
     values: Array | None = None
     others: Array | None = None
@@ -278,18 +279,9 @@ def find_sensitivity(
             if start >= JUDGED and not budget.exhaust:
                 course[quantity].append((spent, widest[quantity]))
                 affordable = spent + budget.evaluations - work.ledger.total
-                given_up[quantity] = "" if done[quantity] else out_of_reach(course[quantity], asked, affordable)
+                given_up[quantity] = None if done[quantity] else out_of_reach(course[quantity], asked, affordable)
             if widths:
-                note(
-                    history,
-                    seconds,
-                    work,
-                    METHOD,
-                    quantity,
-                    values[:, :, :, 0].size,
-                    max(widths),
-                    INDEX_KIND,
-                )
+                note(history, seconds, work, METHOD, quantity, values[:, :, :, 0].size, max(widths), INDEX_KIND)
         if all(done.values()):
             break
         if all(done[q] or given_up[q] for q in work.quantities):
@@ -299,9 +291,9 @@ def find_sensitivity(
             stopped = "time"
             break
     cost = {q: index_cost(given_up[q], history, q, asked) for q in work.quantities}
-    concluded = {q: _conclude(names, found[q], expanded[q], about[q], asked, cost[q]) for q in work.quantities}
+    concluded = {q: _conclude(q, names, found[q], expanded[q], about[q], asked, cost[q]) for q in work.quantities}
     return (
-        {q: _with_sets(work, indices, drawn.get(q), asked, cost[q]) for q, indices in concluded.items()},
+        {q: _with_sets(work, q, indices, drawn.get(q), asked, cost[q]) for q, indices in concluded.items()},
         history,
         seconds,
         stopped,
@@ -344,7 +336,9 @@ def _beyond(drawn: SampledIndices) -> float:
     return max((e.half_width for e in _sets(drawn) if e.value is not None), default=0.0)
 
 
-def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, asked: float, cost: str) -> Sensitivity:
+def _with_sets(
+    work: Work, quantity: str, indices: Sensitivity, drawn: SampledIndices | None, asked: float, cost: Cost
+) -> Sensitivity:
     """The same with the indices of pairs and groups that the study asks for."""
     names, analysis = work.scene_names, work.study.analysis
     if drawn is None:
@@ -355,7 +349,8 @@ def _with_sets(work: Work, indices: Sensitivity, drawn: SampledIndices | None, a
         groups = dict.fromkeys(analysis.groups, nothing)
         return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
     width = _beyond(drawn)
-    late = [f"indices of pairs and groups: half-width {width:.2g}, asked {asked:g}{cost}"] if width > asked else []
+    said = f"{quantity}: indices of pairs and groups: half-width {width:.2g}, asked {asked:g}"
+    late = [Missed(subject=quantity, kind="indices", said=said, cost=cost)] if width > asked else []
     return replace(
         indices,
         second={f"{names[i]}|{names[j]}": e for (i, j), e in drawn.second.items()},
@@ -375,12 +370,13 @@ def _accurate(sampled: dict[str, list[Estimate]], asked: float) -> bool:
 
 
 def _conclude(
+    quantity: str,
     names: tuple[str, ...],
     sampled: dict[str, list[Estimate]],
     expanded: dict[str, list[Estimate]],
     about: dict[str, Any],
     asked: float,
-    cost: str,
+    cost: Cost,
 ) -> Sensitivity:
     from uqsphere.uq.sensitivity import cross_check
 
@@ -397,7 +393,7 @@ def _conclude(
             expanded=expanded,
             agree=None,
             text=reason,
-            missed=[f"indices: none, asked {asked:g}: {reason}"],
+            missed=[indices_missed(quantity, None, asked, f": {reason}")],
         )
     agree: bool | None = None
     if sampled and expanded:
@@ -410,7 +406,7 @@ def _conclude(
         text = "Only one method was asked for, so nothing checks it."
     width = _widest(given)
     given = {order: _believable(row) for order, row in given.items()}
-    missed = [f"indices: half-width {width:.2g}, asked {asked:g}{cost}"] if width > asked else []
+    missed = [indices_missed(quantity, width, asked, cost=cost)] if width > asked else []
     return Sensitivity(
         first=dict(zip(names, given["first"], strict=True)),
         total=dict(zip(names, given["total"], strict=True)),

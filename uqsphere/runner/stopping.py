@@ -1,18 +1,25 @@
-"""When to give up an accuracy: a forecast of what it would take, from how the error has fallen so far."""
+"""Accuracies that are missed, and when one is given up: what it would take, from how the error has fallen so far."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 __all__ = [
     "INDEX_KIND",
+    "MEAN_KIND",
+    "MISS_KIND",
     "MOST_NAMED",
     "NO_NUMBER",
-    "cost_text",
+    "QUANTILE_KIND",
+    "Cost",
+    "Missed",
+    "cost_of",
     "evaluations_needed",
     "index_cost",
+    "indices_missed",
     "out_of_reach",
     "rounded",
 ]
@@ -25,9 +32,40 @@ LONG, USUAL = 4.0, 0.75
 CAUTION = 1.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
-#: how the error of sampled indices is called in the speed-error table
+#: how errors are called in the speed-error table
 INDEX_KIND = "largest half-width of an index"
+MEAN_KIND = "half-width of the mean over the standard deviation"
+QUANTILE_KIND = "half-width of the worst quantile over the standard deviation"
+MISS_KIND = "half-width of the miss probability over itself"
 NO_NUMBER = "no number of evaluations that could be made would reach it"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an accuracy would take: as it is said after what was missed, and in evaluations where a number is known."""
+
+    text: str = ""
+    needed: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Missed:
+    """An accuracy that was asked for and not reached, in words, and what it would take.
+
+    `subject` is a quantity or "limits.NAME"; `kind` what of it: "mean", "quantile" (`at` its probability), "indices",
+    "exceedance", "miss", or "surrogate" where one is refused.
+    """
+
+    subject: str
+    kind: str
+    said: str
+    cost: Cost = Cost()
+    at: float | None = None
+
+    @property
+    def text(self) -> str:
+        """The sentence that people are told."""
+        return self.said + self.cost.text
 
 
 def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> float:
@@ -52,38 +90,45 @@ def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> flo
     return float(n * (width / asked) ** (1.0 / rate))
 
 
-def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: float) -> str:
-    """Why an accuracy is given up, or an empty text while the budget may still reach it."""
+def out_of_reach(course: Sequence[tuple[int, float]], asked: float, affordable: float) -> Cost | None:
+    """What an accuracy that is given up would take, or None while the budget may still reach it."""
     if len(course) < 2:
-        return ""
+        return None
     needed = evaluations_needed(course, asked)
     if needed <= CAUTION * affordable:
-        return ""
+        return None
     if needed > MOST_NAMED:
-        return f"given up: {NO_NUMBER}"
-    return f"given up: it would take about {rounded(needed):,} evaluations, and {int(affordable):,} are affordable"
+        return Cost(f" (given up: {NO_NUMBER})")
+    number = rounded(needed)
+    text = f"given up: it would take about {number:,} evaluations, and {int(affordable):,} are affordable"
+    return Cost(f" ({text})", number)
 
 
-def cost_text(course: Sequence[tuple[int, float]]) -> str:
+def cost_of(course: Sequence[tuple[int, float]]) -> Cost:
     """What an accuracy that was missed would take, from the course of its half-width over what is asked; or nothing.
 
-    >>> cost_text([(1000, 10.0), (4000, 5.0)])
-    ' (about 100,000 evaluations would reach it)'
+    >>> cost_of([(1000, 10.0), (4000, 5.0)])
+    Cost(text=' (about 100,000 evaluations would reach it)', needed=100000)
     """
     if not course or not math.isfinite(course[-1][1]) or course[-1][1] <= 1.0:
-        return ""
+        return Cost()
     needed = evaluations_needed(course, 1.0)
     if needed > MOST_NAMED:
-        return f" ({NO_NUMBER})"
-    return f" (about {rounded(needed):,} evaluations would reach it)"
+        return Cost(f" ({NO_NUMBER})")
+    return Cost(f" (about {rounded(needed):,} evaluations would reach it)", rounded(needed))
 
 
-def index_cost(given_up: str, history: Sequence[Mapping[str, Any]], quantity: str, asked: float) -> str:
+def index_cost(given_up: Cost | None, history: Sequence[Mapping[str, Any]], quantity: str, asked: float) -> Cost:
     """What indices that were missed would take: as they were given up, or from their rows of the speed-error table."""
-    if given_up:
-        return f" ({given_up})"
     rows = [row for row in history if row["quantity"] == quantity and row["error_kind"] == INDEX_KIND]
-    return cost_text([(int(row["evaluations"]), float(row["error"]) / asked) for row in rows])
+    return given_up or cost_of([(int(row["evaluations"]), float(row["error"]) / asked) for row in rows])
+
+
+def indices_missed(quantity: str, width: float | None, asked: float, why: str = "", cost: Cost = Cost()) -> Missed:
+    """That the indices of a quantity have a half-width above what is asked, or that there are none; and `why`."""
+    found = "none" if width is None else f"half-width {width:.2g}"
+    said = f"{quantity}: indices: {found}, asked {asked:g}{why}"
+    return Missed(subject=quantity, kind="indices", said=said, cost=cost)
 
 
 def rounded(value: float) -> int:

@@ -31,9 +31,9 @@ __all__ = [
     "from_replicates",
     "hazen",
     "hazen_ranks",
+    "lacking",
     "none_of",
     "quantile_estimates",
-    "reached",
     "share",
     "student",
     "woodruff_reach",
@@ -404,25 +404,23 @@ def _why(censored: Flags, failed: Flags, total: int) -> str:
     return "beyond " + " and ".join(parts)
 
 
-def reached(description: Description, *, mean: float, quantile: float) -> tuple[bool, list[str]]:
-    """Whether the 95 % half-widths of mean and quantiles, over the scale, are within what was asked.
+def lacking(description: Description, *, mean: float, quantile: float) -> list[tuple[float | None, str]]:
+    """Of mean and quantiles those whose 95 % half-width, over the scale, is not within what was asked, in words.
 
-    Returns (all reached, texts of those missed).  Quantiles that censoring leaves unanswered are exempt.
+    Each comes with the probability of the quantile, None for the mean.  Quantiles that censoring leaves unanswered are
+    exempt.
     """
     missed = []
     # a mean that does not exist is no accuracy that evaluations could reach
     exists = description.mean.value is not None or not str(description.mean.reason).startswith(NO_MOMENT)
-    asked = [("mean", description.mean, mean)] if exists else []
+    asked: list[tuple[float | None, Estimate, float]] = [(None, description.mean, mean)] if exists else []
     scale = "the standard deviation" if description.sd.value is not None else "half the 16-84 % range"
-    asked += [
-        (f"quantile {p:g}", estimate, quantile)
-        for p, estimate in description.quantiles.items()
-        if p not in description.exempt
-    ]
-    for name, estimate, wanted in asked:
+    asked += [(p, estimate, quantile) for p, estimate in description.quantiles.items() if p not in description.exempt]
+    for p, estimate, wanted in asked:
+        name = "mean" if p is None else f"quantile {p:g}"
         if estimate.value is None:
-            missed.append(f"{name}: {estimate.reason}")
+            missed.append((p, f"{name}: {estimate.reason}"))
         elif estimate.half_width > max(wanted * description.scale, 1e-13 * abs(estimate.value)):
             found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
-            missed.append(f"{name}: half-width {found:.2g} of {scale}, asked {wanted:g}")
-    return not missed, missed
+            missed.append((p, f"{name}: half-width {found:.2g} of {scale}, asked {wanted:g}"))
+    return missed
