@@ -14,7 +14,8 @@ from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
 from uqsphere.uq.families import Array
-from uqsphere.uq.released import drawn_in, shifted, within_runs
+from uqsphere.uq.heavy_tails import widened_share
+from uqsphere.uq.released import UNSURE, drawn_in, reach_of, shifted, within_runs
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["MODELS", "SIZES", "dear_rows"]
@@ -38,8 +39,13 @@ def _large(model: CoverageModel, seed: int) -> Array:
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
 
 
-def _described(trusted: Trusted, large: Array, seed: int, above: float) -> tuple[Description, Estimate]:
-    """The description, and the probability of lying above a threshold."""
+def _described(
+    trusted: Trusted, large: Array, seed: int, above: float
+) -> tuple[Description, Estimate, Estimate | None]:
+    """The description, and the probability of lying above a threshold.
+
+    Last the standard deviation from as it is to drawn in, where indices are wider by that.
+    """
     flat = predict(trusted.chaos, large)
     values = flat.reshape(REPLICATES, POINTS)
     moved, reach = with_residuals(trusted, values, random_generator(seed=seed, task="dear: residuals"))
@@ -49,10 +55,12 @@ def _described(trusted: Trusted, large: Array, seed: int, above: float) -> tuple
     found, exceeded = widened(trusted, *told), joined(middle, down, up, len(trusted.residuals))
     drawn = within_runs(trusted, large, flat)
     if drawn is None:
-        return found, exceeded
+        return found, exceeded, None
     inner = moved + (drawn - flat).reshape(values.shape)
     share = from_replicates((inner > above).mean(axis=1), WAY, POINTS * REPLICATES)
-    return drawn_in(found, told[0], describe(inner, quantiles=QUANTILES)), shifted(exceeded, middle, share)
+    within = describe(inner, quantiles=QUANTILES)
+    spread = reach_of(told[0].sd, within.sd) if trusted.error >= UNSURE else None
+    return drawn_in(found, told[0], within), shifted(exceeded, middle, share), spread
 
 
 def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:
@@ -80,13 +88,14 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
             answers = [a for a in _answers(model, found) if a[1].value is not None]
             hits += [coverage_hit(kind, REFUSED, model.name, "y", n, e, truth) for kind, e, truth in answers]
             continue
-        description, probability = _described(trusted, large, seed, model.quantiles[max(QUANTILES)])
+        description, probability, spread = _described(trusted, large, seed, model.quantiles[max(QUANTILES)])
         exceeded = ("probability", probability, 1.0 - max(QUANTILES))
         for kind, estimate, truth in [*_answers(model, description), exceeded]:
             hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
         indices = trusted_indices(trusted, seed)
         for order, truths in (("first", model.first), ("total", model.total)):
-            for j, (estimate, truth) in enumerate(zip(indices[order], truths, strict=True)):
+            row = [e if spread is None else widened_share(e, spread) for e in indices[order]]
+            for j, (estimate, truth) in enumerate(zip(row, truths, strict=True)):
                 hits.append(coverage_hit(f"{order} index", WAY, model.name, f"x{j + 1}", n, estimate, truth))
     return hits
 
