@@ -268,8 +268,9 @@ def _answer(
 ) -> Answer:
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
-    A `share` of the variance, and a standard deviation (`within` from 0 up), move by factors rather than by steps:
-    their logits and logarithms are evenly spread, and more is left open above a small one than below.
+    A standard deviation (`within` from 0 up) moves by factors rather than by steps: its logarithm is evenly spread.
+    A `share` of the variance is a square, as of a correlation: the arcsine of its root is evenly spread, also where the
+    laws leave open whether there is any share, and more is left open above a small one than below.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
@@ -283,20 +284,26 @@ def _answer(
 
 def _opened(answer: float, moved: Array, value: float, *, share: bool, positive: bool) -> tuple[float, float]:
     """How far below and above an answer the other laws reach."""
-    from scipy.special import expit, logit
-
-    ways = [(logit, expit)] * share + [(np.log, np.exp)] * (positive and not share)
+    ways = [(_angle, _share)] * share + [(np.log, np.exp)] * (positive and not share)
     for there, back in ways:
         with np.errstate(invalid="ignore", divide="ignore"):
             steps, centre = there(moved) - there(value), float(there(answer))
         half = _OPEN * float(np.sqrt(np.mean(steps**2)))
         # what is zero but for the noise of the design is no factor of anything
         if math.isfinite(centre) and half < _FACTORS:
-            return answer - float(back(centre - half)), float(back(centre + half)) - answer
+            return max(answer - float(back(centre - half)), 0.0), max(float(back(centre + half)) - answer, 0.0)
     steps = moved - value
     unit = float(np.abs(steps).max()) or 1.0
     half = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
     return half, half
+
+
+def _angle(share: Array | float) -> Array:
+    return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
+
+
+def _share(angle: float) -> float:
+    return math.sin(min(max(angle, 0.0), 0.5 * math.pi)) ** 2
 
 
 def _statistics(

@@ -65,8 +65,8 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
 
     The variance is three parts that of the sum over neighbours, too small for few runs, and one part that of subsamples
     drawn without repetition, too large for few runs.  The interval is Fisher's, of the inverse hyperbolic tangent, as
-    for a correlation, with Student's factor: of n terms with kurtosis k, every other of which tells something new, the
-    variance is known as from n/(k - 1) + 1 normal numbers.  The upper end lies further off by what a ratio is too small
+    for a correlation, with Student's factor: the variance of n terms with kurtosis k, every other of which tells
+    something new, is known as from n/k + 1 normal numbers.  The upper end lies further off by what a ratio is too small
     on average, and at least twice as far as neighbours differ in the input, which shows in how much more the second
     neighbour differs than the first.  Raises ValueError for values that are not finite.
     """
@@ -96,7 +96,7 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
         spread = float(_left(varied[np.ptp(varied, axis=1) > 0.0]).std()) * math.sqrt(size / (n - size))
         near, kurtosis, too_low = _of_the_ratio(z, index)
         error = math.sqrt(0.75 * near**2 + 0.25 * spread**2)
-        factor = float(stdtrit(max(n / max(kurtosis - 1.0, 1e-3), 2.0), 0.975))
+        factor = float(stdtrit(max(n / kurtosis, 2.0), 0.975))
         far = float(np.arctanh(np.clip(index, -_SURE, _SURE)))
         half = factor * error / (1.0 - min(index**2, _SURE))
         above = max(math.tanh(far + half) + max(too_low, 0.0), index + float(_left(z, 2)) - float(_left(z)))
