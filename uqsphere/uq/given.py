@@ -269,8 +269,8 @@ def _answer(
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
     A standard deviation (`within` from 0 up) moves by factors rather than by steps: its logarithm is evenly spread.
-    A `share` of the variance is a square, as of a correlation: the arcsine of its root is evenly spread, also where the
-    laws leave open whether there is any share, and more is left open above a small one than below.
+    A `share` of the variance is a square, as of a correlation: the arcsine of its root is evenly spread, and more is
+    left open above a small one than below.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
@@ -284,18 +284,21 @@ def _answer(
 
 def _opened(answer: float, moved: Array, value: float, *, share: bool, positive: bool) -> tuple[float, float]:
     """How far below and above an answer the other laws reach."""
-    ways = [(_angle, _share)] * share + [(np.log, np.exp)] * (positive and not share)
-    for there, back in ways:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            steps, centre = there(moved) - there(value), float(there(answer))
-        half = _OPEN * float(np.sqrt(np.mean(steps**2)))
-        # what is zero but for the noise of the design is no factor of anything
-        if math.isfinite(centre) and half < _FACTORS:
-            return max(answer - float(back(centre - half)), 0.0), max(float(back(centre + half)) - answer, 0.0)
     steps = moved - value
     unit = float(np.abs(steps).max()) or 1.0
-    half = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    return half, half
+    plain = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
+    if share:
+        half = _OPEN * float(np.sqrt(np.mean((_angle(moved) - _angle(value)) ** 2)))
+        centre = float(_angle(answer))
+        below, above = max(answer - _share(centre - half), 0.0), max(_share(centre + half) - answer, 0.0)
+        # a root has lost its sign: about a covariance near zero the laws lie on both sides of it
+        return (below, max(above, plain)) if answer < 0.5 else (max(below, plain), above)
+    if positive and answer > 0.0 and value > 0.0 and moved.min() > 0.0:
+        half = _OPEN * float(np.sqrt(np.mean(np.log(moved / value) ** 2)))
+        # what is zero but for the noise of the design is no factor of anything
+        if half < _FACTORS:
+            return answer * -math.expm1(-half), answer * math.expm1(half)
+    return plain, plain
 
 
 def _angle(share: Array | float) -> Array:
