@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -264,17 +264,17 @@ def _numbers(left_open: LeftOpen | None) -> range:
 
 
 def _answer(
-    estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float], *, share: bool = False
+    estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float], *, way: str = "steps"
 ) -> Answer:
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
-    A standard deviation (`within` from 0 up) moves by factors rather than by steps: its logarithm is evenly spread.
-    A `share` of the variance is a square, as of a correlation: the arcsine of its root is evenly spread, and more is
-    left open above a small one than below.
+    By `way`: "steps" of the answer itself, "factors" of a standard deviation, "shares" of the variance by their logit,
+    so that more is left open above a small one than below, "squares" by the arcsine of the root: the first index of
+    an input that depends on others is the square of a correlation, which may be none.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
-    below, above = _opened(estimate.value, np.asarray(moved), value, share=share, positive=within[0] == 0.0)
+    below, above = _opened(estimate.value, np.asarray(moved), value, way)
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
@@ -282,22 +282,31 @@ def _answer(
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
 
-def _opened(answer: float, moved: Array, value: float, *, share: bool, positive: bool) -> tuple[float, float]:
+def _opened(answer: float, moved: Array, value: float, way: str) -> tuple[float, float]:
     """How far below and above an answer the other laws reach."""
+    from scipy.special import expit, logit
+
     steps = moved - value
     unit = float(np.abs(steps).max()) or 1.0
     plain = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    if share:
-        half = _OPEN * float(np.sqrt(np.mean((_angle(moved) - _angle(value)) ** 2)))
-        centre = float(_angle(answer))
-        below, above = max(answer - _share(centre - half), 0.0), max(_share(centre + half) - answer, 0.0)
-        # a root has lost its sign: about a covariance near zero the laws lie on both sides of it
-        return (below, max(above, plain)) if answer < 0.5 else (max(below, plain), above)
-    if positive and answer > 0.0 and value > 0.0 and moved.min() > 0.0:
-        half = _OPEN * float(np.sqrt(np.mean(np.log(moved / value) ** 2)))
-        # what is zero but for the noise of the design is no factor of anything
-        if half < _FACTORS:
-            return answer * -math.expm1(-half), answer * math.expm1(half)
+    ways: dict[str, tuple[Any, Any]] = {
+        "squares": (_angle, _share),
+        "factors": (np.log, np.exp),
+        "shares": (logit, expit),
+    }
+    if way not in ways:
+        return plain, plain
+    there, back = ways[way]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        changes, centre = there(moved) - there(value), float(there(answer))
+    half = _OPEN * float(np.sqrt(np.mean(changes**2)))
+    if way == "squares":
+        # a root has lost its sign: about a correlation near zero the laws lie on both sides of it
+        above = max(_share(centre + half) - answer, plain * (answer < 0.5))
+        return max(answer - _share(centre - half), 0.0), above
+    # what is zero but for the noise of the design is no factor of anything
+    if math.isfinite(centre) and half < _FACTORS:
+        return answer - float(back(centre - half)), float(back(centre + half)) - answer
     return plain, plain
 
 
@@ -335,6 +344,7 @@ def _statistics(
             [row[k] for row in rows[1:]],
             rows[0][k] if rows else 0.0,
             (0.0, math.inf) if name == "sd" else everywhere,
+            way="factors" if name == "sd" else "steps",
         )
         for k, (name, estimate) in enumerate(estimates)
     }
@@ -348,7 +358,7 @@ def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answer
     return {
         order: {
             name: _answer(estimate, [row[k][j] for row in rows[1:]], float(rows[0][k][j]) if rows else 0.0,
-                          (0.0, 1.0), share=True)
+                          (0.0, 1.0), way="shares")
             for j, (name, estimate) in enumerate(zip(inputs.names, found[order], strict=True))
         }
         for k, order in enumerate(("first", "total"))
@@ -393,5 +403,6 @@ def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: 
         for j, (label, estimate) in enumerate(zip(inputs.names, estimates, strict=True)):
             told = index_estimate(estimate, trusted.error, n, sampled=estimate.half_width)
             moved = [e for row in rows if (e := row[order][j].value) is not None]
-            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), share=True)
+            way = "squares" if order == "first" else "shares"
+            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), way=way)
     return answer
