@@ -264,17 +264,24 @@ def _numbers(left_open: LeftOpen | None) -> range:
 
 
 def _answer(
-    estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float], *, way: str = "steps"
+    estimate: Estimate,
+    moved: Sequence[float],
+    value: float,
+    within: tuple[float, float],
+    *,
+    way: str = "steps",
+    lean: tuple[float, float] = (0.0, 0.0),
 ) -> Answer:
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
     By `way`: "steps" of the answer itself, "factors" of a standard deviation, "shares" of the variance by their logit,
     so that more is left open above a small one than below, "squares" by the arcsine of the root: the first index of
-    an input that depends on others is the square of a correlation, which may be none.
+    an input that depends on others is the square of a correlation, which may be none.  `lean` is added below and above.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
-    below, above = _opened(estimate.value, np.asarray(moved), value, way)
+    opened = _opened(estimate.value, np.asarray(moved), value, way)
+    below, above = (max(half + more, 0.0) for half, more in zip(opened, lean, strict=True))
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
@@ -310,6 +317,21 @@ def _opened(answer: float, moved: Array, value: float, way: str) -> tuple[float,
     return plain, plain
 
 
+def _leaning(moved: Array, means: Array) -> tuple[float, float]:
+    """What the interval of a quantile reaches further below and above than by steps, the fitted laws' values first.
+
+    Its distance from the mean moves by factors: where the runs show too little of a tail, the interval would be short.
+    """
+    distance = moved - means
+    with np.errstate(invalid="ignore", divide="ignore"):
+        half = _OPEN * float(np.sqrt(np.mean(np.log(distance[1:] / distance[0]) ** 2)))
+    if not half < _FACTORS:
+        return 0.0, 0.0
+    size = abs(float(distance[0]))
+    out, back = size * (math.expm1(half) - half), -size * (half + math.expm1(-half))
+    return (out, back) if distance[0] < 0.0 else (back, out)
+
+
 def _angle(share: Array | float) -> Array:
     return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
 
@@ -335,19 +357,15 @@ def _statistics(
         low = np.quantile(y, list(quantiles), method="hazen").tolist() if quantiles else []
         return [float((y / unit).mean()) * unit, float((y / unit).std()) * unit, *low]
 
-    rows = [told_by(outputs) for outputs in moved]
+    rows = np.array([told_by(outputs) for outputs in moved])
     estimates = [("mean", middle.mean), ("sd", middle.sd), *((f"{p:g}", e) for p, e in middle.quantiles.items())]
-    everywhere = (-math.inf, math.inf)
-    return {
-        name: _answer(
-            estimate,
-            [row[k] for row in rows[1:]],
-            rows[0][k] if rows else 0.0,
-            (0.0, math.inf) if name == "sd" else everywhere,
-            way="factors" if name == "sd" else "steps",
-        )
-        for k, (name, estimate) in enumerate(estimates)
-    }
+    found = {}
+    for k, (name, estimate) in enumerate(estimates):
+        told_so = rows[1:, k].tolist() if rows.size else []
+        lean = _leaning(rows[:, k], rows[:, 0]) if k > 1 and rows.size else (0.0, 0.0)
+        within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
+        found[name] = _answer(estimate, told_so, rows[0, k] if rows.size else 0.0, within, way=way, lean=lean)
+    return found
 
 
 def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answers:
