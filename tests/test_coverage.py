@@ -69,6 +69,14 @@ def test_true_zeros_are_exact_and_not_counted_among_the_others(rows) -> None:
     assert pooled(rows) == pooled(without)
 
 
+def test_pooled_width_is_not_that_of_one_cell(rows) -> None:
+    """An input without an effect to speak of: its error is 1e-6 and its interval 1e-3."""
+    first = [r for r in rows if r.kind == "first index" and r.way == "sampling, d + 2" and not r.exact]
+    one = replace(first[0], width=797.0, error=1e-6)
+    (row,) = pooled([one, *first[1:]])
+    assert 0.85 < row.width < 1.5
+
+
 def test_a_wrong_truth_is_seen(rows) -> None:
     moved = replace(MODELS["linear"], mean=MODELS["linear"].mean + 0.1)
     found = coverage_rows(repetitions=5, models=[moved], sample_sizes=(128,), index_sizes=(64,), seed=1)

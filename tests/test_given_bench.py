@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from uqsphere.bench import given as bench_given
+from uqsphere.bench.coverage import CoverageRow
 from uqsphere.bench.given import given_rows, model_of
 from uqsphere.bench.given_models import closed_effects, shares_of
 from uqsphere.given import analyse_data
@@ -59,6 +61,15 @@ def test_the_part_of_the_benchmark_says_what_was_counted(monkeypatch: pytest.Mon
         (picture,) = bench_given.figures(content)
         assert picture.name == "given_coverage"
         assert "Shapley effect" in render(picture)
+
+
+def test_answers_of_next_to_no_tables_are_not_counted() -> None:
+    """Two of 200 tables with two humps looked like a uniform law, and had an expansion: one of two held."""
+    one = CoverageRow(kind="mean, runs alone", way="kernel density", model="m", answer="y", points=100, repetitions=200,
+                      covered=0.95, width=1.0, error=0.1)  # fmt: skip
+    few, enough = replace(one, kind="mean", repetitions=2), replace(one, kind="sd", repetitions=10)
+    cells = bench_given.content_of([one, few, enough], [])["cells"]
+    assert [cell["kind"] for cell in cells] == ["mean, runs alone", "sd"]
 
 
 def test_an_expansion_over_a_kernel_density_is_refused() -> None:

@@ -249,7 +249,8 @@ class Tally:
 def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
     """One row for each kind, way and size: the mean share over the models' answers that are not exact.
 
-    `repetitions` are those of the models together, however many inputs each has; `width` is the mean of the cells.
+    `repetitions` are those of the models together, however many inputs each has.  `width` is the median of the cells:
+    an input that does next to nothing has an interval of hundreds of times its error, which a mean would tell of alone.
     """
     found = []
     for kind, way, points in sorted({(r.kind, r.way, r.points) for r in rows}):
@@ -269,7 +270,7 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
                 points=points,
                 repetitions=sum(models.values()),
                 covered=float(np.mean(shares)),
-                width=float(np.mean(widths)) if widths else None,
+                width=float(np.median(widths)) if widths else None,
                 error=max((r.error for r in cells if r.error is not None), default=None),
             )
         )

@@ -34,6 +34,8 @@ SIZES: Final = (100, 400)
 REPETITIONS: Final = 200
 FIRST_SEED: Final = 1000
 _QUICK: Final = 3
+#: share of the tables of a model that have to give an answer for it to be counted
+_FEWEST: Final = 0.05
 _WAYS: Final = {False: "laws fitted", True: "laws known"}
 
 
@@ -176,7 +178,15 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
 
 
 def content_of(rows: Sequence[CoverageRow], told: Sequence[str]) -> dict[str, Any]:
-    """What JSON holds of cells and of what was told of them."""
+    """What JSON holds of cells and of what was told of them.
+
+    An answer that fewer than a twentieth of the tables of a model give is left out: what was told says how many had an
+    expansion.
+    """
+    most: dict[tuple[str, int], int] = {}
+    for row in rows:
+        most[row.model, row.points] = max(row.repetitions, most.get((row.model, row.points), 0))
+    rows = [row for row in rows if row.repetitions >= _FEWEST * most[row.model, row.points]]
     return {
         "cells": [asdict(row) for row in rows],
         "pooled": [asdict(row) for row in pooled(rows)],

@@ -51,16 +51,15 @@ def ties_of(x: Array, pairs: Mapping[tuple[int, int], float]) -> tuple[TiedPair,
     columns = [column for pair in pairs for column in pair]
     found = []
     for pair, value in pairs.items():
-        weights = {"gaussian": 1.0}
+        kind, weights = "gaussian", {"gaussian": 1.0}
         if all(columns.count(column) == 1 for column in pair) and 0.0 < abs(value) < 0.99:
-            weights = _weights(x[:, list(pair)], value)
-        best = max(weights, key=lambda kind: weights[kind])
-        found.append(TiedPair(columns=pair, spearman=value, copula=best, weights=weights))
+            kind, weights = _weights(x[:, list(pair)], value)
+        found.append(TiedPair(columns=pair, spearman=value, copula=kind, weights=weights))
     return tuple(found)
 
 
-def _weights(x: Array, spearman: float) -> dict[str, float]:
-    """Weights of the copulas by their likelihood; of the Gaussian alone where none is clearly better."""
+def _weights(x: Array, spearman: float) -> tuple[str, dict[str, float]]:
+    """The copula to take, the Gaussian where none is clearly better, and weights of all by their likelihood."""
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
@@ -72,12 +71,11 @@ def _weights(x: Array, spearman: float) -> dict[str, float]:
             told[kind] = float(log_density(make_copula(kind, 2, spearman=spearman), scores).sum())
         except LawError:
             continue
-    best = max(told.values())
-    if best - told["gaussian"] < _BETTER:
-        return {"gaussian": 1.0}
-    weights = {kind: math.exp(value - best) for kind, value in told.items() if value > best - _FAR}
+    best = max(told, key=lambda kind: told[kind])
+    weights = {kind: math.exp(value - told[best]) for kind, value in told.items() if value > told[best] - _FAR}
     whole = sum(weights.values())
-    return {kind: weight / whole for kind, weight in weights.items()}
+    taken = best if told[best] - told["gaussian"] >= _BETTER else "gaussian"
+    return taken, {kind: weight / whole for kind, weight in weights.items()}
 
 
 def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair], every: Sequence[str]) -> Inputs:

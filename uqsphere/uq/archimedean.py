@@ -135,6 +135,28 @@ def _gumbel_forward(theta: float, count: int, state: tuple[Array, ...], score: A
     return score_from_logs(log_p, _log_one_less_exp(log_p))
 
 
+def _gumbel_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Array:
+    """Given one member v: x = -ln v, and w = e^λ x that of the pair's copula; then -ln u = x (e^(θλ) - 1)^(1/θ).
+
+    λ solves x (e^λ - 1) + (θ - 1) λ = -ln p, which is convex and increasing: Newton's steps from above never pass it.
+    """
+    from scipy.special import log_ndtr
+
+    log_x, fall = state[0] / theta, -log_ndtr(normal)
+    x, slope = np.exp(log_x), theta - 1.0
+    with np.errstate(divide="ignore"):
+        step = np.minimum(fall / (x + slope), np.logaddexp(0.0, np.log(fall) - log_x))
+    for _ in range(100):
+        # e^λ alone overflows beside an x that is next to nothing
+        grown = np.where(step < 1.0, x * np.expm1(np.minimum(step, 1.0)), np.exp(np.minimum(step + log_x, 700.0)) - x)
+        change = (grown + slope * step - fall) / (grown + x + slope)
+        step = np.maximum(step - change, 0.0)
+        if not (np.abs(change) > 1e-15 * step).any():
+            break
+    log_u = -np.exp(log_x + _log_exp_less_one(theta * step) / theta)
+    return score_from_logs(log_u, _log_one_less_exp(log_u))
+
+
 def _gumbel_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
     alpha, log_t = 1.0 / theta, state[0]
     powers = np.arange(1.0, count + 1.0)
@@ -251,6 +273,8 @@ def inverse_score(kind: str, theta: float, known: Array, normal: Array) -> Array
         return _clayton_inverse(theta, count, state, normal)
     if kind == "frank" and count == 1:
         return _frank_inverse(theta, state, normal)
+    if kind == "gumbel" and count == 1:
+        return _gumbel_inverse(theta, state, normal)
     forward = _FORWARD[kind]
     return _root(lambda score: forward(theta, count, state, score) - normal, normal.size)
 

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -264,16 +264,24 @@ def _numbers(left_open: LeftOpen | None) -> range:
 
 
 def _answer(
-    estimate: Estimate, moved: Sequence[float], value: float, within: tuple[float, float], *, share: bool = False
+    estimate: Estimate,
+    moved: Sequence[float],
+    value: float,
+    within: tuple[float, float],
+    *,
+    way: str = "steps",
+    lean: tuple[float, float] = (0.0, 0.0),
 ) -> Answer:
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
-    A `share` of the variance, and a standard deviation (`within` from 0 up), move by factors rather than by steps:
-    their logits and logarithms are evenly spread, and more is left open above a small one than below.
+    By `way`: "steps" of the answer itself, "factors" of a standard deviation, "shares" of the variance by their logit,
+    so that more is left open above a small one than below, "squares" by the arcsine of the root: the first index of
+    an input that depends on others is the square of a correlation, which may be none.  `lean` is added below and above.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
-    below, above = _opened(estimate.value, np.asarray(moved), value, share=share, positive=within[0] == 0.0)
+    opened = _opened(estimate.value, np.asarray(moved), value, way)
+    below, above = (max(half + more, 0.0) for half, more in zip(opened, lean, strict=True))
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
@@ -281,22 +289,55 @@ def _answer(
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
 
-def _opened(answer: float, moved: Array, value: float, *, share: bool, positive: bool) -> tuple[float, float]:
+def _opened(answer: float, moved: Array, value: float, way: str) -> tuple[float, float]:
     """How far below and above an answer the other laws reach."""
     from scipy.special import expit, logit
 
-    ways = [(logit, expit)] * share + [(np.log, np.exp)] * (positive and not share)
-    for there, back in ways:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            steps, centre = there(moved) - there(value), float(there(answer))
-        half = _OPEN * float(np.sqrt(np.mean(steps**2)))
-        # what is zero but for the noise of the design is no factor of anything
-        if math.isfinite(centre) and half < _FACTORS:
-            return answer - float(back(centre - half)), float(back(centre + half)) - answer
     steps = moved - value
     unit = float(np.abs(steps).max()) or 1.0
-    half = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    return half, half
+    plain = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
+    ways: dict[str, tuple[Any, Any]] = {
+        "squares": (_angle, _share),
+        "factors": (np.log, np.exp),
+        "shares": (logit, expit),
+    }
+    if way not in ways:
+        return plain, plain
+    there, back = ways[way]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        changes, centre = there(moved) - there(value), float(there(answer))
+    half = _OPEN * float(np.sqrt(np.mean(changes**2)))
+    if way == "squares":
+        # a root has lost its sign: about a correlation near zero the laws lie on both sides of it
+        above = max(_share(centre + half) - answer, plain * (answer < 0.5))
+        return max(answer - _share(centre - half), 0.0), above
+    # what is zero but for the noise of the design is no factor of anything
+    if math.isfinite(centre) and half < _FACTORS:
+        return answer - float(back(centre - half)), float(back(centre + half)) - answer
+    return plain, plain
+
+
+def _leaning(moved: Array, means: Array) -> tuple[float, float]:
+    """What the interval of a quantile reaches further below and above than by steps, the fitted laws' values first.
+
+    Its distance from the mean moves by factors: where the runs show too little of a tail, the interval would be short.
+    """
+    distance = moved - means
+    with np.errstate(invalid="ignore", divide="ignore"):
+        half = _OPEN * float(np.sqrt(np.mean(np.log(distance[1:] / distance[0]) ** 2)))
+    if not half < _FACTORS:
+        return 0.0, 0.0
+    size = abs(float(distance[0]))
+    out, back = size * (math.expm1(half) - half), -size * (half + math.expm1(-half))
+    return (out, back) if distance[0] < 0.0 else (back, out)
+
+
+def _angle(share: Array | float) -> Array:
+    return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
+
+
+def _share(angle: float) -> float:
+    return math.sin(min(max(angle, 0.0), 0.5 * math.pi)) ** 2
 
 
 def _statistics(
@@ -316,18 +357,15 @@ def _statistics(
         low = np.quantile(y, list(quantiles), method="hazen").tolist() if quantiles else []
         return [float((y / unit).mean()) * unit, float((y / unit).std()) * unit, *low]
 
-    rows = [told_by(outputs) for outputs in moved]
+    rows = np.array([told_by(outputs) for outputs in moved])
     estimates = [("mean", middle.mean), ("sd", middle.sd), *((f"{p:g}", e) for p, e in middle.quantiles.items())]
-    everywhere = (-math.inf, math.inf)
-    return {
-        name: _answer(
-            estimate,
-            [row[k] for row in rows[1:]],
-            rows[0][k] if rows else 0.0,
-            (0.0, math.inf) if name == "sd" else everywhere,
-        )
-        for k, (name, estimate) in enumerate(estimates)
-    }
+    found = {}
+    for k, (name, estimate) in enumerate(estimates):
+        told_so = rows[1:, k].tolist() if rows.size else []
+        lean = _leaning(rows[:, k], rows[:, 0]) if k > 1 and rows.size else (0.0, 0.0)
+        within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
+        found[name] = _answer(estimate, told_so, rows[0, k] if rows.size else 0.0, within, way=way, lean=lean)
+    return found
 
 
 def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answers:
@@ -338,7 +376,7 @@ def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answer
     return {
         order: {
             name: _answer(estimate, [row[k][j] for row in rows[1:]], float(rows[0][k][j]) if rows else 0.0,
-                          (0.0, 1.0), share=True)
+                          (0.0, 1.0), way="shares")
             for j, (name, estimate) in enumerate(zip(inputs.names, found[order], strict=True))
         }
         for k, order in enumerate(("first", "total"))
@@ -383,5 +421,6 @@ def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: 
         for j, (label, estimate) in enumerate(zip(inputs.names, estimates, strict=True)):
             told = index_estimate(estimate, trusted.error, n, sampled=estimate.half_width)
             moved = [e for row in rows if (e := row[order][j].value) is not None]
-            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), share=True)
+            way = "squares" if order == "first" else "shares"
+            answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), way=way)
     return answer

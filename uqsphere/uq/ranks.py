@@ -38,28 +38,40 @@ def _left(z: Array, lag: int = 1) -> Array:
     return np.asarray((squares.sum(axis=-1) + ends) / z.shape[-1] / z.var(axis=-1, ddof=1))
 
 
-def _long_run(z: Array, index: float) -> float:
-    """Standard error from the terms of the ratio, which hang together with their neighbours.
+def _together(a: Array, b: Array) -> float:
+    """Covariance of the means (m,) of terms that hang together with their neighbours, times m.
 
     The part of a term that is a function of the input counts once, as for independent draws, however many neighbours
     share it: it is what terms two to four places apart have in common.
     """
-    centred = (z - z.mean()) / z.std(ddof=1)
-    squares = centred**2
-    terms = 0.5 * (1.0 - index) * (squares[1:] + squares[:-1]) - 0.5 * np.diff(centred) ** 2
-    near = [float((terms[lag:] * terms[: terms.size - lag]).mean()) for lag in range(5)]
-    shared = sum(near[2:]) / 3.0
-    return math.sqrt(max(near[0] + 2.0 * (near[1] - shared), 0.25 * near[0]) / terms.size)
+    near = [0.5 * float((a[lag:] * b[: b.size - lag] + b[lag:] * a[: a.size - lag]).mean()) for lag in range(5)]
+    return near[0] + 2.0 * (near[1] - sum(near[2:]) / 3.0)
+
+
+def _of_the_ratio(z: Array, index: float) -> tuple[float, float, float]:
+    """Standard error of the index from the terms of the ratio, their kurtosis, and how far the ratio lies too low."""
+    squares = ((z - z.mean()) / z.std(ddof=1)) ** 2
+    pairs = 0.5 * (squares[1:] + squares[:-1])
+    terms = (1.0 - index) * pairs - 0.5 * np.diff(z / z.std(ddof=1)) ** 2
+    own = float((terms**2).mean())
+    error = math.sqrt(max(_together(terms, terms), 0.25 * own) / terms.size)
+    off = (terms - terms.mean()) ** 2
+    kurtosis = float((off**2).mean() / off.mean() ** 2) if off.any() else 1.0
+    return error, kurtosis, _together(terms, pairs - 1.0) / terms.size
 
 
 def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) -> list[Estimate]:
     """First-order index of every input, (n, d) and (n,) -> d estimates.
 
-    The variance is the mean of two, of the sum over neighbours, too small for few runs, and of subsamples drawn without
-    repetition, too large for few runs.  The interval is Fisher's, of the inverse hyperbolic tangent, as for a
-    correlation; its upper end lies at least twice as far off as neighbours differ in the input, which shows in how much
-    more the second neighbour differs than the first.  Raises ValueError for values that are not finite.
+    The variance is three parts that of the sum over neighbours, too small for few runs, and one part that of subsamples
+    drawn without repetition, too large for few runs.  The interval is Fisher's, of the inverse hyperbolic tangent, as
+    for a correlation, with Student's factor: the variance of n terms with kurtosis k, every other of which tells
+    something new, is known as from n/k + 1 normal numbers.  The upper end lies further off by what a ratio is too small
+    on average, and at least twice as far as neighbours differ in the input, which shows in how much more the second
+    neighbour differs than the first.  Raises ValueError for values that are not finite.
     """
+    from scipy.special import stdtrit
+
     n, d = inputs.shape
     if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):
         raise ValueError("the data hold values that are not finite numbers")
@@ -82,10 +94,12 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
         varied: Array = outputs[parts]
         # a subsample may hold one value of an output of few levels
         spread = float(_left(varied[np.ptp(varied, axis=1) > 0.0]).std()) * math.sqrt(size / (n - size))
-        error = math.sqrt(0.5 * (_long_run(z, index) ** 2 + spread**2))
+        near, kurtosis, too_low = _of_the_ratio(z, index)
+        error = math.sqrt(0.75 * near**2 + 0.25 * spread**2)
+        factor = float(stdtrit(max(n / kurtosis, 2.0), 0.975))
         far = float(np.arctanh(np.clip(index, -_SURE, _SURE)))
-        half = 1.96 * error / (1.0 - min(index**2, _SURE))
-        above = max(math.tanh(far + half), index + float(_left(z, 2)) - float(_left(z)))
+        half = factor * error / (1.0 - min(index**2, _SURE))
+        above = max(math.tanh(far + half) + max(too_low, 0.0), index + float(_left(z, 2)) - float(_left(z)))
         low, high = min(math.tanh(far - half), index), min(max(above, index), 1.0)
         found.append(
             Estimate(value=index, low=low, high=high, std_error=max(error, 0.25 * (high - low)), method=_METHOD,
