@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, piece_rows, trust
 from uqsphere.uq.augmented_indices import (
+    FIRST,
     Terms,
     active_shares,
     left_out_moves,
@@ -156,9 +157,9 @@ def test_an_input_without_terms_counts_what_is_left_unexplained_in_full() -> Non
     assert (nothing.low, nothing.value) == (0.0, 0.0)
     assert nothing.high == pytest.approx(0.01)
     some = share_estimate(one, np.array([0.3]), 0.3, 0.0, 3.0)
-    assert some.half_width == pytest.approx(0.01 / 64)
+    assert 0.3 - some.low == pytest.approx(0.01 / 64)
     wide = share_estimate(one, np.array([0.3]), 0.3, 0.02, 3.0)
-    assert wide.half_width == pytest.approx(0.06 + 0.01 / 64)
+    assert 0.3 - wide.low == pytest.approx(0.06 + 0.01 / 64)
 
 
 def test_sampled_indices_hang_on_the_seed_alone() -> None:
@@ -201,6 +202,16 @@ def test_small_indices_of_a_rough_model_have_narrow_intervals() -> None:
     assert sum(ratio > 1.0 for ratio in off) <= 2  # of one input: its first and its total index miss together
     assert max(off) < 1.5
     assert found["first"][3].half_width < one.error
+
+
+def test_terms_that_few_runs_do_not_show_are_looked_for_above_a_small_index() -> None:
+    """The noise of one coefficient is e/N = 0.0006: a total index of 0.03 is well above it, and may lack terms."""
+    _, one = trusted_of("borehole", 64)
+    alone = np.array([0.02])
+    rough, smooth = (share_estimate(replace(one, error=e), alone, 0.03, 0.005, FIRST) for e in (0.04, 1e-8))
+    assert rough.high - 0.02 == pytest.approx(2.0 * 0.005 + 0.04 * math.sqrt(0.04 / (0.04 + 64 * 0.03)))
+    assert 0.02 - rough.low == pytest.approx(2.0 * 0.005 + 0.04 * 0.04 / (0.04 + 64 * 0.03))
+    assert smooth.high - 0.02 == pytest.approx(0.02 - smooth.low, rel=1e-6)
 
 
 def test_what_an_index_moved_since_the_fit_before_widens_its_own_interval() -> None:

@@ -212,7 +212,8 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
     """An index from its values on designs (R,), one where coefficients tell, with an interval for the model's.
 
     `total` is the share of all terms that have its inputs: where it is nothing beside what the noise of one
-    coefficient leaves, e/N, the unexplained share e counts in full, and no less than e/N anywhere.
+    coefficient leaves, e/N, the unexplained share e counts in full, and no less than e/N anywhere.  It fades more
+    slowly above than below: terms that a design of few points does not show are missing from small indices.
     """
     n, error = len(trusted.residuals), trusted.error
     value = min(max(float(np.mean(shares)), 0.0), 1.0)
@@ -222,9 +223,10 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
         designs = 0.5 * student(shares.size) * float(np.std(shares, ddof=1)) / math.sqrt(shares.size)
     if spread is None:
         return index_estimate(exact(value), error, n, sampled=factor * designs)
-    unseen = error * max(1.0 / n, error / (error + n * max(total, 0.0))) if error > 0.0 else 0.0
-    half = factor * math.hypot(spread, designs) + unseen + 1e-15
-    low, high = max(0.0, value - half), min(1.0, value + half)
+    noise = error / (error + n * max(total, 0.0)) if error > 0.0 else 0.0
+    half = factor * math.hypot(spread, designs) + 1e-15
+    low = max(0.0, value - half - error * max(1.0 / n, noise))
+    high = min(1.0, value + half + error * max(1.0 / n, math.sqrt(noise)))
     return Estimate(value=value, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=n)
 
 
