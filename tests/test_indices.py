@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.indices import ESTIMATORS, choice_text, index_estimates, sampled_indices
+from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.indices import ESTIMATORS, choice_text, index_estimates, ordered, sampled_indices
 
 MODELS = {model.name: model for model in coverage_models()}
 
@@ -206,3 +208,18 @@ def test_the_first_blocks_are_those_of_the_small_design_and_a_design_continues()
     whole = uniform_halves(large, count=8, seed=1, task="t", replicate=2)
     more = uniform_halves(large, count=4, start=4, seed=1, task="t", replicate=2)
     assert all(np.array_equal(x[4:], y) for x, y in zip(whole, more, strict=True))
+
+
+def test_a_first_index_above_the_total_one_leaves_room_for_both() -> None:
+    """As a run had them, of gauge records: each by its own estimator, and both can not be."""
+    first = Estimate(value=0.9531, low=0.9512, high=0.9549, std_error=0.0009, method="m", evaluations=1)
+    total = Estimate(value=0.9306, low=0.9118, high=0.9493, std_error=0.009, method="m", evaluations=1)
+    (alone,), (whole,) = ordered([first], [total])
+    assert alone == first
+    assert (whole.value, whole.low, whole.high) == (0.9306, 0.9118, 0.9549)
+    (alone,), (whole,) = ordered([replace(first, low=0.94)], [total])
+    assert (alone.low, whole) == (0.94, total)
+    (alone,), (whole,) = ordered([replace(total, low=0.96, high=0.99)], [first])
+    assert (alone.low, alone.high, whole) == (0.9512, 0.99, first)
+    nothing = absent("no scatter", "m", 1)
+    assert ordered([nothing], [total]) == ([nothing], [total])

@@ -17,7 +17,7 @@ from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import INDEX_KIND, Cost, Missed, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.indices import METHOD, SampledIndices, sampled_indices
+from uqsphere.uq.indices import METHOD, SampledIndices, ordered, sampled_indices
 from uqsphere.uq.inputs import tied_names
 
 __all__ = [
@@ -404,6 +404,7 @@ def _conclude(
         text = f"The polynomial chaos is not used: {about['reason'].removeprefix('refused: ')}. Indices are sampled."
     else:
         text = "Only one method was asked for, so nothing checks it."
+    given = dict(zip(("first", "total"), ordered(given["first"], given["total"]), strict=True))
     width = _widest(given)
     given = {order: _believable(row) for order, row in given.items()}
     missed = [indices_missed(quantity, width, asked, cost=cost)] if width > asked else []

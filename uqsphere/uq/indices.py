@@ -29,6 +29,7 @@ __all__ = [
     "SampledIndices",
     "choice_text",
     "index_estimates",
+    "ordered",
     "sampled_indices",
 ]
 
@@ -253,6 +254,22 @@ def _each_point(outputs: Outputs, replicate: int) -> Outputs:
 
     return replace(outputs, a=points(outputs.a), b=points(outputs.b), ab=points(outputs.ab),
                    ba=None if outputs.ba is None else points(outputs.ba), groups=points(outputs.groups))  # fmt: skip
+
+
+def ordered(first: Sequence[Estimate], total: Sequence[Estimate]) -> tuple[list[Estimate], list[Estimate]]:
+    """First and total indices (d,) with room for what is known of them, that no first one is larger than the total one.
+
+    Each has its own estimator: where the intervals contradict it, the wider reaches to the far end of the other.
+    """
+    alone, whole = list(first), list(total)
+    for j, (one, other) in enumerate(zip(first, total, strict=True)):
+        if one.low is None or one.high is None or other.low is None or other.high is None or one.low <= other.high:
+            continue
+        if one.half_width < other.half_width:
+            whole[j] = replace(other, high=one.high, std_error=0.25 * (one.high - other.low))
+        else:
+            alone[j] = replace(one, low=other.low, std_error=0.25 * (one.high - other.low))
+    return alone, whole
 
 
 def _large(outputs: Outputs, mixed: Array) -> tuple[int, ...]:
