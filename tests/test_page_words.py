@@ -23,6 +23,7 @@ from uqsphere.report.headings import swings_heading
 from uqsphere.report.html import build_report, new_environment
 from uqsphere.report.margin_parts import parts_table
 from uqsphere.report.margin_verdict import margin_verdicts, subject_of
+from uqsphere.report.method import _part_row
 from uqsphere.report.sheet import unbroken
 from uqsphere.report.tables import Table
 from uqsphere.report.verdict import cautions, verdicts
@@ -230,3 +231,10 @@ def _label(contents: Contents) -> str:
     picture = fragility_figure(contents, "chute")
     assert picture is not None
     return str(picture.figure.axes[0].get_xlabel())
+
+
+def test_seconds_of_a_part_are_whole_where_they_are_many() -> None:
+    part = {"part": "sensitivity", "likely": 1000, "most": 2000, "taken": 1280, "why": ""}
+    assert _part_row(part, 132.4)[1].endswith("; took 1\u202f280 in 132 s")
+    assert _part_row(part, 5234.2)[1].endswith(" in 5\u202f234 s")
+    assert _part_row(part, 3.14159)[1].endswith(" in 3.1 s")

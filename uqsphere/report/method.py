@@ -344,7 +344,8 @@ def _part_row(part: Mapping[str, Any], seconds: float | None) -> tuple[str, str]
     """A part of the run: planned and taken, in what time, and why they differ."""
     likely, most = thousands(part["likely"]), thousands(part["most"])
     text = f"planned {likely}, at most {most}; took {thousands(part['taken'])}"
-    text += f" in {number_text(f'{seconds:.2g}')} s" if seconds is not None and seconds >= 0.05 else ""
+    if seconds is not None and seconds >= 0.05:
+        text += f" in {thousands(round(seconds)) if seconds >= 10.0 else f'{seconds:.2g}'} s"
     return str(part["part"]), f"{text}. {powers(str(part['why']))}" if part["why"] else text
 
 
