@@ -6,6 +6,7 @@ import logging
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -199,7 +200,7 @@ def test_a_jump_is_refused_and_noise_is_a_constant() -> None:
         assert chaos_indices([noise])["first"][0].value is None
 
 
-def test_judgement_takes_the_larger_error_and_never_hides_it() -> None:
+def test_judgement_takes_the_error_on_samples_unseen_and_never_hides_it() -> None:
     germs = ("normal",) * 4
     p = points(1, 0, 256, germs)
     chaos = fit_chaos(p, product(p), germs)
@@ -208,6 +209,11 @@ def test_judgement_takes_the_larger_error_and_never_hides_it() -> None:
     assert not judge(chaos, error=0.2).usable
     assert judge(chaos, error=7.0).error == 1.0
     assert not judge(chaos, error=math.nan).usable
+    # what it reports of itself supposes the worst of tails that unseen samples reach
+    pessimist = replace(chaos, cross_validation_error=0.18)
+    assert not judge(pessimist).usable
+    assert judge(pessimist, error=1e-5).error == 1e-5
+    assert judge(pessimist, error=1e-5).usable
     # Far from the samples the expansion is worse than a constant, and the error says so.
     wavy = fit_chaos(p, np.sin(2.0 * p[:, 0]), germs)
     assert validation_error(wavy, 12.0 * p, np.sin(24.0 * p[:, 0])) > 0.5

@@ -285,10 +285,13 @@ def validation_error(chaos: Chaos, points: Array, outputs: Array) -> float:
 
 
 def judge(chaos: Chaos, error: float | None = None, most: float = 0.05) -> Verdict:
-    """Whether the expansion may be used: the larger of `error` (held out) and its own is at most `most`."""
-    own = chaos.cross_validation_error
-    worst = own if error is None else max(own, error)
-    if not (math.isfinite(worst) and (error is None or math.isfinite(error))):
+    """Whether the expansion may be used: its error is at most `most`.
+
+    `error` was found on at least as many samples as the expansion has, none of which it has seen: it counts in place
+    of what the expansion reports of itself, which supposes the worst of tails that these samples reach.
+    """
+    worst = chaos.cross_validation_error if error is None else error
+    if not math.isfinite(worst):
         return Verdict(usable=False, error=1.0, reason="the error of the expansion is not finite")
     terms = f"{chaos.coefficients.size} terms of degree {chaos.degree} from {chaos.samples} samples"
     if worst > most:
