@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -409,6 +410,17 @@ def test_residuals_give_a_surrogate_the_spread_of_the_model() -> None:
     values, reach = with_residuals(flat, np.zeros(4096), np.random.default_rng(1))
     assert reach.min() > 0.0
     assert set(np.round(values, 9)) <= set(np.round(flat.residuals, 9))
+
+
+def test_where_residuals_are_larger_the_law_may_be_off_by_as_much_more() -> None:
+    model, points, outputs = fitted("kinked", 64)
+    rough = trust(fit_chaos(points, outputs, model.germs), points, outputs)
+    levels = np.linspace(0.0, 1.0, 64)
+    upper = replace(rough, levels=levels, residuals=np.where(levels > 0.75, 0.3, 0.1), scatter=0.1)
+    _, (low, high) = with_residuals(upper, np.array([0.1, 0.95]), np.random.default_rng(1))
+    mean = 0.75 * 0.01 + 0.25 * 0.09
+    # above, all of what the runs there say; below, where they say less, half of it and half of what all of them say
+    assert high**2 / low**2 == pytest.approx((0.09 / mean) / (0.5 * (0.01 / mean + 1.0)))
 
 
 def test_intervals_of_the_surrogate_way_cover() -> None:

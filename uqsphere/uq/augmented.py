@@ -187,8 +187,8 @@ def with_residuals(trusted: Trusted, values: Array, rng: np.random.Generator) ->
     squares = np.concatenate([[0.0], np.cumsum((residuals / unit) ** 2)])
     near = (squares[first + size] - squares[first]) / size
     mean = squares[-1] / count
-    # a neighbourhood may look better than it is: half of what is said of it is said of all
-    share = 0.5 * (near / mean + 1.0) if mean > 0.0 else np.ones_like(near)
+    # a neighbourhood may look better than it is, when half of what is said of it is said of all
+    share = np.maximum(0.5 * (near / mean + 1.0), near / mean) if mean > 0.0 else np.ones_like(near)
     return values + drawn, _LEVEL * trusted.scatter * np.sqrt(share / size)
 
 
