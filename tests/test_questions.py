@@ -17,10 +17,13 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import error_series
 from uqsphere.runner import Run
+from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.further import FURTHER, further_rows
-from uqsphere.runner.stepwise import GAP, _coarse, _gaps
+from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
+from uqsphere.runner.stopping import indices_missed
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
+from uqsphere.uq.estimates import Description, Estimate, exact, lacking
 
 Array = npt.NDArray[np.float64]
 #: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input
@@ -121,6 +124,19 @@ def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
 def test_steps_are_measured_in_normal_scores() -> None:
     rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
     assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
+
+
+def test_what_is_not_reached_reads_as_more_than_was_asked() -> None:
+    said = indices_missed("y", 0.0604, 0.06).said
+    assert said == "y: indices: half-width 0.0604, asked 0.06"
+    assert indices_missed("y", 0.06, 0.05999).said.startswith("y: indices: half-width 0.06,")
+    stage = Stage(evaluations=1000, half_width=0.060000049, there=10, wide=10)
+    assert "half-width 0.06000005 of" in Band(course=(stage,), most=100).missed()
+    assert "by up to 0.604 normal" in Coarse(step=0.604, evaluations=1, needed=2.0, why="").missed()
+    known = Estimate(value=1.0, low=0.8796, high=1.1204, std_error=0.06, method="m", evaluations=9)
+    described = Description(mean=known, sd=known, quantiles={0.5: known}, censored_share=exact(0.0), scale=2.0)
+    texts = [text for _, text in lacking(described, mean=0.06, quantile=0.05)]
+    assert [text.partition(" of ")[0] for text in texts] == ["mean: half-width 0.0602", "quantile 0.5: half-width 0.06"]
 
 
 # --- each question has what is said of it -----------------------------------------------------------------

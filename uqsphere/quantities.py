@@ -28,6 +28,7 @@ __all__ = [
     "lookup",
     "parse_value",
     "reading_units",
+    "told_apart",
     "unit_that_reads",
     "units_of",
 ]
@@ -272,8 +273,8 @@ def units_of(dimension: str) -> list[str]:
 def parse_value(text: object, dimension: str, example: str = "") -> float:
     """Number with unit → SI value.
 
-    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a
-    dimensionless quantity only.  No expression is evaluated.  A message shows the unit `example`, SI without one.
+    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a dimensionless quantity
+    only.  No expression is evaluated.  A message shows the unit `example`, SI without one.
 
     Raises
     ------
@@ -386,6 +387,15 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     """
     unit, factor = display_unit(name)
     return f"{value * factor:.{digits}g} {unit}".rstrip()
+
+
+def told_apart(value: float, bound: float) -> str:
+    """`value` to two significant digits, or to as many as tell it from `bound` as that is written.
+
+    >>> told_apart(0.3125, 0.06), told_apart(0.06042, 0.06)
+    ('0.31', '0.0604')
+    """
+    return next((t for n in range(2, 18) if float(t := f"{value:.{n}g}") != float(f"{bound:g}")), f"{value:.2g}")
 
 
 def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:
