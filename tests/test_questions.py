@@ -205,6 +205,17 @@ def test_what_the_first_indices_take_is_not_what_their_accuracy_takes(tied_rows:
     assert row["needed"] is None
 
 
+def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
+    told = [text for text in run.results["accuracy"]["missed"] if text.startswith(("y: mean", "y: quantile"))]
+    costs = {}
+    for text in told:
+        width, asked = (float(number) for number in re.findall(r"(?:half-width|asked) ([0-9.e-]+)", text))
+        costs[width / asked] = int(re.findall(r"about ([0-9,]+) evaluations", text)[0].replace(",", ""))
+    assert len(costs) > 1, told
+    # what lacks more takes more
+    assert costs[max(costs)] > costs[min(costs)], told
+
+
 # --- rows of the speed-error table ------------------------------------------------------------------------
 
 
