@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Protocol
 
@@ -281,6 +281,13 @@ def gather(
     def hand_out() -> None:
         while todo and len(pending) < _window(executor):
             piece, number = todo.popleft(), next(numbers)
+            if pace is not None and pace.rows == 0 and piece.stop - piece.start > 1:
+                # what a row takes is not known: single ones tell, before the limits of many are waited for in one call
+                if pending and not pace.hung:
+                    todo.appendleft(piece)
+                    return
+                todo.appendleft(replace(piece, start=piece.start + 1))
+                piece = replace(piece, stop=piece.start + 1)
             try:
                 piece.future = _submit(executor, packed, rows[piece.start : piece.stop], pace)
             except Exception as error:
