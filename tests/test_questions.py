@@ -16,6 +16,7 @@ import uqsphere
 from uqsphere.report.contents import read_contents
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import error_series
+from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.runner import Run
 from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.further import FURTHER, further_rows
@@ -214,6 +215,24 @@ def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
     assert len(costs) > 1, told
     # what lacks more takes more
     assert costs[max(costs)] > costs[min(costs)], told
+
+
+def test_whether_limits_are_accurate_is_asked_of_their_questions() -> None:
+    def told(*met: bool | None, value: float | None = 0.1) -> bool:
+        rows = [{"quantity": "limits.a", "met": one} for one in met]
+        return limits_are_accurate(
+            {
+                "limits": {"a": {"miss": {"value": value}}},
+                "accuracy": {"missed": ["as one may word it"], "questions": [{"quantity": "y", "met": False}, *rows]},
+            }
+        )
+
+    assert told(True)
+    # so small that nothing hangs on it
+    assert told(True, None)
+    assert not told(True, False)
+    assert not told()
+    assert not told(True, value=None)
 
 
 # --- rows of the speed-error table ------------------------------------------------------------------------
