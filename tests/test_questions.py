@@ -14,6 +14,7 @@ from conftest import SUM
 
 import uqsphere
 from uqsphere.report.contents import read_contents
+from uqsphere.report.fragility_family import family_table
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import error_series
 from uqsphere.report.verdict import limits_are_accurate
@@ -110,6 +111,15 @@ def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., S
     wide = [member for member in members if member["band"]["half_width"] > member["band"]["asked"]]
     told = [text for text in found["accuracy"]["missed"] if text.startswith("margins high: at b")]
     assert len(told) == len(wide)
+
+
+def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    family = "margins.family={ path = 'b', values = [3.5, 3.50001] }"
+    study = study_from(*ASKED, family, "analysis.methods=['qmc']", text=SUM)
+    run = uqsphere.run(study, out=tmp_path / "r", model=smooth)
+    named = {row["quantity"] for row in run.results["accuracy"]["questions"]}
+    assert {"margins.high at b 3.5", "margins.high at b 3.50001"} <= named
+    assert family_table(read_contents(run.folder), "high").header == ("probability", "3.5", "3.50001")
 
 
 def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
