@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -117,6 +118,17 @@ def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.Monkey
     indices = ask(Counted(ishigami)).results["sensitivity"]["y"]
     for name in ("x1", "x2", "x3"):
         assert indices["first"][name]["low"] <= indices["total"][name]["high"]
+
+
+def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:
+    accuracy = "analysis.accuracy={ mean = 5e-4, quantile = 0.001, sobol = 1e-4, probability = 0.001 }"
+    missed = ask(Counted(ishigami), accuracy, "analysis.budget.evaluations=200").results["accuracy"]["missed"]
+    told = [text for text in missed if text.startswith("y: quantile")]
+    widths = [float(re.findall(r"half-width ([0-9.e-]+)", text)[0]) for text in told]
+    costs = [int(re.findall(r"about ([0-9,]+) evaluations", text)[0].replace(",", "")) for text in told]
+    assert len(told) > 2
+    assert len(set(costs)) == len(told)
+    assert costs[int(np.argmin(widths))] == min(costs)
 
 
 def test_the_account_names_every_quantity_and_keeps_seconds_out_of_the_results(ask) -> None:

@@ -16,7 +16,7 @@ from uqsphere.runner.stopping import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, 
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, lacking
 
-__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "speed_rows"]
+__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
 
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
@@ -140,7 +140,7 @@ def speed_rows(
     return rows
 
 
-def _excess(
+def shortfalls(
     work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]
 ) -> dict[tuple[str, str, float | None], float]:
     """Half-width over what is asked of every question that is not there yet, by subject, kind and `at` of `Missed`."""
@@ -167,7 +167,7 @@ def _excess(
 def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
     """Half-width over what is asked, the worst of every quantity and probability that is not there yet."""
     found: dict[str, float] = {}
-    for (subject, kind, _), ratio in _excess(work, descriptions, limits).items():
+    for (subject, kind, _), ratio in shortfalls(work, descriptions, limits).items():
         name = subject if kind in ("mean", "quantile") else f"{subject}.{kind}"
         found[name] = max(found.get(name, 0.0), ratio)
     return found
@@ -291,7 +291,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         missed = find_missed(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
             course.setdefault(name, []).append((sample.status.size, ratio))
-        for question, ratio in _excess(work, descriptions, limits).items():
+        for question, ratio in shortfalls(work, descriptions, limits).items():
             courses.setdefault(question, []).append((sample.status.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
         rows = speed_rows(descriptions, limits, sample.status.size, helper)
