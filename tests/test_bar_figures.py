@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 import uqsphere
 from uqsphere.cli import main
@@ -162,6 +163,12 @@ def test_a_black_box_has_no_gauges(study_from, box_text):
         study_from(text=box_text + GAUGES)
 
 
+def _light(colour: np.ndarray) -> float:
+    """Relative luminance of WCAG 2.2."""
+    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
 def test_the_picture_of_the_bars_survives_the_way_into_a_page(written):
     picture = draw_field(view_field(written[2]))
     text = canvas.inline(canvas.render(picture), "field")
@@ -171,5 +178,12 @@ def test_the_picture_of_the_bars_survives_the_way_into_a_page(written):
         kind, _, data = address.partition(",")
         assert kind == "data:image/png;base64"
         assert base64.b64decode(data.strip(), validate=True).startswith(b"\x89PNG")
+    # a name is read on the darkest stress: what shows through its ground leaves it the contrast of a text
+    names = picture.figure.axes[0].texts
+    assert {name.get_text() for name in names} >= {"incident", "VII"}
+    for name in names:
+        ground = np.array(to_rgb(name.get_bbox_patch().get_facecolor()))
+        seen = name.get_bbox_patch().get_alpha() * ground + (1 - name.get_bbox_patch().get_alpha()) * np.zeros(3)
+        assert _light(seen) + 0.05 >= 4.5 * (_light(np.array(to_rgb(name.get_color()))) + 0.05)
     # a finding first: the range of the stress
     assert picture.finding.startswith("The bars carry between −")

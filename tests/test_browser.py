@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -193,6 +194,25 @@ def test_the_document_is_typeset_without_the_network(plain: Path) -> None:
         document = build_pdf(plain.parent).read_bytes()
     assert document.startswith(b"%PDF-")
     assert len(document) > 20_000
+
+
+def test_pictures_in_the_page_are_typeset_and_nothing_else_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
+    from uqsphere.report.pdf import typeset
+
+    dot = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+    (tmp_path / "dot.png").write_bytes(base64.b64decode(dot))
+
+    def pictures(address: str) -> int:
+        page = (
+            f'<p>before</p><svg width="9" height="9"><image width="9" height="9" href="{address}"/></svg><p>after</p>'
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            return int(typeset(page).write_pdf(uncompressed_pdf=True).count(b"/Subtype /Image"))
+
+    assert pictures(f"data:image/png;base64,{dot}") > 0
+    assert pictures((tmp_path / "dot.png").as_uri()) == 0
 
 
 def test_a_missing_typesetter_is_told_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from uqsphere.runner import price as pricing
 from uqsphere.runner.stopping import Cost, cost_of
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
+from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.ways import CHEAP, choose_way
@@ -101,6 +103,32 @@ def test_a_dear_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
     share = float(np.mean(ishigami({"x1": x[:, 0], "x2": x[:, 1], "x3": x[:, 2]}) > 10.0))
     assert abs(results["limits"]["high"]["miss"]["value"] - share) < 0.1 * share
     assert results["limits"]["high"]["met"] is True
+
+
+def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is widened by its own error, and may be off by a little more than that."""
+
+    def apart(one: Any, seed: int) -> dict[str, Any]:
+        found = trusted_indices(one, seed)
+        first, total = found["first"][1], found["total"][1]
+        found["first"][1] = replace(first, value=total.high + 0.002, low=total.high + 0.001, high=total.high + 0.003)
+        return found
+
+    monkeypatch.setattr("uqsphere.runner.dear_answers.trusted_indices", apart)
+    indices = ask(Counted(ishigami)).results["sensitivity"]["y"]
+    for name in ("x1", "x2", "x3"):
+        assert indices["first"][name]["low"] <= indices["total"][name]["high"]
+
+
+def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:
+    accuracy = "analysis.accuracy={ mean = 5e-4, quantile = 0.001, sobol = 1e-4, probability = 0.001 }"
+    missed = ask(Counted(ishigami), accuracy, "analysis.budget.evaluations=200").results["accuracy"]["missed"]
+    told = [text for text in missed if text.startswith("y: quantile")]
+    widths = [float(re.findall(r"half-width ([0-9.e-]+)", text)[0]) for text in told]
+    costs = [int(re.findall(r"about ([0-9,]+) evaluations", text)[0].replace(",", "")) for text in told]
+    assert len(told) > 2
+    assert len(set(costs)) == len(told)
+    assert costs[int(np.argmin(widths))] == min(costs)
 
 
 def test_the_account_names_every_quantity_and_keeps_seconds_out_of_the_results(ask) -> None:

@@ -7,12 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from scipy.special import ndtr
 
 import uqsphere
 from uqsphere.report import build_report
+from uqsphere.report.drivers import specimens
 from uqsphere.runner.results import damage_of
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
@@ -216,8 +218,19 @@ def test_failed_rows_and_a_break_aim(study_from, tmp_path) -> None:
     # the aim is to break: it is missed where the demand is low and the strength high
     assert drivers["given_failure"]["b"]["mean"]["value"] < 0.0
     assert drivers["given_failure"]["limits.high.strength"]["mean"]["value"] > 5.0
-    sways = {row["input"]: row["sway"]["value"] for row in run.results["limits"]["high"]["measure_first"]["rows"]}
+    measured = run.results["limits"]["high"]["measure_first"]
+    sways = {row["input"]: row["sway"]["value"] for row in measured["rows"]}
     assert sways["b"] < 0.0 < sways["limits.high.strength"]
+    # most specimens miss the aim: the numbers of tests are those of the page, in results and table alike
+    assert measured["probability"] > 0.5
+    told = {row["input"]: specimens(measured, row) for row in measured["rows"]}
+    assert max(told.values()) > 1
+    assert {row["input"]: row["tests"] for row in measured["rows"]} == told
+    table = pd.read_csv(run.folder / "tables" / "drivers.csv")
+    counted = table[(table["of"] == "high") & (table["statistic"] == "sway")].set_index("input")["tests"]
+    assert counted.astype(int).to_dict() == told
+    # a number of tests belongs to what each input moves, and to nothing else
+    assert set(table.loc[table["tests"].notna(), "statistic"]) == {"sway", "share"}
 
 
 def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp_path) -> None:

@@ -159,6 +159,28 @@ def test_margin_keeps_its_labels_apart(
     assert ("unbounded" in picture.finding) == (margin[2] is None)
 
 
+def test_margins_that_span_decades_stand_on_a_logarithmic_axis(
+    tmp_path: Path, drawn: Callable[[Picture], list[tuple[str, Any]]]
+) -> None:
+    """As of limestone in three ways: one margin of 10 to 32 squashed those of 1.2 to 4."""
+
+    def figure(name: str, *spans: tuple[float, float, float]) -> Picture:
+        entries = {}
+        for k, span in enumerate(spans):
+            margin = {key: estimate(v, 1e-4, "") for key, v in zip(("0.05", "median", "0.95"), span, strict=True)}
+            entries[f"x{k}"] = {**limit(0.01, 0.02, True), "margin": margin}
+        found = decision.margin_figure(read_contents(write_folder(tmp_path / name, limits=entries)))
+        assert found is not None
+        assert_apart(drawn(found))
+        return found
+
+    wide = figure("wide", (1.24, 1.67, 2.25), (1.59, 2.56, 4.11), (9.88, 17.8, 32.3), (0.629, 0.629, 0.629))
+    axes = wide.figure.axes[0]
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlim()[0] < 0.629 < 32.3 < axes.get_xlim()[1]
+    assert figure("narrow", (0.6, 1.67, 2.25), (1.59, 2.56, 4.11)).figure.axes[0].get_xscale() == "linear"
+
+
 def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path: Path) -> None:
     """A probability of 1e-16 is not drawn as one of 1e-6."""
     folder = write_folder(tmp_path, limits={"x": limit(3.9e-16, 0.01, True, half=1e-17)})

@@ -14,13 +14,18 @@ from conftest import SUM
 
 import uqsphere
 from uqsphere.report.contents import read_contents
+from uqsphere.report.fragility_family import family_table
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import error_series
+from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.runner import Run
+from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.further import FURTHER, further_rows
-from uqsphere.runner.stepwise import GAP, _coarse, _gaps
+from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
+from uqsphere.runner.stopping import indices_missed
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
+from uqsphere.uq.estimates import Description, Estimate, exact, lacking
 
 Array = npt.NDArray[np.float64]
 #: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input
@@ -108,6 +113,15 @@ def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., S
     assert len(told) == len(wide)
 
 
+def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    family = "margins.family={ path = 'b', values = [3.5, 3.50001] }"
+    study = study_from(*ASKED, family, "analysis.methods=['qmc']", text=SUM)
+    run = uqsphere.run(study, out=tmp_path / "r", model=smooth)
+    named = {row["quantity"] for row in run.results["accuracy"]["questions"]}
+    assert {"margins.high at b 3.5", "margins.high at b 3.50001"} <= named
+    assert family_table(read_contents(run.folder), "high").header == ("probability", "3.5", "3.50001")
+
+
 def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
     gaps = np.array([0.5, 1.1, 2.0])
     # halved once, and twice: one value more, and three
@@ -121,6 +135,19 @@ def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
 def test_steps_are_measured_in_normal_scores() -> None:
     rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
     assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
+
+
+def test_what_is_not_reached_reads_as_more_than_was_asked() -> None:
+    said = indices_missed("y", 0.0604, 0.06).said
+    assert said == "y: indices: half-width 0.0604, asked 0.06"
+    assert indices_missed("y", 0.06, 0.05999).said.startswith("y: indices: half-width 0.06,")
+    stage = Stage(evaluations=1000, half_width=0.060000049, there=10, wide=10)
+    assert "half-width 0.06000005 of" in Band(course=(stage,), most=100).missed()
+    assert "by up to 0.604 normal" in Coarse(step=0.604, evaluations=1, needed=2.0, why="").missed()
+    known = Estimate(value=1.0, low=0.8796, high=1.1204, std_error=0.06, method="m", evaluations=9)
+    described = Description(mean=known, sd=known, quantiles={0.5: known}, censored_share=exact(0.0), scale=2.0)
+    texts = [text for _, text in lacking(described, mean=0.06, quantile=0.05)]
+    assert [text.partition(" of ")[0] for text in texts] == ["mean: half-width 0.0602", "quantile 0.5: half-width 0.06"]
 
 
 # --- each question has what is said of it -----------------------------------------------------------------
@@ -187,6 +214,35 @@ def test_what_the_first_indices_take_is_not_what_their_accuracy_takes(tied_rows:
     row = next(row for row in tied_rows if row["quantity"] == "y" and "index" in row["question"])
     assert "evaluations would give the first" in row["text"]
     assert row["needed"] is None
+
+
+def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
+    told = [text for text in run.results["accuracy"]["missed"] if text.startswith(("y: mean", "y: quantile"))]
+    costs = {}
+    for text in told:
+        width, asked = (float(number) for number in re.findall(r"(?:half-width|asked) ([0-9.e-]+)", text))
+        costs[width / asked] = int(re.findall(r"about ([0-9,]+) evaluations", text)[0].replace(",", ""))
+    assert len(costs) > 1, told
+    # what lacks more takes more
+    assert costs[max(costs)] > costs[min(costs)], told
+
+
+def test_whether_limits_are_accurate_is_asked_of_their_questions() -> None:
+    def told(*met: bool | None, value: float | None = 0.1) -> bool:
+        rows = [{"quantity": "limits.a", "met": one} for one in met]
+        return limits_are_accurate(
+            {
+                "limits": {"a": {"miss": {"value": value}}},
+                "accuracy": {"missed": ["as one may word it"], "questions": [{"quantity": "y", "met": False}, *rows]},
+            }
+        )
+
+    assert told(True)
+    # so small that nothing hangs on it
+    assert told(True, None)
+    assert not told(True, False)
+    assert not told()
+    assert not told(True, value=None)
 
 
 # --- rows of the speed-error table ------------------------------------------------------------------------

@@ -329,6 +329,17 @@ def test_override_that_is_none(load: Load, override: str) -> None:
     assert caught.value.exit_code == 2
 
 
+def test_a_part_set_of_a_limit_that_is_not_there_names_those_that_are(load: Load) -> None:
+    with pytest.raises(StudyError) as caught:
+        load(BASE, overrides=("limits.crush.strength=3", "limits.crush.target=0.1"))
+    (problem,) = caught.value.problems
+    assert problem.path == "limits.crush"
+    assert problem.message.startswith("no limit \"crush\" in the file, known: crushing; did you mean 'crushing'?")
+    # all of a limit may come from outside
+    study = load(BASE, overrides=("limits.more.strength=5 GPa", "limits.more.quantity=p_max"))
+    assert [limit.name for limit in study.limits] == ["crushing", "more"]
+
+
 def test_null_takes_out_what_stands_there(load: Load) -> None:
     assert load(BASE).dependence
     sets = (

@@ -14,7 +14,7 @@ from typing import Final
 from uqsphere.study import Study
 from uqsphere.uq.distribution import Law
 
-__all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast"]
+__all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast", "rough_quantities"]
 
 #: parts that evaluate a cheaper model, by the part that it may help
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
@@ -125,6 +125,12 @@ def _sampling(study: Study, budget: int | None) -> Part:
     return Part(name="sampling", likely=_stage(likely, room), most=_stage(2.0 * plain, room))
 
 
+def rough_quantities(study: Study) -> tuple[str, ...]:
+    """Quantities whose indices may take several times what is likely: how rough they are shows with the first rows."""
+    sampled = study.random and not study.black_box and {"auto", "sobol"} & set(study.analysis.methods)
+    return tuple(name for name in study.analysis.quantities if name in ROUGH) if sampled else ()
+
+
 def _sensitivity(study: Study) -> tuple[float, float]:
     """Evaluations of the indices, likely and most: with a surrogate as control variate their first stage is enough."""
     analysis, blocks = study.analysis, base_rows(study)
@@ -132,7 +138,7 @@ def _sensitivity(study: Study) -> tuple[float, float]:
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
     most = max(_FIRST_BASE, _ROUGHEST * finer**2)
-    rough = max((ROUGH.get(name, 0) for name in analysis.quantities), default=0)
+    rough = max((ROUGH[name] for name in rough_quantities(study)), default=0)
     if rough:
         return blocks * max(float(_FIRST_BASE), rough * finer**2), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)

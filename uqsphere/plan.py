@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
-from uqsphere.forecast import CHEAPER, forecast
+from uqsphere.forecast import CHEAPER, forecast, rough_quantities
 from uqsphere.model import scene_of
 from uqsphere.study import Study
+from uqsphere.study.findings import one_of
 from uqsphere.ways import FITS, OVERHEAD, choose_way
 
 __all__ = ["plan_run", "plan_text"]
@@ -99,7 +100,11 @@ def _three(number: int) -> int:
 
 def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     """The plan for the terminal."""
-    lines = [f"evaluations: about {_three(plan['evaluations']):,}, at most {_three(plan['most']):,}"]
+    likely, most = _three(plan["evaluations"]), _three(plan["most"])
+    lines = [f"evaluations: about {likely:,}, at most {most:,}"]
+    rough = rough_quantities(study)
+    if rough and most > likely:
+        lines[0] += f" (several times the first where {one_of(rough)} is rough)"
     told = [
         f"{part['part']} {_three(part['likely']):,}"
         + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")

@@ -28,6 +28,7 @@ __all__ = [
     "lookup",
     "parse_value",
     "reading_units",
+    "told_apart",
     "unit_that_reads",
     "units_of",
 ]
@@ -269,11 +270,11 @@ def units_of(dimension: str) -> list[str]:
     return list(UNITS[dimension])
 
 
-def parse_value(text: object, dimension: str) -> float:
+def parse_value(text: object, dimension: str, example: str = "") -> float:
     """Number with unit → SI value.
 
-    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a
-    dimensionless quantity only.  No expression is evaluated.
+    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a dimensionless quantity
+    only.  No expression is evaluated.  A message shows the unit `example`, SI without one.
 
     Raises
     ------
@@ -282,26 +283,27 @@ def parse_value(text: object, dimension: str) -> float:
 
     >>> parse_value("25 mm", "length")
     0.025
-    >>> parse_value(25, "length")
+    >>> parse_value(25, "length", "mm")
     Traceback (most recent call last):
     ...
-    uqsphere.quantities.UnitError: 25 has no unit: write it as a string, such as "25 m" (units: m, cm, mm, um, in)
+    uqsphere.quantities.UnitError: 25 has no unit: write it as a string, such as "25 mm" (units: m, cm, mm, um, in)
     """
     table = UNITS[dimension]
+    example = example or next(iter(table))
     allowed = ", ".join(unit for unit in table if unit.isascii() and "^" not in unit)
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
         raise UnitError(f"expected a number{'' if dimension == 'number' else ' with a unit'}, found {_kind(text)}")
     if isinstance(text, (int, float)):
         if dimension != "number":
             raise UnitError(
-                f'{text!r} has no unit: write it as a string, such as "{text!r} {next(iter(table))}" (units: {allowed})'
+                f'{text!r} has no unit: write it as a string, such as "{text!r} {example}" (units: {allowed})'
             )
         return _finite(text, repr(text))
     stripped = text.strip()
     match = _NUMBER.match(stripped)
     if match is None:
-        example = "0.25" if dimension == "number" else f'"1.5 {next(iter(table))}"'
-        raise UnitError(f"{text!r} is not a number{'' if dimension == 'number' else ' with a unit'}, such as {example}")
+        such = "0.25" if dimension == "number" else f'"1.5 {example}"'
+        raise UnitError(f"{text!r} is not a number{'' if dimension == 'number' else ' with a unit'}, such as {such}")
     number, unit = match.group(), stripped[match.end() :].strip()
     if dimension == "number":
         if unit:
@@ -309,7 +311,7 @@ def parse_value(text: object, dimension: str) -> float:
         return _finite(float(number), text)
     if unit not in table:
         if not unit:
-            raise UnitError(f'{text!r} has no unit: write "{number} {next(iter(table))}" (units: {allowed})')
+            raise UnitError(f'{text!r} has no unit: write "{number} {example}" (units: {allowed})')
         raise UnitError(f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})")
     return _finite(float(number) * table[unit], text)
 
@@ -385,6 +387,15 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     """
     unit, factor = display_unit(name)
     return f"{value * factor:.{digits}g} {unit}".rstrip()
+
+
+def told_apart(value: float, bound: float) -> str:
+    """`value` to two significant digits, or to as many as tell it from `bound` as that is written.
+
+    >>> told_apart(0.3125, 0.06), told_apart(0.06042, 0.06)
+    ('0.31', '0.0604')
+    """
+    return next((t for n in range(2, 18) if float(t := f"{value:.{n}g}") != float(f"{bound:g}")), f"{value:.2g}")
 
 
 def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:

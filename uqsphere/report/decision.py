@@ -36,6 +36,8 @@ Array = npt.NDArray[np.float64]
 
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
+#: factor between the largest and the smallest margin from which on their axis is logarithmic
+_WIDE: Final = 8.0
 _TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
 _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
 
@@ -51,6 +53,8 @@ def margin_figure(contents: Contents) -> Picture | None:
         low, high = min(1.0, *values), max(1.0, *values)
         width = 0.12 * (high - low) or 0.1
         axes.set_xlim(low - width, high + width)
+        if 0.0 < _WIDE * low < high:
+            x_scale(axes, np.array([low, high]) * (high / low) ** np.array([-0.12, 0.12]))
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         for row, limit in enumerate(limits.values()):
             _margin_bar(axes, row, limit)
@@ -59,15 +63,8 @@ def margin_figure(contents: Contents) -> Picture | None:
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel("strength over demand\n(○ median, bar 5 to 95 %, shaded: aim missed)")
         for text, side, shift in (("exceeded", "right", -4), ("withstood", "left", 4)):
-            axes.annotate(
-                text,
-                (1.0, 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(shift, 2),
-                ha=side,
-                textcoords="offset points",
-                fontsize=9.0,
-            )
+            axes.annotate(text, (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(shift, 2), ha=side,
+                          textcoords="offset points", fontsize=9.0)  # fmt: skip
     finding = margin_findings(limits)
     return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
 
@@ -84,10 +81,11 @@ def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
     if "median" in known:
         axes.plot(known["median"]["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
     # labels in one line where they stand apart, else around the bar; one label where all is one point
-    places = {key: e["value"] for key, e in known.items()}
-    point = max(places.values()) - min(places.values()) < 0.01 * (right - left)
+    across = axes.transData + axes.transAxes.inverted()
+    places = {key: float(across.transform((e["value"], row))[0]) for key, e in known.items()}
+    point = max(places.values()) - min(places.values()) < 0.01
     near = "median" in places and any(
-        abs(places[key] - places["median"]) < 0.12 * (right - left) for key in ("0.05", "0.95") if key in places
+        abs(places[key] - places["median"]) < 0.12 for key in ("0.05", "0.95") if key in places
     )
     for key, estimate in known.items():
         if point and key != next(iter(known)):

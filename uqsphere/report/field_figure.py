@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 _NODES: Final = (48, 160)
 #: a region needs this share of its bar's picture for a name
 _ROOM: Final = 0.012
+#: what a name stands on, so that it is read on the darkest stress too
+_LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": LIGHT, "edgecolor": "none", "alpha": 0.7}
 
 
 def draw_field(view: FieldView) -> Picture:
@@ -101,7 +103,7 @@ def _names(axes: Axes, view: FieldView) -> None:
     for name, inside in regions.items():
         if inside.mean() > _ROOM:
             axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
-                      fontsize=9.0, color=ON_LIGHT)  # fmt: skip
+                      fontsize=9.0, color=ON_LIGHT, bbox=_LABEL)  # fmt: skip
 
 
 def _tensions(axes: Axes, view: FieldView) -> None:

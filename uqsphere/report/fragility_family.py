@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.quantities import display_unit, format_value
+from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, INK, MARKS, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
@@ -25,6 +25,7 @@ from uqsphere.report.wording import (
     symbol,
     value_text,
 )
+from uqsphere.runner.margins import member_values
 
 __all__ = ["family_figure", "family_finding", "family_name", "family_table", "lognormal_remarks"]
 
@@ -81,7 +82,7 @@ def family_finding(contents: Contents, name: str) -> str:
     apart = ends[0]["high"] < ends[1]["low"] or ends[1]["high"] < ends[0]["low"]
     change = 100.0 * (ends[1]["value"] / ends[0]["value"] - 1.0) if ends[0]["value"] else 0.0
     verb = f"{'rises' if change > 0.0 else 'falls'} by {abs(change):.2g} %" if apart else "does not change visibly"
-    at_first, at_last = (value_text(member["value"], family["path"], 3) for member in (first, last))
+    at_first, at_last = map(number_text, member_values(family["path"], [first["value"], last["value"]], 3))
     return (
         f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry['solve'])} at which "
         f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(ends[0], subject)} to "
@@ -104,20 +105,20 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
     with canvas.style():
         figure, (axes,) = canvas.new_figure(3.7)
         low, high = np.inf, -np.inf
-        for k, member in enumerate(members):
+        labels = member_values(family["path"], [member["value"] for member in members], 3)
+        for k, (member, label) in enumerate(zip(members, labels, strict=True)):
             curve = np.array(member["curve"], dtype=float)
             inside = np.flatnonzero((curve[:, 1] > 1e-4) & (curve[:, 1] < 1.0 - 1e-4))
             kept = slice(max(inside[0] - 1, 0), inside[-1] + 2) if inside.size else slice(None)
             x, p = curve[kept, 0] * factor, curve[kept, 1]
             low, high = min(low, float(x[0])), max(high, float(x[-1]))
-            label = number_text(format_value(member["value"], family["path"], 3))
             colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
             axes.plot(x, score(p), color=colour)
             # marks at the probabilities asked for alone: those of all curves are to be compared
             asked = [(e["value"] * factor, float(q)) for q, e in member["values"].items() if e["value"] is not None]
             points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
             axes.plot(points[:, 0], score(points[:, 1]), color=colour, marker=mark, markersize=4.5, linestyle="none")
-            handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=label))
+            handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=number_text(label)))
         x_scale(axes, np.array([low, high]))
         axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
         probability_axis(axes)
@@ -156,5 +157,5 @@ def family_table(contents: Contents, name: str) -> Table:
     rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
     name_of = canvas.shorten(family_name(contents, name), 40)
     caption = f"{capital(input_name(entry['solve']))} at which {limit_name(name)} is exceeded, by {name_of}"
-    header = ("probability", *(value_text(member["value"], family["path"], 4) for member in members))
+    header = ("probability", *map(number_text, member_values(family["path"], [m["value"] for m in members])))
     return Table(caption=caption, header=header, rows=tuple(rows))

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from uqsphere.quantities import OUTPUTS
+from uqsphere.quantities import OUTPUTS, told_apart
 from uqsphere.report.bearing import check_name
 from uqsphere.report.contents import Contents
 from uqsphere.report.event import answer_text
@@ -128,7 +128,8 @@ def accuracy_table(contents: Contents) -> Table:
     def add(question: str, reached: float | None, allowed: float) -> None:
         # rounding must not turn a miss into a hit
         verdict = ABSENT if reached is None else ("reached" if reached <= allowed else "not reached")
-        rows.append((question, f"{allowed:g}", ABSENT if reached is None else number_text(f"{reached:.2g}"), verdict))
+        text = ABSENT if reached is None else number_text(told_apart(reached, allowed))
+        rows.append((question, f"{allowed:g}", text, verdict))
 
     for name, entry in contents.results["quantities"].items():
         sd = entry["sd"]["value"]
@@ -176,7 +177,7 @@ def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
     subject += f" at {where}" if where else ""
     kind, comma, scale = str(row["question"]).partition(", ")
     verdict = {True: "reached", False: "not reached", None: "not pursued"}[row["met"]]
-    reached = ABSENT if row["reached"] is None else number_text(f"{row['reached']:.2g}")
+    reached = ABSENT if row["reached"] is None else number_text(told_apart(row["reached"], row["asked"]))
     needed = ABSENT if row["met"] or row["met"] is None else "not known"
     if row["needed"]:
         needed = f"about {thousands(int(row['needed']))} evaluations"

@@ -322,10 +322,10 @@ def _out_of_budget(contents: Contents) -> str:
 
 
 def limits_are_accurate(results: Mapping[str, Any]) -> bool:
-    """Whether there are limits, and none of their probabilities is less accurate than asked."""
-    texts = [str(text) for text in results["accuracy"]["missed"]]
+    """Whether there are limits, and none of their probabilities is stored as less accurate than asked."""
+    asked = [row for row in results["accuracy"].get("questions", ()) if str(row["quantity"]).startswith("limits.")]
     known = all(limit["miss"]["value"] is not None for limit in results["limits"].values())
-    return bool(results["limits"]) and known and not any(text.startswith("limit ") for text in texts)
+    return bool(asked) and known and all(row["met"] is not False for row in asked)
 
 
 def _missed(texts: list[str]) -> list[str]:

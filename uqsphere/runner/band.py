@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import told_apart
 from uqsphere.runner.curve_rows import half_widths
 from uqsphere.runner.stopping import evaluations_needed, rounded
 
@@ -76,8 +77,8 @@ class Band:
         if last.half_width <= self.asked:
             return ""
         head = (
-            f"the band of the curve: half-width {last.half_width:.2g} of the smaller side of its probability, "
-            f"asked {self.asked:g}"
+            f"the band of the curve: half-width {told_apart(last.half_width, self.asked)} of the smaller side of its "
+            f"probability, asked {self.asked:g}"
         )
         needed = self.needed()
         if needed is None:

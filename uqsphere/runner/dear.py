@@ -20,7 +20,7 @@ from uqsphere.runner.learning import Learned, learn_limits, reserve, with_surrog
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
-from uqsphere.runner.sampling import METHOD, Sampled, find_missed, speed_rows
+from uqsphere.runner.sampling import METHOD, Sampled, find_missed, shortfalls, speed_rows
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names, note
 from uqsphere.runner.stopping import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, none_answered
@@ -108,6 +108,8 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
                     note(history, seconds, work, augmented.METHOD, quantity, count, width, INDEX_KIND)
             for name, ratio in found.excess.items():
                 course.setdefault(name, []).append((count, ratio))
+            for (subject, kind, at), ratio in shortfalls(work, found.descriptions, found.limits).items():
+                course.setdefault(f"{subject}.{kind} {at}", []).append((count, ratio))
             if not found.excess:
                 stopped = "accuracy"
                 break
@@ -339,7 +341,9 @@ def _with_costs(
     calls = {f"limits.{name}": count for name, count in learned.items()}
     answer = []
     for one in missed:
-        cost = _price(costs.get(one.subject, costs.get(f"{one.subject}.{one.kind}")), priced)
+        name = f"{one.subject}.{one.kind}"
+        known = [key for key in (f"{name} {one.at}", one.subject, name) if key in costs]
+        cost = _price(costs[known[0]] if known else None, priced)
         if one.subject in calls:
             cost = Cost(f" (after {calls[one.subject]} calls of active learning)")
         answer.append(replace(one, cost=cost))

@@ -21,6 +21,7 @@ from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent, describe
 from uqsphere.uq.heavy_tails import widened_share, without_moments
+from uqsphere.uq.indices import ordered
 from uqsphere.uq.released import UNSURE, drawn_in, farthest, reach_of, released, shifted, stretched, within_runs
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
@@ -102,6 +103,7 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     for quantity, sd in reaches.items():
         if quantity in indices:
             indices[quantity] = {order: [widened_share(e, sd) for e in row] for order, row in indices[quantity].items()}
+    indices = {q: dict(zip(("first", "total"), ordered(**row), strict=True)) for q, row in indices.items()}
     for limit in work.study.limits:
         # what active learning goes on with is not waited for
         if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):

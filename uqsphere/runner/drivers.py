@@ -339,7 +339,8 @@ def _measure_probability(work: Work, limit: Limit, points: Draw, state: LimitSta
             "input": name,
             "sway": e.as_dict(),
             "share": (e.value or 0.0) ** 2 / total if total > 0.0 else 0.0,
-            "tests": specimens_for_probability(e.value or 0.0, p, WANTED),
+            # of a probability near 1 it is the other side that there is to know
+            "tests": specimens_for_probability(e.value or 0.0, min(p, 1.0 - p), WANTED),
             "observations": _observed(laws[name]),
         }
         for name, e in sorted(sways.items(), key=lambda item: -abs(item[1].value or 0.0))

@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Protocol
 
@@ -35,8 +35,8 @@ LIVES: Final = 4
 WINDOW: Final = 64
 #: rows in a row that took too long, each by itself, after which no more is tried
 HUNG: Final = 32
-#: what a call of many rows may take once rows have been answered: so many limits of a row, and so many times what its
-#: rows take on average; rows of a call that takes longer are tried one by one, each with its whole limit
+#: what a call of many rows may take, which none is before a row has been answered: so many limits of a row, and so many
+#: times what its rows take on average; rows of a call that takes longer are tried one by one, each with its whole limit
 _SLOW_ROWS: Final = 4.0
 _SLOWER: Final = 10.0
 #: seconds without an answer after which an executor looks after its workers
@@ -263,7 +263,7 @@ def gather(
 
     No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  A block whose worker died
     is handed out again; one that goes on to do so, or passes its limit of time, is cut into rows, and a row that does
-    fails.
+    fails.  Under a limit, rows go out one by one until one of them is answered.
 
     Raises
     ------
@@ -281,6 +281,13 @@ def gather(
     def hand_out() -> None:
         while todo and len(pending) < _window(executor):
             piece, number = todo.popleft(), next(numbers)
+            if pace is not None and pace.rows == 0 and piece.stop - piece.start > 1:
+                # what a row takes is not known: single ones tell, before the limits of many are waited for in one call
+                if pending and not pace.hung:
+                    todo.appendleft(piece)
+                    return
+                todo.appendleft(replace(piece, start=piece.start + 1))
+                piece = replace(piece, stop=piece.start + 1)
             try:
                 piece.future = _submit(executor, packed, rows[piece.start : piece.stop], pace)
             except Exception as error:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import told_apart
 from uqsphere.runner.stopping import Missed
 from uqsphere.runner.work import Draw, Sample, Work
 from uqsphere.study import Limit
@@ -68,7 +69,7 @@ class LimitAnswer:
         if not estimate.value > 0.0:
             return f"{which}: none seen, at most {estimate.high:.2g}, so that it is not known to {asked:g} of itself"
         relative = estimate.half_width / estimate.value
-        return f"{which}: half-width {relative:.2g} of the probability, asked {asked:g}"
+        return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
 
     def beneath(self, which: str) -> bool:
         """Whether a probability is too small to matter: beneath notice, or far beneath the target."""

@@ -25,7 +25,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "asked_probabilities", "band_history", "find_margins", "limit_values"]
+__all__ = ["MarginAnswer", "asked_probabilities", "band_history", "find_margins", "limit_values", "member_values"]
 
 Array = npt.NDArray[np.float64]
 
@@ -232,7 +232,18 @@ def _named(work: Work, members: Mapping[float, dict[str, _Found | str]], limit: 
     if work.study.margins is None or work.study.margins.family is None:
         return {}
     path = work.study.margins.family.path
-    return {f"{path} {format_value(value, path)}": found[limit.name] for value, found in members.items()}
+    names = member_values(path, list(members))
+    return {f"{path} {name}": found[limit.name] for name, found in zip(names, members.values(), strict=True)}
+
+
+def member_values(path: str, values: Sequence[float], digits: int = 4) -> list[str]:
+    """Different values (SI) of a number as they are printed, to as many digits, from `digits` on, as tell them apart.
+
+    >>> member_values("sphere.radius", [0.01, 0.012]), member_values("sphere.radius", [0.01, 0.010002])
+    (['10 mm', '12 mm'], ['10 mm', '10.002 mm'])
+    """
+    tried = ([format_value(value, path, count) for value in values] for count in range(digits, 18))
+    return next((texts for texts in tried if len(set(texts)) == len(values)), [repr(value) for value in values])
 
 
 def band_history(margins: Mapping[str, MarginAnswer]) -> tuple[list[dict[str, Any]], list[float]]:

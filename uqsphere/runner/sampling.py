@@ -16,7 +16,7 @@ from uqsphere.runner.stopping import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, 
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
 from uqsphere.uq.estimates import Description, absent, describe, exact, lacking
 
-__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "speed_rows"]
+__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
 
 METHOD = "randomised quasi-Monte Carlo"
 #: points of the first stage in each replicate
@@ -140,26 +140,37 @@ def speed_rows(
     return rows
 
 
-def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
-    """Half-width over what is asked, the worst of every quantity and limit that is not there yet."""
+def shortfalls(
+    work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]
+) -> dict[tuple[str, str, float | None], float]:
+    """Half-width over what is asked of every question that is not there yet, by subject, kind and `at` of `Missed`."""
     asked = work.study.analysis.accuracy
-    found = {}
+    found: dict[tuple[str, str, float | None], float] = {}
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
-        ratios = [description.mean.half_width / asked.mean] if description.mean.value is not None else []
-        ratios += [
-            e.half_width / asked.quantile for p, e in description.quantiles.items() if p not in description.exempt
-        ]
-        found[name] = max(ratios, default=0.0) / description.scale
+        if description.mean.value is not None:
+            found[name, "mean", None] = description.mean.half_width / asked.mean / description.scale
+        for p, e in description.quantiles.items():
+            if p not in description.exempt:
+                found[name, "quantile", p] = e.half_width / asked.quantile / description.scale
     for name, limit in limits.items():
         if takes_over(work, limit):
             continue
         for which in ("exceedance", "miss"):
             estimate = getattr(limit, which)
             if estimate.value and limit.accuracy_missed(which, asked.probability):
-                found[f"limits.{name}.{which}"] = estimate.half_width / estimate.value / asked.probability
-    return {name: ratio for name, ratio in found.items() if ratio > 1.0}
+                found[f"limits.{name}", which, None] = estimate.half_width / estimate.value / asked.probability
+    return {question: ratio for question, ratio in found.items() if ratio > 1.0}
+
+
+def excess_of(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> dict[str, float]:
+    """Half-width over what is asked, the worst of every quantity and probability that is not there yet."""
+    found: dict[str, float] = {}
+    for (subject, kind, _), ratio in shortfalls(work, descriptions, limits).items():
+        name = subject if kind in ("mean", "quantile") else f"{subject}.{kind}"
+        found[name] = max(found.get(name, 0.0), ratio)
+    return found
 
 
 def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description]) -> set[tuple[str, float | None]]:
@@ -239,6 +250,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
     limits: dict[str, LimitAnswer] = {}
     missed: list[Missed] = []
     course: dict[str, list[tuple[int, float]]] = {}
+    courses: dict[tuple[str, str, float | None], list[tuple[int, float]]] = {}
     control = control or Control(plan=None, text="", used=False)
     while True:
         count = _first_stage(work) if start == 0 else start
@@ -279,6 +291,8 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         missed = find_missed(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
             course.setdefault(name, []).append((sample.status.size, ratio))
+        for question, ratio in shortfalls(work, descriptions, limits).items():
+            courses.setdefault(question, []).append((sample.status.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
         rows = speed_rows(descriptions, limits, sample.status.size, helper)
         history += rows
@@ -299,8 +313,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
     assert points is not None
     assert sample is not None
     never = _left_open(work, sample, descriptions)
-    # the course of a quantity is that of all of it, a limit has one of each probability
-    courses = [course.get(one.subject, course.get(f"{one.subject}.{one.kind}", [])) for one in missed]
+    ways = [courses.get((one.subject, one.kind, one.at), []) for one in missed]
     return Sampled(
         points=points,
         sample=sample,
@@ -308,7 +321,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         limits=limits,
         missed=[
             replace(one, cost=FOR_FAILED if (one.subject, one.at) in never else cost_of(way))
-            for one, way in zip(missed, courses, strict=True)
+            for one, way in zip(missed, ways, strict=True)
         ],
         stopped=stopped,
         history=history,

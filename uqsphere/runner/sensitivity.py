@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import told_apart
 from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
@@ -349,7 +350,7 @@ def _with_sets(
         groups = dict.fromkeys(analysis.groups, nothing)
         return replace(indices, second=drawn_second, group_first=groups, group_total=dict(groups))
     width = _beyond(drawn)
-    said = f"{quantity}: indices of pairs and groups: half-width {width:.2g}, asked {asked:g}"
+    said = f"{quantity}: indices of pairs and groups: half-width {told_apart(width, asked)}, asked {asked:g}"
     late = [Missed(subject=quantity, kind="indices", said=said, cost=cost)] if width > asked else []
     return replace(
         indices,

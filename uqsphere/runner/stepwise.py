@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import told_apart
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.limits import state_of
@@ -47,9 +48,9 @@ class Coarse:
     def missed(self) -> str:
         """What is said of it: what was reached and asked, and what it would cost."""
         return (
-            f"the steps of the curve: neighbours differ by up to {self.step:.2g} normal scores, asked {self.asked:g} "
-            f"(about {rounded(self.needed):,} evaluations of the curve would reach it, unless it jumps there; "
-            f"{self.why})"
+            f"the steps of the curve: neighbours differ by up to {told_apart(self.step, self.asked)} normal scores, "
+            f"asked {self.asked:g} (about {rounded(self.needed):,} evaluations of the curve would reach it, "
+            f"unless it jumps there; {self.why})"
         )
 
     def table(self) -> dict[str, float | int]:

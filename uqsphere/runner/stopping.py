@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from uqsphere.quantities import told_apart
+
 __all__ = [
     "INDEX_KIND",
     "MEAN_KIND",
@@ -126,7 +128,7 @@ def index_cost(given_up: Cost | None, history: Sequence[Mapping[str, Any]], quan
 
 def indices_missed(quantity: str, width: float | None, asked: float, why: str = "", cost: Cost = Cost()) -> Missed:
     """That the indices of a quantity have a half-width above what is asked, or that there are none; and `why`."""
-    found = "none" if width is None else f"half-width {width:.2g}"
+    found = "none" if width is None else f"half-width {told_apart(width, asked)}"
     said = f"{quantity}: indices: {found}, asked {asked:g}{why}"
     return Missed(subject=quantity, kind="indices", said=said, cost=cost)
 

@@ -58,7 +58,7 @@ def _index_tables(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]
 
 
 def _driver_rows(results: Mapping[str, Any]) -> list[list[Any]]:
-    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and specimens of both."""
+    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and tests of both."""
     rows: list[list[Any]] = []
     for kind in ("sensitivity", "limits"):
         for name, entry in results[kind].items():
@@ -146,7 +146,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
         "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), quantity_rows),
         "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
-        "drivers": (("of", "statistic", "input", *_ESTIMATE, "specimens"), _driver_rows(results)),
+        "drivers": (("of", "statistic", "input", *_ESTIMATE, "tests"), _driver_rows(results)),
         "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
         "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.quantities import INPUTS, Quantity, UnitError, format_value, parse_value
+from uqsphere.quantities import INPUTS, UNITS, Quantity, UnitError, format_value, parse_value
 from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.uq.ignorance import LEAST_TESTS, count_tests
@@ -20,6 +20,8 @@ __all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 
 _FILE_KEYS: Final = ("file", "column", "unit", "fit", "censored", "unbiased")
+#: parameters of a law that are values of the quantity itself
+_WHERE: Final = ("mean", "mode", "lower", "upper")
 #: More than this share of a law outside what has a meaning is worth a warning.
 _SHARE_WORTH_A_WORD: Final = 1e-6
 #: standard deviation over mean of a positive number that is worth a warning, and that is refused
@@ -66,14 +68,15 @@ def read_fixed(raw: object, place: Place, quantity: Quantity, findings: Findings
         words = one_of(BAR_ENDS)
         findings.add(place, f"found {shown(raw)}, allowed: {words}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}")
         return None
-    value = _parse(raw, place, quantity.dimension, findings)
+    value = _parse(raw, place, quantity, findings)
     if value is not None and not quantity.allows(value):
         findings.add(place, f"found {shown(raw)}: {_bounds_in_words(quantity)}")
         return None
     return value
 
 
-def _parse(raw: object, place: Place, dimension: str, findings: Findings) -> float | None:
+def _parse(raw: object, place: Place, quantity: Quantity, findings: Findings) -> float | None:
+    dimension = quantity.dimension
     if isinstance(raw, str) and len(raw) > 200:
         findings.add(place, f"found {shown(raw)}, which is too long for a number")
         return None
@@ -81,10 +84,21 @@ def _parse(raw: object, place: Place, dimension: str, findings: Findings) -> flo
         if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
             unit = "" if dimension == "number" else " with its unit in quotes"
             raise UnitError(f"found {shown(raw)}, where a number{unit} is due")
-        return parse_value(raw, dimension)
+        return parse_value(raw, dimension, _likely_unit(raw, quantity))
     except UnitError as error:
         findings.add(place, str(error))
         return None
+
+
+def _likely_unit(raw: object, quantity: Quantity) -> str:
+    """The unit to suggest for a number without one: that people read, or SI where only that makes sense of it."""
+    low, high = quantity.plausible
+    try:
+        bare = float(raw)  # type: ignore[arg-type]
+    except (ValueError, OverflowError):
+        return quantity.display
+    read = bare * UNITS[quantity.dimension].get(quantity.display, 1.0)
+    return quantity.unit if low <= bare <= high and not low <= read <= high else quantity.display
 
 
 def _bounds_in_words(quantity: Quantity) -> str:
@@ -117,8 +131,10 @@ def _read_law(
     for key in (*LAWS[kind].keys, "lower", "upper"):
         if key not in raw:
             continue
-        dimension = quantity.dimension if key in LAWS[kind].dimensional else "number"
-        value = _parse(raw[key], (*place, key), dimension, findings)
+        due = quantity if key in LAWS[kind].dimensional else plain_quantity(quantity.name)
+        if key not in _WHERE:
+            due = replace(due, plausible=(0.0, math.inf))
+        value = _parse(raw[key], (*place, key), due, findings)
         if value is not None:
             (bounds if key in ("lower", "upper") else given)[key] = value
     data: tuple[float, ...] = ()

@@ -13,7 +13,7 @@ from uqsphere.quantities import INPUTS
 from uqsphere.study.checks import check_scene
 from uqsphere.study.damper import read_damper
 from uqsphere.study.dependence import read_dependence
-from uqsphere.study.findings import Findings, Place, shown
+from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.gauges import read_gauges
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.nouns import Dependence, EndImpedance, Gauge, ModelChoice, Study
@@ -58,12 +58,30 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
     text = read_text(path)
     data = parse_text(text, path)
     findings = Findings()
+    declared = data.get("limits", {})
+    declared = list(declared) if isinstance(declared, dict) else []
     overridden = apply_overrides(data, overrides)
+    _refuse_parts_of_no_limit(data, declared, overridden, findings)
     drop_unusable_numbers(data, findings)
     study = _resolve(data, findings, path, text)
     if study is None:
         raise StudyError(str(path), findings.problems(locate(text), overridden))
     return replace(study, overrides=tuple(overrides))
+
+
+def _refuse_parts_of_no_limit(
+    data: Mapping[str, Any], declared: Sequence[str], overridden: Sequence[Place], findings: Findings
+) -> None:
+    """Note what was set of a limit that the file does not have, unless it makes a limit of its own."""
+    limits = data.get("limits")
+    limits = limits if isinstance(limits, dict) else {}
+    for name in dict.fromkeys(place[1] for place in overridden if place[0] == "limits" and len(place) > 2):
+        table = limits.get(name)
+        if name in declared or not isinstance(table, dict) or {"quantity", "criterion"} & set(table):
+            continue
+        known = [other for other in declared if other in limits]
+        there = f"known: {one_of(known)}{suggestion(str(name), known)}" if known else "which has none"
+        findings.add(("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity")
 
 
 def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) -> Study | None:

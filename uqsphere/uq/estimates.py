@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.quantities import told_apart
 from uqsphere.uq.families import Array
 from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_second, pieces, second_sums, skewness
 
@@ -422,5 +423,5 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
             missed.append((p, f"{name}: {estimate.reason}"))
         elif estimate.half_width > max(wanted * description.scale, 1e-13 * abs(estimate.value)):
             found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
-            missed.append((p, f"{name}: half-width {found:.2g} of {scale}, asked {wanted:g}"))
+            missed.append((p, f"{name}: half-width {told_apart(found, wanted)} of {scale}, asked {wanted:g}"))
     return missed
