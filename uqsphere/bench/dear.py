@@ -9,13 +9,12 @@ import numpy as np
 
 from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
-from uqsphere.uq.augmented import Trusted, joined, trust, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import trusted_indices
-from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
+from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points
 from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
 from uqsphere.uq.families import Array
-from uqsphere.uq.heavy_tails import widened_share
-from uqsphere.uq.released import UNSURE, drawn_in, reach_of, shifted, within_runs
+from uqsphere.uq.released import Believed, believed, held
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["MODELS", "SIZES", "dear_rows"]
@@ -39,28 +38,17 @@ def _large(model: CoverageModel, seed: int) -> Array:
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
 
 
-def _described(
-    trusted: Trusted, large: Array, seed: int, above: float
-) -> tuple[Description, Estimate, Estimate | None]:
-    """The description, and the probability of lying above a threshold.
-
-    Last the standard deviation from as it is to drawn in, where indices are wider by that.
-    """
-    flat = predict(trusted.chaos, large)
-    values = flat.reshape(REPLICATES, POINTS)
-    moved, reach = with_residuals(trusted, values, random_generator(seed=seed, task="dear: residuals"))
-    told = [describe(moved + side * reach, quantiles=QUANTILES) for side in (0.0, -1.0, 1.0)]
-    shares = [(moved + side * reach > above).mean(axis=1) for side in (0.0, -1.0, 1.0)]
-    middle, down, up = (from_replicates(share, WAY, POINTS * REPLICATES) for share in shares)
-    found, exceeded = widened(trusted, *told), joined(middle, down, up, len(trusted.residuals))
-    drawn = within_runs(trusted, large, flat)
-    if drawn is None:
-        return found, exceeded, None
-    inner = moved + (drawn - flat).reshape(values.shape)
-    share = from_replicates((inner > above).mean(axis=1), WAY, POINTS * REPLICATES)
-    within = describe(inner, quantiles=QUANTILES)
-    spread = reach_of(told[0].sd, within.sd) if trusted.error >= UNSURE else None
-    return drawn_in(found, told[0], within), shifted(exceeded, middle, share), spread
+def _believed(trusted: Trusted, large: Array, seed: int, above: float) -> tuple[Believed, Estimate]:
+    """What the surrogate says of the law, and the probability of lying above a threshold."""
+    found = believed(
+        trusted, large, (REPLICATES, POINTS), random_generator(seed=seed, task="dear: residuals"), QUANTILES
+    )
+    within = found.values if found.within is None else found.within
+    middle, down, up, inner = (
+        from_replicates((values > above).mean(axis=1), WAY, POINTS * REPLICATES)
+        for values in (found.values, found.values - found.reach, found.values + found.reach, within)
+    )
+    return found, held(middle, down, up, inner, len(trusted.residuals))
 
 
 def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:
@@ -88,14 +76,13 @@ def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int)
             answers = [a for a in _answers(model, found) if a[1].value is not None]
             hits += [coverage_hit(kind, REFUSED, model.name, "y", n, e, truth) for kind, e, truth in answers]
             continue
-        description, probability, spread = _described(trusted, large, seed, model.quantiles[max(QUANTILES)])
+        told, probability = _believed(trusted, large, seed, model.quantiles[max(QUANTILES)])
         exceeded = ("probability", probability, 1.0 - max(QUANTILES))
-        for kind, estimate, truth in [*_answers(model, description), exceeded]:
+        for kind, estimate, truth in [*_answers(model, told.description), exceeded]:
             hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
-        indices = trusted_indices(trusted, seed)
+        indices = told.indices(trusted_indices(trusted, seed))
         for order, truths in (("first", model.first), ("total", model.total)):
-            row = [e if spread is None else widened_share(e, spread) for e in indices[order]]
-            for j, (estimate, truth) in enumerate(zip(row, truths, strict=True)):
+            for j, (estimate, truth) in enumerate(zip(indices[order], truths, strict=True)):
                 hits.append(coverage_hit(f"{order} index", WAY, model.name, f"x{j + 1}", n, estimate, truth))
     return hits
 

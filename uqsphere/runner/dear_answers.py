@@ -16,13 +16,11 @@ from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Draw, Sample, Work, draw
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted, deviation, joined, widened, with_residuals
+from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent, describe
-from uqsphere.uq.heavy_tails import widened_share, without_moments
-from uqsphere.uq.indices import ordered
-from uqsphere.uq.released import UNSURE, drawn_in, farthest, reach_of, released, shifted, stretched, within_runs
+from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
+from uqsphere.uq.released import Believed, believed, held, shifted
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
 
@@ -93,17 +91,15 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     indices = {}
     if not dependent_names(work):
         indices = {quantity: trusted_indices(trusted[k], work.study.seed) for k, quantity in enumerate(work.quantities)}
-    descriptions, limits, alone, reaches = _described(work, design, trusted, LARGE)
+    told, limits, alone = _described(work, design, trusted, LARGE)
     if alone:
-        descriptions, limits, _, reaches = _described(work, design, trusted, LARGER)
+        told, limits, _ = _described(work, design, trusted, LARGER)
+    descriptions = {quantity: one.description for quantity, one in told.items()}
+    indices = {quantity: told[quantity].indices(found) for quantity, found in indices.items()}
     excess = excess_of(work, descriptions, limits)
     for quantity, described in descriptions.items():
         if described.mean.value is None and not (described.mean.reason or "").startswith(NO_MOMENT):
             excess[quantity] = math.inf
-    for quantity, sd in reaches.items():
-        if quantity in indices:
-            indices[quantity] = {order: [widened_share(e, sd) for e in row] for order, row in indices[quantity].items()}
-    indices = {q: dict(zip(("first", "total"), ordered(**row), strict=True)) for q, row in indices.items()}
     for limit in work.study.limits:
         # what active learning goes on with is not waited for
         if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
@@ -118,53 +114,30 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
 
 def _described(
     work: Work, design: Design, trusted: Mapping[int, Trusted], size: int
-) -> tuple[dict[str, Description], dict[str, LimitAnswer], bool, dict[str, Estimate]]:
-    """Descriptions and limits off `size` points of each replicate; whether these points leave too little room.
+) -> tuple[dict[str, Believed], dict[str, LimitAnswer], bool]:
+    """What is said of quantities and limits off `size` points of each replicate.
 
-    Last the standard deviations of surrogates that are held back by the bounds of a transform, from theirs with these
-    bounds to those without, and of those that may be wrong beyond their runs.
+    Last whether these points leave too little room.
     """
-    from uqsphere.uq.chaos import germ_points, predict
+    from uqsphere.uq.chaos import germ_points
 
-    germs, d, q = germs_of(work), len(work.scene_names), len(work.quantities)
+    d, quantiles = len(work.scene_names), work.study.analysis.quantiles
     large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)
-    points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs)
-    centre = np.empty((*large.normals.shape[:2], q))
-    reach, within = np.empty_like(centre), np.empty_like(centre)
-    beyond: dict[int, Array] = {}
-    drawn = set()
-    for k, one in trusted.items():
-        rng = random_generator(seed=work.study.seed, task=f"dear.residuals.{k}")
-        values = predict(one.chaos, points).reshape(centre.shape[:2])
-        centre[:, :, k], reach[:, :, k] = with_residuals(one, values, rng)
-        inner = within_runs(one, points, values.ravel())
-        within[:, :, k] = centre[:, :, k]
-        if inner is not None:
-            within[:, :, k] += inner.reshape(values.shape) - values
-            drawn.add(k)
-        free = released(one.chaos, points, values.ravel())
-        if free is not None:
-            beyond[k] = centre[:, :, k] + (free.reshape(values.shape) - values)
-    samples = [_sample(centre + side * reach) for side in (0.0, -1.0, 1.0)]
-    quantiles = work.study.analysis.quantiles
-    descriptions, plain, reaches = {}, {}, {}
-    for k, quantity in enumerate(work.quantities):
-        told = [describe(sample.values[:, :, k], quantiles=quantiles, method=augmented.METHOD) for sample in samples]
-        plain[quantity] = told[0]
-        descriptions[quantity] = widened(trusted[k], *told)
-        if k in drawn:
-            inside = describe(within[:, :, k], quantiles=quantiles, method=augmented.METHOD)
-            descriptions[quantity] = drawn_in(descriptions[quantity], told[0], inside)
-            if trusted[k].error >= UNSURE:
-                reaches[quantity] = reach_of(told[0].sd, inside.sd)
-        if k in beyond:
-            farther = describe(beyond[k], quantiles=quantiles, method=augmented.METHOD)
-            whole = stretched(descriptions[quantity], farther, beyond[k], design.count)
-            descriptions[quantity] = without_moments(whole, None, beyond[k])
-            far = reach_of(told[0].sd, farther.sd if whole.sd.value is not None else whole.sd)
-            reaches[quantity] = farthest(reaches.get(quantity, far), far)
+    points, shape = germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work)), large.normals.shape[:2]
+    found = {
+        quantity: believed(
+            trusted[k], points, shape, random_generator(seed=work.study.seed, task=f"dear.residuals.{k}"), quantiles
+        )
+        for k, quantity in enumerate(work.quantities)
+    }
+    every = list(found.values())
+    values, reach = (np.stack([getattr(one, name) for one in every], axis=-1) for name in ("values", "reach"))
+    samples = [_sample(values + side * reach) for side in (0.0, -1.0, 1.0)]
     middle, down, up = (judge_limits(work, large, sample) for sample in samples)
-    inwards = judge_limits(work, large, _sample(within)) if drawn else middle
+    inwards = middle
+    if any(one.within is not None for one in every):
+        drawn = [one.values if one.within is None else one.within for one in every]
+        inwards = judge_limits(work, large, _sample(np.stack(drawn, axis=-1)))
     limits = {}
     for limit in work.study.limits:
         carried = _carried(work, limit, large, samples[0], design.count)
@@ -176,7 +149,8 @@ def _described(
         **{key: 0.5 * getattr(work.study.analysis.accuracy, key) for key in ("mean", "quantile", "probability")},
     )
     strict = replace(work, study=replace(work.study, analysis=replace(work.study.analysis, accuracy=halved)))
-    return descriptions, limits, bool(excess_of(strict, plain, middle)), reaches
+    plain = {quantity: one.plain for quantity, one in found.items()}
+    return found, limits, bool(excess_of(strict, plain, middle))
 
 
 def _sample(values: Any) -> Sample:
@@ -217,8 +191,7 @@ def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, floa
         return replace(absent(reason, augmented.METHOD, runs), low=0.0, high=min(bound, 1.0))
 
     def of_margin(key: str) -> Estimate:
-        plain = middle.margin[key]
-        return shifted(joined(plain, down.margin[key], up.margin[key], runs), plain, within.margin[key])
+        return held(middle.margin[key], down.margin[key], up.margin[key], within.margin[key], runs)
 
     missed = probability("miss")
     return replace(
@@ -235,4 +208,3 @@ def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, floa
 
 if TYPE_CHECKING:
     from uqsphere.study import Limit
-    from uqsphere.uq.families import Array

@@ -6,17 +6,22 @@ is far more where the output is large and scatters most than noise of one size o
 know nothing of the choice of terms.  How far the indices moved since the fit of half the runs does, once it is taken
 down to the error of today's: what all moved, as a factor, and what each moved itself.  An input without terms has no
 noise, and counts the unexplained share in full.
+
+Beyond the outermost runs S may grow on where the model does not.  What an index changes by as S is drawn in there,
+along one input after the other, is room that its interval has besides (`beyond_runs`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
 
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, piece_rows, piece_values
+from uqsphere.uq.beyond_runs import parts_within
 from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.sampled import Companion, active_inputs, law_points, law_shares
 from uqsphere.uq.chaos.surrogate import Piece
@@ -32,10 +37,12 @@ __all__ = [
     "earlier",
     "left_out_moves",
     "moves_since",
+    "reaching",
     "replicates_of",
     "share_estimate",
     "standard_errors",
     "trusted_indices",
+    "with_reach",
 ]
 
 #: designs on which an expansion that was transformed or split is sampled, their mean is the answer
@@ -230,6 +237,32 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
     return Estimate(value=value, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=n)
 
 
+def reaching(trusted: Trusted, found: Sequence[Estimate], asked: Sequence[Terms]) -> list[Estimate]:
+    """Indices of the terms asked for, whose intervals reach as far again as drawing in beyond the runs moves them.
+
+    What is drawn in along one input moves an index one way, along another the other: all down, and all up, is held.
+    """
+    plain, *drawn = [[float(parts[terms(active)].sum()) for terms in asked] for active, parts in parts_within(trusted)]
+    moves = np.array(drawn) - plain
+    down, up = np.minimum(moves, 0.0).sum(axis=0).tolist(), np.maximum(moves, 0.0).sum(axis=0).tolist()
+    answer = []
+    for estimate, less, more in zip(found, down, up, strict=True):
+        if estimate.low is None or estimate.high is None:
+            answer.append(estimate)
+            continue
+        low, high = max(estimate.low + less, 0.0), min(estimate.high + more, 1.0)
+        error = max(estimate.std_error or 0.0, 0.25 * (high - low))
+        answer.append(replace(estimate, low=low, high=high, std_error=error))
+    return answer
+
+
+def with_reach(trusted: Trusted, found: Mapping[str, Sequence[Estimate]]) -> dict[str, list[Estimate]]:
+    """First and total indices of all inputs with the same."""
+    d = len(trusted.chaos.germs)
+    whole = reaching(trusted, [*found["first"], *found["total"]], _singles(d))
+    return {"first": whole[:d], "total": whole[d:]}
+
+
 def trusted_indices(trusted: Trusted, seed: int = 0) -> dict[str, list[Estimate]]:
     """First and total indices {"first": [...], "total": [...]} of the model, one for each input.
 
@@ -244,7 +277,7 @@ def trusted_indices(trusted: Trusted, seed: int = 0) -> dict[str, list[Estimate]
     since = moves_since(trusted, seed, shares[0])
     spread = standard_errors(trusted, _singles(d), since, None if since is None else since.ravel())
     total = shares[:, 1].mean(axis=0)
-    return {
+    found = {
         order: [
             share_estimate(
                 trusted, shares[:, k, j], float(total[j]), None if spread is None else float(spread[k * d + j]), factor
@@ -253,3 +286,4 @@ def trusted_indices(trusted: Trusted, seed: int = 0) -> dict[str, list[Estimate]
         ]
         for k, (order, factor) in enumerate((("first", FIRST), ("total", TOTAL)))
     }
+    return with_reach(trusted, found)

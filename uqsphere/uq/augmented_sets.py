@@ -14,6 +14,7 @@ from uqsphere.uq.augmented_indices import (
     active_shares,
     earlier,
     moves_since,
+    reaching,
     replicates_of,
     share_estimate,
     standard_errors,
@@ -114,9 +115,10 @@ def _estimates(
 ) -> list[Estimate]:
     moved = None if before is None else before[0] - shares[0]
     spreads = standard_errors(trusted, terms, moves_since(trusted, seed), moved)
-    return [
+    found = [
         share_estimate(
             trusted, shares[:, k], float(np.mean(total[:, k])), None if spreads is None else float(spreads[k]), factor
         )
         for k in range(len(terms))
     ]
+    return reaching(trusted, found, terms)

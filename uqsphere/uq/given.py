@@ -17,14 +17,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust, widened, with_residuals
+from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust
+from uqsphere.uq.augmented_indices import with_reach
 from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.copulas import independent_scores, members_of
-from uqsphere.uq.estimates import Estimate, absent, describe
+from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
 from uqsphere.uq.inputs import Inputs, blocks_of, normal_scores
 from uqsphere.uq.laws import Law, cdf, from_normal, sf
+from uqsphere.uq.released import believed
 from uqsphere.uq.sampling import random_generator, sobol_points
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 
@@ -344,12 +346,11 @@ def _statistics(
     trusted: Trusted, inputs: Inputs, moved: Sequence[Array], quantiles: Sequence[float], seed: int, task: str
 ) -> dict[str, Answer]:
     d = len(inputs.names)
-    values = _surrogate(trusted.chaos, None)
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
-    centre = values(normal_scores(inputs, large), None).reshape(_REPLICATES, _LARGE)
-    drawn, reach = with_residuals(trusted, centre, random_generator(seed=seed, task=f"given: residuals {task}"))
-    told = [describe(drawn + side * reach, quantiles=quantiles, method=METHOD) for side in (0.0, -1.0, 1.0)]
-    middle = widened(trusted, *told)
+    scores = np.clip(normal_scores(inputs, large), -_FURTHEST, _FURTHEST)
+    generator = random_generator(seed=seed, task=f"given: residuals {task}")
+    points, shape = germ_points(scores, trusted.chaos.germs), (_REPLICATES, _LARGE)
+    middle = believed(trusted, points, shape, generator, quantiles).description
 
     def told_by(outputs: Array) -> list[float]:
         y = outputs[:, [0, -1]] if outputs.shape[1] > 1 else outputs
@@ -372,7 +373,7 @@ def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answer
     """Sobol' indices of independent inputs."""
     d = len(inputs.names)
     rows = [_pick_freeze(outputs, d) for outputs in moved]
-    found = indices_of(trusted)
+    found = with_reach(trusted, indices_of(trusted))
     return {
         order: {
             name: _answer(estimate, [row[k][j] for row in rows[1:]], float(rows[0][k][j]) if rows else 0.0,

@@ -1,42 +1,95 @@
-"""What an expansion says beyond its runs: where a transform's bounds hold it back, and where it is extrapolated.
+"""The law of a dear output off its surrogate, with intervals for what this says beyond its runs.
 
 The inverse of a logarithm, root or reciprocal is held within a range around the runs (`chaos.outputs`), since the
 exponential of a polynomial has no bounds of its own.  What lies beyond is then known to be more, and not by how much:
-the expansion without its bounds is the other end of what it may be.
-
-Beyond the outermost runs a polynomial goes on to grow where the model may long have levelled off, and no residual
-shows it.  There the expansion at the nearest place within the range of the runs is the other end, approached the
-more the larger its error is among the runs.
+the expansion without its bounds is the other end of what it may be.  Where it is extrapolated, the expansion drawn in
+to the range of the runs is (`beyond_runs`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.uq.augmented import Trusted
+from uqsphere.uq.augmented import METHOD, Trusted, joined, widened, with_residuals
+from uqsphere.uq.beyond_runs import within_runs
 from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.surrogate import Piece
-from uqsphere.uq.estimates import Description, Estimate, absent
+from uqsphere.uq.estimates import Description, Estimate, absent, describe
 from uqsphere.uq.families import Array
-from uqsphere.uq.heavy_tails import NOT_KNOWN, hill
+from uqsphere.uq.heavy_tails import NOT_KNOWN, hill, widened_share, without_moments
+from uqsphere.uq.indices import ordered
 
-__all__ = ["UNSURE", "drawn_in", "farthest", "reach_of", "released", "shifted", "stretched", "within_runs"]
+__all__ = ["Believed", "believed", "drawn_in", "held", "released", "shifted", "stretched"]
 
 #: how near to zero, over its bound, a reciprocal or root is let
 _NEAR_ZERO = 1e-6
-#: a share below which what is drawn in is rounding
-_NOTHING = 1e-9
-#: how many times its relative error among the runs an expansion may be wrong in what it adds beyond the outermost
-#: ones: measured on outputs that level off (tanh and arctan of Cauchy, Student and normal inputs, 1/(1 + c²))
-_GROWS: Final = 60.0
-#: error from which on nothing that is added beyond the runs is believed
-UNSURE: Final = _GROWS**-2
 #: a Hill estimate below this may well be that of no variance
 _HEAVY = 2.4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Believed:
+    """Values of a dear output on a design of its law, and what else they may be; `description` says what that makes.
+
+    Attributes
+    ----------
+    values : (R, n) of the surrogate, with a residual each.
+    reach : (R, n) how far the law may be shifted there, to either side.
+    within : (R, n) the values, drawn in beyond the runs; None where nothing is.
+    beyond : (R, n) the values without the bounds of a transform; None where these hold nothing.
+    plain : description of `values` alone.
+    description : with intervals that hold all of these.
+    spread : standard deviation from that of `values` to that of `beyond`, which shares of the variance hold too.
+    """
+
+    values: Array
+    reach: Array
+    within: Array | None
+    beyond: Array | None
+    plain: Description
+    description: Description
+    spread: Estimate | None
+
+    def indices(self, found: Mapping[str, Sequence[Estimate]]) -> dict[str, list[Estimate]]:
+        """First and total indices of the surrogate, whose intervals hold what the bounds of a transform leave open.
+
+        No first one is larger than the total one.
+        """
+        spread = self.spread
+        rows = {row: [e if spread is None else widened_share(e, spread) for e in found[row]] for row in found}
+        first, total = ordered(rows["first"], rows["total"])
+        return {"first": first, "total": total}
+
+
+def believed(
+    trusted: Trusted, points: Array, shape: tuple[int, int], rng: np.random.Generator, quantiles: Sequence[float]
+) -> Believed:
+    """What the surrogate says at germ points (R n, d) of the law, in R replicates of n points: `shape`."""
+    centre = predict(trusted.chaos, points)
+    values, reach = with_residuals(trusted, centre.reshape(shape), rng)
+    plain, down, up = (describe(values + side * reach, quantiles=quantiles, method=METHOD) for side in (0.0, -1.0, 1.0))
+    found, spread = widened(trusted, plain, down, up), None
+    inner, free = within_runs(trusted, points, centre), released(trusted.chaos, points, centre)
+    within = None if inner is None else values + (inner - centre).reshape(shape)
+    beyond = None if free is None else values + (free - centre).reshape(shape)
+    if within is not None:
+        found = drawn_in(found, plain, describe(within, quantiles=quantiles, method=METHOD))
+    if beyond is not None:
+        farther = describe(beyond, quantiles=quantiles, method=METHOD)
+        whole = stretched(found, farther, beyond, len(trusted.residuals))
+        found = without_moments(whole, None, beyond)
+        spread = _reach_of(plain.sd, farther.sd if whole.sd.value is not None else whole.sd)
+    return Believed(values=values, reach=reach, within=within, beyond=beyond, plain=plain,
+                    description=found, spread=spread)  # fmt: skip
+
+
+def held(plain: Estimate, down: Estimate, up: Estimate, within: Estimate, evaluations: int) -> Estimate:
+    """An answer with the interval that holds it shifted down and up, and reaches as far again as when drawn in."""
+    return shifted(joined(plain, down, up, evaluations), plain, within)
 
 
 def released(chaos: Chaos, points: Array, values: Array) -> Array | None:
@@ -55,23 +108,6 @@ def released(chaos: Chaos, points: Array, values: Array) -> Array | None:
     answer = np.array(values)
     with np.errstate(over="ignore"):
         answer[held] = predict(free, points[held])
-    return answer
-
-
-def within_runs(trusted: Trusted, points: Array, values: Array) -> Array | None:
-    """Values (n,) at germ points (n, d) where the surrogate has `values` (n,), drawn in beyond the outermost runs.
-
-    From what the surrogate says there towards what it says at the nearest point within the range of the runs, all the
-    way where its error among them is not small.  None where nothing is to be drawn in.
-    """
-    share = min(_GROWS * math.sqrt(trusted.error), 1.0)
-    lowest, highest = trusted.points.min(axis=0), trusted.points.max(axis=0)
-    outside = ((points < lowest) | (points > highest)).any(axis=1)
-    if share <= _NOTHING or trusted.chaos.constant or not outside.any():
-        return None
-    answer = np.array(values)
-    nearest = predict(trusted.chaos, np.clip(points[outside], lowest, highest))
-    answer[outside] += share * (nearest - answer[outside])
     return answer
 
 
@@ -130,17 +166,8 @@ def _stretched(held: Estimate, free: Estimate, runs: int) -> Estimate:
     return replace(held, low=low, high=high, std_error=0.25 * (high - low))
 
 
-def reach_of(held: Estimate, free: Estimate) -> Estimate:
+def _reach_of(held: Estimate, free: Estimate) -> Estimate:
     """A standard deviation with bounds, from it to that without; its value is None where the one without is absent."""
     if held.value is None or free.value is None:
         return free if held.value is not None else held
     return replace(held, low=min(held.value, free.value), high=max(held.value, free.value))
-
-
-def farthest(one: Estimate, other: Estimate) -> Estimate:
-    """Of two ranges about the same standard deviation the one that holds both; absent where one of them is."""
-    if one.value is None or other.value is None or one.low is None or other.low is None:
-        return one if one.value is None else other
-    assert one.high is not None
-    assert other.high is not None
-    return replace(one, low=min(one.low, other.low), high=max(one.high, other.high))
