@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, piece_rows, piece_values
-from uqsphere.uq.beyond_runs import parts_within
+from uqsphere.uq.beyond_runs import shares_within
 from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.sampled import Companion, active_inputs, law_points, law_shares
 from uqsphere.uq.chaos.surrogate import Piece
@@ -237,13 +237,13 @@ def share_estimate(trusted: Trusted, shares: Array, total: float, spread: float 
     return Estimate(value=value, low=low, high=high, std_error=0.25 * (high - low), method=METHOD, evaluations=n)
 
 
-def reaching(trusted: Trusted, found: Sequence[Estimate], asked: Sequence[Terms]) -> list[Estimate]:
-    """Indices of the terms asked for, whose intervals reach as far again as drawing in beyond the runs moves them.
+def reaching(found: Sequence[Estimate], shares: Array) -> list[Estimate]:
+    """Indices whose intervals reach as far again as drawing in beyond the runs moves them.
 
-    What is drawn in along one input moves an index one way, along another the other: all down, and all up, is held.
+    `shares` (1 + d, indices) are those as it is, then drawn in along every input.  What one of these moves an index
+    down by, another may move it up by: all that go down, and all that go up, are held together.
     """
-    plain, *drawn = [[float(parts[terms(active)].sum()) for terms in asked] for active, parts in parts_within(trusted)]
-    moves = np.array(drawn) - plain
+    moves = shares[1:] - shares[0]
     down, up = np.minimum(moves, 0.0).sum(axis=0).tolist(), np.maximum(moves, 0.0).sum(axis=0).tolist()
     answer = []
     for estimate, less, more in zip(found, down, up, strict=True):
@@ -257,10 +257,9 @@ def reaching(trusted: Trusted, found: Sequence[Estimate], asked: Sequence[Terms]
 
 
 def with_reach(trusted: Trusted, found: Mapping[str, Sequence[Estimate]]) -> dict[str, list[Estimate]]:
-    """First and total indices of all inputs with the same."""
-    d = len(trusted.chaos.germs)
-    whole = reaching(trusted, [*found["first"], *found["total"]], _singles(d))
-    return {"first": whole[:d], "total": whole[d:]}
+    """First and total indices of all inputs, whose intervals hold what is not known beyond the runs."""
+    shares = shares_within(trusted, [[j] for j in range(len(trusted.chaos.germs))])
+    return {order: reaching(found[order], shares[:, :, k]) for k, order in enumerate(("first", "total"))}
 
 
 def trusted_indices(trusted: Trusted, seed: int = 0) -> dict[str, list[Estimate]]:

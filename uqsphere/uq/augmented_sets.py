@@ -19,6 +19,7 @@ from uqsphere.uq.augmented_indices import (
     share_estimate,
     standard_errors,
 )
+from uqsphere.uq.beyond_runs import shares_within
 from uqsphere.uq.chaos import Chaos
 from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.estimates import Estimate, absent
@@ -40,7 +41,8 @@ def pair_indices(trusted: Trusted, pairs: Sequence[tuple[int, int]], seed: int =
     now, then = _closed(trusted, subsets, seed)
     shares = _interactions(now[:, :, 0], single, pairs)
     before = None if then is None else _interactions(then[:, :, 0], single, pairs)
-    return _estimates(trusted, shares, before, shares, [_exactly(pair) for pair in pairs], TOTAL, seed)
+    within = _interactions(shares_within(trusted, subsets)[:, :, 0], single, pairs)
+    return _estimates(trusted, shares, before, shares, [_exactly(pair) for pair in pairs], within, TOTAL, seed)
 
 
 def _interactions(closed: Array, single: Sequence[int], pairs: Sequence[tuple[int, int]]) -> Array:
@@ -57,6 +59,7 @@ def group_indices(
     if trusted.chaos.constant:
         return [_nothing(trusted)] * len(groups), [_nothing(trusted)] * len(groups)
     shares, before = _closed(trusted, groups, seed)
+    within = shares_within(trusted, groups)
     found = [
         _estimates(
             trusted,
@@ -64,6 +67,7 @@ def group_indices(
             None if before is None else before[:, :, k],
             shares[:, :, 1],
             [kind(group) for group in groups],
+            within[:, :, k],
             factor,
             seed,
         )
@@ -110,6 +114,7 @@ def _estimates(
     before: Array | None,
     total: Array,
     terms: Sequence[Terms],
+    within: Array,
     factor: float,
     seed: int,
 ) -> list[Estimate]:
@@ -121,4 +126,4 @@ def _estimates(
         )
         for k in range(len(terms))
     ]
-    return reaching(trusted, found, terms)
+    return reaching(found, within)

@@ -17,11 +17,11 @@ import numpy as np
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.bases import orthonormal_values
-from uqsphere.uq.chaos.sampled import Companion, law_points
+from uqsphere.uq.chaos.sampled import law_points
 from uqsphere.uq.estimates import Flags
 from uqsphere.uq.families import Array
 
-__all__ = ["parts_within", "within_runs"]
+__all__ = ["shares_within", "within_runs"]
 
 #: standard errors among the runs that grow: chosen on tanh and arctan of Cauchy and Student inputs and on 1/(1 + c²)
 _ERRORS: Final = 4.0
@@ -32,7 +32,7 @@ _LEAST: Final = 1e-9
 #: nodes of an integral over a tail, and the normal score where it ends
 _NODES: Final = 64
 _END: Final = 14.0
-#: points of the law that an expansion which was transformed or split is expanded on again
+#: points of the law that an expansion which was transformed or split is sampled on
 _POINTS: Final = 4096
 
 
@@ -78,26 +78,37 @@ def within_runs(trusted: Trusted, points: Array, values: Array, along: Sequence[
     return answer
 
 
-def parts_within(trusted: Trusted) -> list[tuple[Flags, Array]]:
-    """Shares (P,) of the variance and the inputs (P, d) that each needs: as it is, then drawn in along every input.
+def shares_within(trusted: Trusted, groups: Sequence[Sequence[int]]) -> Array:
+    """Closed and total share (1 + d, groups, 2) of groups of the d inputs: as it is, then drawn in along each of them.
 
-    Off the coefficients; an expansion that was transformed or split is expanded again on points of the law, which
-    leaves the same out of every entry.
+    Off the coefficients; those of an expansion that was transformed or split are sampled, all at the same points.
     """
     chaos = trusted.chaos
     if chaos.plain and set(chaos.germs) <= {"normal", "uniform"}:
         active, squares = chaos.pieces[0].multi_indices > 0, _coefficients(chaos) ** 2
-        return [(active, squares / squares.sum())] + [_drawn_parts(trusted, j) for j in range(len(chaos.germs))]
-    points = law_points(chaos.germs, 0)[0][:_POINTS]
+        parts = [(active, squares / squares.sum())] + [_drawn_parts(trusted, j) for j in range(len(chaos.germs))]
+        return np.array([[_of_group(*part, group) for group in groups] for part in parts])
+    one, other = (points[:_POINTS] for points in law_points(chaos.germs, 0))
+    where = [one, other]
+    for group in groups:
+        mixed = one.copy()
+        mixed[:, list(group)] = other[:, list(group)]
+        where.append(mixed)
+    points = np.concatenate(where)
     plain = predict(chaos, points)
     drawn = [within_runs(trusted, points, plain, [j]) for j in range(len(chaos.germs))]
     every = np.array([plain, *(plain if values is None else values for values in drawn)])
-    every /= float(np.abs(every).max()) or 1.0
-    every -= every.mean(axis=1, keepdims=True)
-    companion = Companion(chaos, points, every[0])
-    rows = companion.rows(points)
-    squares = np.linalg.solve(rows @ rows.T, rows @ every.T).T ** 2 * companion.active.any(axis=1)
-    return [(companion.active, row) for row in squares / np.mean(every**2, axis=1, keepdims=True)]
+    every = every.reshape(len(every), len(where), -1) / (float(np.abs(every).max()) or 1.0)
+    every -= every[:, :2].mean(axis=(1, 2), keepdims=True)
+    f, g, mixes = every[:, :1], every[:, 1:2], every[:, 2:]
+    found = np.stack([np.mean(g * (mixes - f), axis=2), 0.5 * np.mean((f - mixes) ** 2, axis=2)], axis=2)
+    return np.asarray(found / np.mean(every[:, :2] ** 2, axis=(1, 2))[:, None, None])
+
+
+def _of_group(active: Flags, parts: Array, group: Sequence[int]) -> tuple[float, float]:
+    """Closed and total share of a group from parts (P,) of the variance and the inputs (P, d) that each needs."""
+    outside = np.delete(active, list(group), axis=1).any(axis=1)
+    return float(parts[~outside].sum()), float(parts[active[:, list(group)].any(axis=1)].sum())
 
 
 def _coefficients(chaos: Chaos) -> Array:
