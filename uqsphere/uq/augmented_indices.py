@@ -49,7 +49,7 @@ __all__ = [
 DESIGNS: Final = 8
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
 #: of few points confounds more with what the surrogate lacks, and whose errors have longer tails
-FIRST: Final = 2.0
+FIRST: Final = 1.9
 TOTAL: Final = 2.2
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
