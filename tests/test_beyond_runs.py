@@ -127,7 +127,8 @@ def test_what_levels_off_moves_no_index_that_does_not_hang_on_it() -> None:
 
     one = trusted_of(product, normals(32, 2))
     assert one.usable
-    assert max(e.half_width for e in pair_indices(one, [(0, 1)])) < 2e-3
+    found = trusted_indices(one)
+    assert max(e.half_width for e in (*found["first"], *found["total"], *pair_indices(one, [(0, 1)]))) < 2e-3
 
 
 def test_an_index_without_interval_stays_without() -> None:
@@ -147,4 +148,5 @@ def test_answers_of_given_tables_reach_inwards_too() -> None:
         assert one.usable
         found = given_answers(one, laws, None, quantiles=(), seed=1, task="levels off")
         hits += _hold([found[order]["a"].whole for order in ("first", "total")], 0.388477)
+        hits += _hold([found["statistics"]["sd"].whole], 1.0 / math.sqrt(1.0 - 0.388477))
     assert np.mean(hits) >= 0.8
