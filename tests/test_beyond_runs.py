@@ -16,11 +16,12 @@ from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.beyond_runs import shares_within, within_runs
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.chaos.borders import Border
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
 from uqsphere.uq.given import given_answers, trusted_from
 from uqsphere.uq.inputs import Inputs
 from uqsphere.uq.laws import make_law
+from uqsphere.uq.released import believed
 from uqsphere.uq.sampling import sobol_points
 
 NORMAL = ("normal", "normal")
@@ -127,7 +128,18 @@ def test_what_levels_off_moves_no_index_that_does_not_hang_on_it() -> None:
 
     one = trusted_of(product, normals(32, 2))
     assert one.usable
-    assert max(e.half_width for e in pair_indices(one, [(0, 1)])) < 2e-3
+    found = trusted_indices(one)
+    assert max(e.half_width for e in (*found["first"], *found["total"], *pair_indices(one, [(0, 1)]))) < 2e-3
+
+
+def test_shares_of_a_variance_that_is_not_known_are_not_given() -> None:
+    one = trusted_of(bump, normals(32, 21))
+    large = np.concatenate([normals(1024, seed) for seed in range(16)])
+    told = believed(one, large, (16, 1024), np.random.default_rng(1), ())
+    assert told.spread is None
+    gone = replace(told.description, sd=absent("it does not converge", "surrogate", 32))
+    found = replace(told, description=gone).indices(trusted_indices(one))
+    assert {e.reason for row in found.values() for e in row} == {"the variance that it is a share of is not known"}
 
 
 def test_an_index_without_interval_stays_without() -> None:
@@ -147,4 +159,5 @@ def test_answers_of_given_tables_reach_inwards_too() -> None:
         assert one.usable
         found = given_answers(one, laws, None, quantiles=(), seed=1, task="levels off")
         hits += _hold([found[order]["a"].whole for order in ("first", "total")], 0.388477)
+        hits += _hold([found["statistics"]["sd"].whole], 1.0 / math.sqrt(1.0 - 0.388477))
     assert np.mean(hits) >= 0.8

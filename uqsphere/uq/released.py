@@ -57,9 +57,10 @@ class Believed:
     def indices(self, found: Mapping[str, Sequence[Estimate]]) -> dict[str, list[Estimate]]:
         """First and total indices of the surrogate, whose intervals hold what the bounds of a transform leave open.
 
-        No first one is larger than the total one.
+        No first one is larger than the total one.  Absent where the standard deviation is: what they are shares of is
+        not known.
         """
-        spread = self.spread
+        spread = self.spread if self.description.sd.value is not None else self.description.sd
         rows = {row: [e if spread is None else widened_share(e, spread) for e in found[row]] for row in found}
         first, total = ordered(rows["first"], rows["total"])
         return {"first": first, "total": total}
