@@ -152,7 +152,8 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
     try:
         fits = fit_marginal(values)
     except ValueError as error:
-        return {"chosen": None, "reason": str(error), "fits": []}, None, []
+        same = float(values[0]) if np.ptp(values) == 0.0 else None
+        return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, []
     best = fits[0]
     entry: dict[str, Any] = {
         "chosen": best.law.kind,
