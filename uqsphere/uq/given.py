@@ -53,6 +53,8 @@ _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
 #: no law is asked beyond these normal scores
 _FURTHEST: Final = 8.0
+#: a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
+_NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
 _GRID: Final = np.linspace(-_FURTHEST, _FURTHEST, 321)
 _CALLED: Final = {
@@ -286,6 +288,8 @@ def _answer(
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
+    if way == "shares" and 0.0 < low < _NOTHING:
+        low = 0.0
     whole = replace(estimate, low=low, high=high, std_error=0.25 * (high - low))
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
