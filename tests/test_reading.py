@@ -132,4 +132,12 @@ def test_curves_keep_their_commands() -> None:
 def test_numbers_at_the_ends_of_what_there_is_are_written() -> None:
     assert format_estimate(math.inf, -math.inf, 1.0, "p_max") == "inf (-inf to 1e-09) GPa"
     assert format_estimate(1.7e308, 1e300, 1.79e308).startswith("1.7")
+
+
+def test_an_interval_that_is_far_longer_to_one_side_leaves_the_value_its_digits() -> None:
+    """Rounded to two digits of the half-width it would be 100 (0 to 3200)."""
+    assert format_estimate(51.66, 12.1, 3158.1) == "52 (12 to 3158)"
+    # of what is nothing to its interval nothing is shown
+    assert format_estimate(1e-9, 0.0, 0.02) == "0.000 (0.000 to 0.020)"
+    assert format_estimate(0.999, 0.963, 1.0) == "0.999 (0.963 to 1.000)"
     assert unit_that_reads("p_max", [5e-324, 1.79e308]) in ("Pa", "kPa", "MPa", "GPa")

@@ -402,7 +402,8 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
     The interval's half-width keeps two significant digits; the value is given to the same decimal, and to at most
-    `most` digits.  A number without uncertainty stands alone.
+    `most` digits.  Where that would round the value away, an interval that is far longer to one side has the digits of
+    its shorter one.  A number without uncertainty stands alone.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
@@ -416,6 +417,9 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
     half_width = 0.5 * abs(scaled[2] - scaled[1])
     if half_width > 0.0 and math.isfinite(half_width):
         decimals = 1 - math.floor(math.log10(half_width))
+        nearer = min(scaled[0] - scaled[1], scaled[2] - scaled[0])
+        if 1e-3 < nearer / half_width < 0.1 and abs(round(scaled[0], decimals) - scaled[0]) > 0.1 * abs(scaled[0]):
+            decimals = 1 - math.floor(math.log10(nearer))
     else:
         decimals = 5 - (math.floor(math.log10(abs(scaled[0]))) if scaled[0] else 0)
     largest = max(abs(number) for number in scaled)

@@ -82,7 +82,7 @@ def coverage_figure(rows: Sequence[CoverageRow]) -> Picture:
     panel.axvspan(100.0 * POOLED[0], 100.0 * POOLED[1], color=GREEN, alpha=0.15, linewidth=0.0)
     panel.axvline(100.0 * LEAST, color=RED, linewidth=1.0, linestyle="--", label=f"cells: at least {LEAST:.0%}")
     panel.set_yticks(range(len(due)), [f"{row.kind}, {row.way}, {row.points}" for row in due])
-    panel.invert_yaxis()
+    panel.set_ylim(len(due) - 0.4, -0.6)
     panel.set_xlabel("intervals that hold the truth [%]; green: due")
     panel.grid(True, axis="x")
     figure.legend(loc="outside upper center", ncols=3)

@@ -152,7 +152,8 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
     try:
         fits = fit_marginal(values)
     except ValueError as error:
-        return {"chosen": None, "reason": str(error), "fits": []}, None, []
+        same = float(values[0]) if np.ptp(values) == 0.0 else None
+        return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, []
     best = fits[0]
     entry: dict[str, Any] = {
         "chosen": best.law.kind,
@@ -176,8 +177,7 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         entry["parameters"] = dict(law.parameters)
         entry["weights"] = {}
         entry["reason"] = f"no family fits: even the best, {best.law.kind}, has a p-value of {best.p_value:.2g}"
-        levels = np.unique(values).size
-        if levels <= _LEVELS:
+        if (levels := np.unique(values).size) <= _LEVELS:
             entry["reason"] = f"it has {levels} values only, and the kernel density fills the gaps between them"
         others = possible_laws(law, 100, generator) if values.size <= 500 else []
     else:

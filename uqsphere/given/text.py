@@ -59,7 +59,8 @@ def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
     rows: list[tuple[str, ...]] = []
     for name, entry in found["inputs"].items():
         if entry["chosen"] is None:
-            rows.append((name, "-", "", "", "", "", "", ""))
+            same = entry["fixed"]
+            rows.append((name, *(("-", "", "") if same is None else ("fixed", "", f"{same:.5g}")), "", "", "", ""))
             continue
         others = [f"{kind} {weight:.0%}" for kind, weight in entry["weights"].items() if kind != entry["chosen"]]
         opened = [_range(entry[f"{what}_left_open"]) for what in ("mean", "sd")]
@@ -162,6 +163,9 @@ def study_text(found: Mapping[str, Any]) -> str:
         "[inputs]",
     ]
     for name, entry in found["inputs"].items():
+        if entry.get("fixed") is not None:
+            lines.append(f"{_key(name)} = {entry['fixed']!r}")
+            continue
         if entry["chosen"] in (None, "kde", "empirical"):
             lines.append(f"# {name}: {entry['reason']}; give it as an empirical law with its own CSV")
             continue

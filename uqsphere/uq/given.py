@@ -10,10 +10,10 @@ Sobol' points, so that the difference is that of the laws.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.families import Array
 from uqsphere.uq.inputs import Inputs, blocks_of, normal_scores
 from uqsphere.uq.laws import Law, cdf, from_normal, sf
+from uqsphere.uq.opened import leaning, reach, spanned
 from uqsphere.uq.released import believed
 from uqsphere.uq.sampling import random_generator, sobol_points
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
@@ -54,12 +55,10 @@ _SHARED_ROWS: Final = 4096
 _SHARED: Final = (64, 512)
 #: no law is asked beyond these normal scores
 _FURTHEST: Final = 8.0
+#: a share of the variance that is not told from none: fitted bounds leave such of what cancels under the law itself
+_NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
 _GRID: Final = np.linspace(-_FURTHEST, _FURTHEST, 321)
-#: 95 % of what the other laws move an answer by, which is known from some dozens of them
-_OPEN: Final = 2.0
-#: logarithm of a factor beyond which steps are counted
-_FACTORS: Final = 2.0
 _CALLED: Final = {
     "gaussian": "Gaussian", "student_t": "Student t", "clayton": "Clayton", "gumbel": "Gumbel", "frank": "Frank",
 }  # fmt: skip
@@ -185,7 +184,9 @@ def given_answers(
     """
     dependent = inputs.correlation is not None or bool(inputs.groups)
     moved = _moved(trusted.chaos, inputs, left_open, seed)
-    answers = {"statistics": _statistics(trusted, inputs, moved, quantiles, seed, task)}
+    under = () if left_open is None else left_open.inputs
+    copulas = [tuple((group.members, group.copula.kind) for group in one.groups) for one in under]
+    answers = {"statistics": _statistics(trusted, inputs, moved, copulas, quantiles, seed, task)}
     if trusted.chaos.constant:
         nothing = absent("the output does not vary with the inputs, or the expansion is a constant", METHOD,
                          len(trusted.residuals))  # fmt: skip
@@ -273,77 +274,36 @@ def _answer(
     *,
     way: str = "steps",
     lean: tuple[float, float] = (0.0, 0.0),
+    copulas: Sequence[Hashable] = (),
 ) -> Answer:
     """An answer with what it moves by under the other laws, from the same points that gave `value`.
 
-    By `way`: "steps" of the answer itself, "factors" of a standard deviation, "shares" of the variance by their logit,
-    so that more is left open above a small one than below, "squares" by the arcsine of the root: the first index of
-    an input that depends on others is the square of a correlation, which may be none.  `lean` is added below and above.
+    `way` is that of `reach`; with `copulas`, those of the other laws, every copula that is left open is held by itself.
+    `lean` is added below and above.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None or not moved:
         return Answer(surrogate=estimate, left_open=0.0, whole=estimate)
-    opened = _opened(estimate.value, np.asarray(moved), value, way)
+    opened = reach(estimate.value, np.asarray(moved), value, way)
+    if copulas:
+        opened = spanned(np.asarray(moved) - value, copulas) or opened
     below, above = (max(half + more, 0.0) for half, more in zip(opened, lean, strict=True))
     low = estimate.value - math.hypot(estimate.value - estimate.low, below)
     high = estimate.value + math.hypot(estimate.high - estimate.value, above)
     low, high = min(max(low, within[0]), estimate.value), max(min(high, within[1]), estimate.value)
+    if way == "shares" and 0.0 < low < _NOTHING:
+        low = 0.0
     whole = replace(estimate, low=low, high=high, std_error=0.25 * (high - low))
     return Answer(surrogate=estimate, left_open=max(below, above), whole=whole)
 
 
-def _opened(answer: float, moved: Array, value: float, way: str) -> tuple[float, float]:
-    """How far below and above an answer the other laws reach."""
-    from scipy.special import expit, logit
-
-    steps = moved - value
-    unit = float(np.abs(steps).max()) or 1.0
-    plain = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    ways: dict[str, tuple[Any, Any]] = {
-        "squares": (_angle, _share),
-        "factors": (np.log, np.exp),
-        "shares": (logit, expit),
-    }
-    if way not in ways:
-        return plain, plain
-    there, back = ways[way]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        changes, centre = there(moved) - there(value), float(there(answer))
-    half = _OPEN * float(np.sqrt(np.mean(changes**2)))
-    if way == "squares":
-        # a root has lost its sign: about a correlation near zero the laws lie on both sides of it
-        above = max(_share(centre + half) - answer, plain * (answer < 0.5))
-        return max(answer - _share(centre - half), 0.0), above
-    # what is zero but for the noise of the design is no factor of anything
-    if math.isfinite(centre) and half < _FACTORS:
-        return answer - float(back(centre - half)), float(back(centre + half)) - answer
-    return plain, plain
-
-
-def _leaning(moved: Array, means: Array) -> tuple[float, float]:
-    """What the interval of a quantile reaches further below and above than by steps, the fitted laws' values first.
-
-    Its distance from the mean moves by factors: where the runs show too little of a tail, the interval would be short.
-    """
-    distance = moved - means
-    with np.errstate(invalid="ignore", divide="ignore"):
-        half = _OPEN * float(np.sqrt(np.mean(np.log(distance[1:] / distance[0]) ** 2)))
-    if not half < _FACTORS:
-        return 0.0, 0.0
-    size = abs(float(distance[0]))
-    out, back = size * (math.expm1(half) - half), -size * (half + math.expm1(-half))
-    return (out, back) if distance[0] < 0.0 else (back, out)
-
-
-def _angle(share: Array | float) -> Array:
-    return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
-
-
-def _share(angle: float) -> float:
-    return math.sin(min(max(angle, 0.0), 0.5 * math.pi)) ** 2
-
-
 def _statistics(
-    trusted: Trusted, inputs: Inputs, moved: Sequence[Array], quantiles: Sequence[float], seed: int, task: str
+    trusted: Trusted,
+    inputs: Inputs,
+    moved: Sequence[Array],
+    copulas: Sequence[Hashable],
+    quantiles: Sequence[float],
+    seed: int,
+    task: str,
 ) -> dict[str, Answer]:
     d = len(inputs.names)
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
@@ -363,9 +323,13 @@ def _statistics(
     found = {}
     for k, (name, estimate) in enumerate(estimates):
         told_so = rows[1:, k].tolist() if rows.size else []
-        lean = _leaning(rows[:, k], rows[:, 0]) if k > 1 and rows.size else (0.0, 0.0)
-        within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
-        found[name] = _answer(estimate, told_so, rows[0, k] if rows.size else 0.0, within, way=way, lean=lean)
+        value = rows[0, k] if rows.size else 0.0
+        if name in ("mean", "sd"):
+            within, way = ((0.0, math.inf), "factors") if name == "sd" else ((-math.inf, math.inf), "steps")
+            found[name] = _answer(estimate, told_so, value, within, way=way)
+        else:
+            lean = leaning(rows[:, k], rows[:, 0]) if rows.size else (0.0, 0.0)
+            found[name] = _answer(estimate, told_so, value, (-math.inf, math.inf), lean=lean, copulas=copulas)
     return found
 
 

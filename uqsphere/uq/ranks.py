@@ -24,6 +24,8 @@ _METHOD: Final = "ranks of the input"
 #: fewer runs say nothing
 _LEAST: Final = 20
 _SUBSAMPLES: Final = 200
+#: outermost runs that a slope is taken from
+_OUTER: Final = 8
 #: the largest index that has an inverse hyperbolic tangent to speak of
 _SURE: Final = 0.99999
 
@@ -60,6 +62,25 @@ def _of_the_ratio(z: Array, index: float) -> tuple[float, float, float]:
     return error, kurtosis, _together(terms, pairs - 1.0) / terms.size
 
 
+def _ends_apart(x: Array, z: Array) -> float:
+    """What neighbours among the outermost runs differ by because the input does, over the variance of the outputs.
+
+    There the input may lie far apart; what a straight line through these runs makes of the gaps, less what it would
+    make of them by chance.
+    """
+    found = 0.0
+    for u, v in ((x[:_OUTER], z[:_OUTER]), (x[: -_OUTER - 1 : -1], z[: -_OUTER - 1 : -1])):
+        u = (u - u[0]) / (float(np.ptp(u)) or 1.0)
+        gaps, u, v = np.diff(u), u - u.mean(), v - v.mean()
+        spread = float((u**2).sum())
+        if spread > 0.0:
+            slope = float((u * v).sum()) / spread
+            chance = float(((v - slope * u) ** 2).sum()) / (_OUTER - 2) / spread
+            # the outermost difference is counted one and a half times
+            found += 0.5 * (slope**2 - chance) * float((gaps**2).sum() + 0.5 * gaps[0] ** 2)
+    return found / z.size / float(z.var(ddof=1))
+
+
 def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) -> list[Estimate]:
     """First-order index of every input, (n, d) and (n,) -> d estimates.
 
@@ -67,8 +88,9 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
     drawn without repetition, too large for few runs.  The interval is Fisher's, of the inverse hyperbolic tangent, as
     for a correlation, with Student's factor: the variance of n terms with kurtosis k, every other of which tells
     something new, is known as from n/k + 1 normal numbers.  The upper end lies further off by what a ratio is too small
-    on average, and at least twice as far as neighbours differ in the input, which shows in how much more the second
-    neighbour differs than the first.  Raises ValueError for values that are not finite.
+    on average and by what the outermost runs lie apart in the input, and at least twice as far as neighbours differ in
+    it, which shows in how much more the second neighbour differs than the first; below zero no index lies, and no upper
+    end.  Raises ValueError for values that are not finite.
     """
     from scipy.special import stdtrit
 
@@ -88,7 +110,8 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
             continue
         # equal inputs in random order: an input of a few levels has neighbours by chance
         shuffled: Array = generator.random((n,))
-        z = outputs[np.lexsort(np.stack([shuffled, inputs[:, j]]))]
+        order = np.lexsort(np.stack([shuffled, inputs[:, j]]))
+        z = outputs[order]
         index = 1.0 - float(_left(z))
         parts = np.take_along_axis(drawn, np.lexsort(np.stack([shuffled[drawn], inputs[drawn, j]])), axis=1)
         varied: Array = outputs[parts]
@@ -99,8 +122,9 @@ def rank_indices(inputs: Array, outputs: Array, generator: np.random.Generator) 
         factor = float(stdtrit(max(n / kurtosis, 2.0), 0.975))
         far = float(np.arctanh(np.clip(index, -_SURE, _SURE)))
         half = factor * error / (1.0 - min(index**2, _SURE))
-        above = max(math.tanh(far + half) + max(too_low, 0.0), index + float(_left(z, 2)) - float(_left(z)))
-        low, high = min(math.tanh(far - half), index), min(max(above, index), 1.0)
+        short = max(too_low, 0.0) + max(_ends_apart(inputs[order, j], z), 0.0)
+        above = max(math.tanh(far + half) + short, index + float(_left(z, 2)) - float(_left(z)))
+        low, high = min(math.tanh(far - half), index), min(max(above, index, 0.0), 1.0)
         found.append(
             Estimate(value=index, low=low, high=high, std_error=max(error, 0.25 * (high - low)), method=_METHOD,
                      evaluations=n)
