@@ -390,20 +390,15 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
 
 
 def told_apart(value: float, bound: float) -> str:
-    """`value` to two significant digits, or to as many as tell it from `bound` as that is written.
-
-    >>> told_apart(0.3125, 0.06), told_apart(0.06042, 0.06)
-    ('0.31', '0.0604')
-    """
+    """`value` to two significant digits, or to as many as tell it from `bound` as that is written."""
     return next((t for n in range(2, 18) if float(t := f"{value:.{n}g}") != float(f"{bound:g}")), f"{value:.2g}")
 
 
 def format_estimate(value: float, low: float, high: float, name: str = "", most: int = 15) -> str:
     """``value (low to high) unit``, every number rounded to what the interval supports.
 
-    The interval's half-width keeps two significant digits; the value is given to the same decimal, and to at most
-    `most` digits.  Where that would round the value away, an interval that is far longer to one side has the digits of
-    its shorter one.  A number without uncertainty stands alone.
+    The half-width keeps two significant digits, the value the same decimal and at most `most` digits; where that would
+    round the value away, an interval that is far longer to one side has the digits of its shorter one.
 
     >>> format_estimate(2.55412e9, 2.5502e9, 2.5581e9, "p_max")
     '2.5541 (2.5502 to 2.5581) GPa'
