@@ -23,7 +23,7 @@ from uqsphere.uq.families import Array
 
 __all__ = ["shares_within", "within_runs"]
 
-#: standard errors among the runs that grow: chosen on tanh and arctan of Cauchy and Student inputs and on 1/(1 + c²)
+#: standard errors among the runs that grow: chosen on the outputs that level off of docs/validation.md
 _ERRORS: Final = 4.0
 #: a share below which what is drawn in is rounding
 _NOTHING: Final = 1e-9
