@@ -314,7 +314,7 @@ def coverage_table(
     if quick:
         rows += dear.dear_rows(repetitions=2, models=("linear", "product"), sizes=(64,), notice=notice)
     else:
-        rows += dear.dear_rows(repetitions=290, sizes=dear.SIZES[:2], notice=notice)
+        rows += dear.dear_rows(repetitions=290, notice=notice)
     return rows, [asdict(row) for row in [*pooled(rows), *rows]], coverage_text(rows)
 
 

@@ -50,7 +50,7 @@ DESIGNS: Final = 8
 #: standard errors to either side: of first and closed indices, and of those that hold interactions, of which a design
 #: of few points confounds more with what the surrogate lacks, and whose errors have longer tails
 FIRST: Final = 1.9
-TOTAL: Final = 2.2
+TOTAL: Final = 2.1
 #: part of what the indices moved since the fit before that counts as choice of terms, and how much more at most
 _MOVED: Final = 0.3
 _MOST_MOVED: Final = 50.0
