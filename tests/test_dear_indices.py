@@ -209,8 +209,8 @@ def test_terms_that_few_runs_do_not_show_are_looked_for_above_a_small_index() ->
     _, one = trusted_of("borehole", 64)
     alone = np.array([0.02])
     rough, smooth = (share_estimate(replace(one, error=e), alone, 0.03, 0.005, FIRST) for e in (0.04, 1e-8))
-    assert rough.high - 0.02 == pytest.approx(2.0 * 0.005 + 0.04 * math.sqrt(0.04 / (0.04 + 64 * 0.03)))
-    assert 0.02 - rough.low == pytest.approx(2.0 * 0.005 + 0.04 * 0.04 / (0.04 + 64 * 0.03))
+    assert rough.high - 0.02 == pytest.approx(FIRST * 0.005 + 0.04 * math.sqrt(0.04 / (0.04 + 64 * 0.03)))
+    assert 0.02 - rough.low == pytest.approx(FIRST * 0.005 + 0.04 * 0.04 / (0.04 + 64 * 0.03))
     assert smooth.high - 0.02 == pytest.approx(0.02 - smooth.low, rel=1e-6)
 
 
