@@ -16,7 +16,7 @@ import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.plan import plan_run
+from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
 from uqsphere.runner.stopping import Cost, cost_of
 from uqsphere.study import Study
@@ -363,6 +363,7 @@ def test_the_plan_says_the_way_and_the_crossover(study_from: Callable[..., Study
     assert dear["evaluations"] == 64
     assert dear["most"] >= 256
     assert dear["seconds"] == pytest.approx(10.0 * dear["evaluations"] + 10.0, abs=20.0)
+    assert "most of it: surrogate 640 s\n" in plan_text(study_from(text=DEAR), dear)
     study = study_from(text=DEAR.replace('cost = "10 s"\n', ""))
     unknown = plan_run(study)
     assert unknown["way"] is None

@@ -60,6 +60,21 @@ def test_a_dear_model_without_variance_keeps_its_mean(tmp_path: Path) -> None:
     assert all(estimate["value"] is None for estimate in indices_of(results))
 
 
+def test_accuracies_are_not_measured_by_a_standard_deviation_that_does_not_exist(tmp_path: Path) -> None:
+    """That of the samples grows with the rarest of them, and makes every half-width look small."""
+    law = '{ dist = "frechet", shape = 1.5, scale = 1 }'
+    results = dear(law, lambda rows: {"y": np.exp(0.3 * np.tanh(rows["b"])) * rows["a"]}, tmp_path / "r")
+    found, accuracy = results["quantities"]["y"], results["accuracy"]
+    assert "no moments from order 1.5 on" in found["sd"]["reason"]
+    short = [row for row in accuracy["questions"] if row["met"] is False]
+    assert short
+    assert not accuracy["met"]
+    assert all(row["text"] for row in short)
+    said = " ".join(accuracy["missed"])
+    assert "of half the 16-84 % range" in said
+    assert "of the standard deviation" not in said
+
+
 def test_a_dear_model_that_bounds_a_cauchy_input_keeps_its_moments(tmp_path: Path) -> None:
     results = dear(CAUCHY, lambda rows: {"y": np.tanh(rows["a"]) + rows["b"]}, tmp_path / "r")
     mean, sd = (results["quantities"]["y"][key] for key in ("mean", "sd"))

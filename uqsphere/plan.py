@@ -98,6 +98,11 @@ def _three(number: int) -> int:
     return int(float(f"{number:.3g}"))
 
 
+def _two(seconds: float) -> str:
+    """Two digits, without an exponent that nobody reads."""
+    return f"{seconds:.2g}" if seconds < 100.0 else f"{float(f'{seconds:.2g}'):,.0f}"
+
+
 def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
     """The plan for the terminal."""
     likely, most = _three(plan["evaluations"]), _three(plan["most"])
@@ -126,7 +131,7 @@ def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
         lines.append(f"time: about {about} (20 s more to compile at first)")
     dear = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_DEAREST]
     if dear:
-        lines.append("most of it: " + ", ".join(f"{p['part']} {p['seconds']:.2g} s" for p in dear))
+        lines.append("most of it: " + ", ".join(f"{p['part']} {_two(p['seconds'])} s" for p in dear))
     lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
     if study.black_box:
         crossover = plan["crossover_seconds_per_evaluation"]

@@ -134,7 +134,8 @@ def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity
         kept = name in dear.believed and tail is None
         descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
     gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith((NO_MOMENT, NOT_KNOWN))}
-    missed = [one for one in sampled.missed if (one.subject, one.kind) not in gone]
+    rescaled = {q: d for q, d in descriptions.items() if d.scale != sampled.descriptions[q].scale}
+    missed = [one for one in _rejudged(work, sampled, rescaled) if (one.subject, one.kind) not in gone]
     missed += [
         Missed(subject=q, kind="mean", said=f"{q}: mean: {d.mean.reason}")
         for q, d in descriptions.items()
@@ -142,6 +143,18 @@ def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity
     ]
     settled = replace(sampled, descriptions=descriptions, missed=missed)
     return settled, _shares(work, settled, found, dear.tails, None)
+
+
+def _rejudged(work: Work, sampled: Sampled, rescaled: Mapping[str, Description]) -> list[Missed]:
+    """What was missed, with means and quantiles of quantities that have another scale now held against that.
+
+    What was forecast of a half-width over the scale before says nothing of it over the new one.
+    """
+    from uqsphere.runner.sampling import find_missed
+
+    stays = {(one.subject, one.said): one for one in sampled.missed}
+    kept = [one for one in sampled.missed if one.subject not in rescaled or one.kind not in ("mean", "quantile")]
+    return kept + [stays.get((one.subject, one.said), one) for one in find_missed(work, dict(rescaled), {})]
 
 
 def _why_none(outputs: Array, sd: Estimate) -> str:

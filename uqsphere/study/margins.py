@@ -114,6 +114,8 @@ def _read_family(table: MarginsTable, scene: Scene, black_box: bool, findings: F
         if findings.clean(place):
             findings.add(place, 'a family needs path = "sphere.radius" and values = ["5 mm", "10 mm"]')
         return None
+    if path not in scene.readings and not findings.clean(("inputs", path) if black_box else tuple(path.split("."))):
+        return None  # it is there, and what is wrong with it is said
     if path not in scene.readings or path == table.solve:
         why = "is the free number itself" if path == table.solve else "is no number of this scene"
         findings.add((*place, "path"), f"{shown(path)} {why}{suggestion(path, list(scene.readings))}")
