@@ -18,11 +18,15 @@ from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
-from uqsphere.runner.stopping import Cost, cost_of
+from uqsphere.runner.dear_end import Dear
+from uqsphere.runner.dear_kept import keep_indices
+from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.stopping import Cost, cost_of, indices_missed
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
+from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.ways import CHEAP, choose_way
 
@@ -164,6 +168,73 @@ def test_a_rough_model_is_sampled_where_the_budget_has_room(ask) -> None:
     assert mean["evaluations"] >= 2048
     assert holds(mean, 4.0)
     assert any("would reach it" in text for text in results["accuracy"]["missed"])
+
+
+MIXED = (
+    DEAR.replace('names = ["y"]', 'names = ["y", "z"]').replace("[analysis]", '[analysis]\nquantities = ["y", "z"]')
+    + '[limits.rough]\nquantity = "z"\nstrength = 8.5\n'
+)
+
+
+def both(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {"y": ishigami(x), "z": chequered(x)}
+
+
+def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    found = uqsphere.run(study_from("analysis.budget.evaluations=600", text=MIXED), out=tmp_path / "r", model=both)
+    results = found.results
+    assert results["plan"]["way"] == "surrogate"
+    assert "surrogates answer y" in results["plan"]["why"]
+    y, z = results["quantities"]["y"]["mean"], results["quantities"]["z"]["mean"]
+    assert y["method"].startswith("surrogate")
+    assert y["evaluations"] < z["evaluations"]
+    assert holds(y, TRUTH.mean)
+    assert holds(z, 4.0)
+    assert results["sensitivity"]["y"]["total"]["x1"]["value"] == pytest.approx(TRUTH.total[0], abs=0.01)
+    assert results["sensitivity"]["z"]["total"]["x1"]["value"] is None
+    assert results["limits"]["high"]["miss"]["method"].startswith("surrogate")
+    assert results["limits"]["rough"]["miss"]["evaluations"] == z["evaluations"]
+    missed = results["accuracy"]["missed"]
+    assert missed
+    assert not [text for text in missed if text.startswith(("y:", "limit high:"))]
+    # each by its own half-width at the rate of independent runs, none by one forecast for all
+    means = [text for text in missed if text.startswith("z: mean")]
+    assert "evaluations would reach it" in means[0]
+    told = {row["quantity"] for row in results["speed_error"] if row["evaluations"] == z["evaluations"]}
+    assert {"z", "limits.rough"} <= told
+
+
+def test_what_surrogates_reached_is_kept_where_sampling_does_not(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    overrides = ("analysis.budget.evaluations=4500", "analysis.budget.time='100 h'", "analysis.accuracy.mean=5e-4")
+    results = uqsphere.run(study_from(*overrides, text=MIXED), out=tmp_path / "r", model=both).results
+    assert results["plan"]["way"] == "sampling"
+    y, z = results["quantities"]["y"], results["quantities"]["z"]
+    assert y["mean"]["method"].startswith("surrogate")
+    assert y["mean"]["high"] - y["mean"]["low"] < 0.001 * y["sd"]["value"]
+    assert holds(y["mean"], TRUTH.mean)
+    assert not z["mean"]["method"].startswith("surrogate")
+    assert z["mean"]["evaluations"] >= 2048
+    missed = results["accuracy"]["missed"]
+    assert any(text.startswith("z: mean") for text in missed)
+    assert not any(text.startswith("y: mean") for text in missed)
+
+
+@pytest.mark.parametrize(("half", "late", "kept"), [(0.03, True, True), (0.03, False, False), (0.001, True, False)])
+def test_indices_of_a_surrogate_are_kept_where_sampled_ones_are_wider_than_asked(
+    half: float, late: bool, kept: bool
+) -> None:
+    def indices(half: float, missed: bool) -> Sensitivity:
+        row = {"x1": Estimate(value=0.5, low=0.5 - half, high=0.5 + half, std_error=half, method="", evaluations=1)}
+        told = [indices_missed("y", half, 0.001)] if missed else []
+        return Sensitivity(first=row, total=row, surrogate={}, sampled={}, expanded={}, agree=None, text="",
+                           missed=told)  # fmt: skip
+
+    sampled, own = indices(half, late), indices(0.01, True)
+    dear = Dear(why="", surrogate=False, sensitivity={"y": own})
+    found = keep_indices({"y": sampled, "z": sampled}, dear)
+    assert found == {"y": own if kept else sampled, "z": sampled}
 
 
 def test_a_step_is_answered_within_its_interval(ask) -> None:

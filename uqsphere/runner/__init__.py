@@ -224,6 +224,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.quantities import format_estimate
     from uqsphere.runner.answer_validity import judge_answers
     from uqsphere.runner.dear import answer_dear
+    from uqsphere.runner.dear_kept import keep_answers, keep_indices
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
@@ -256,6 +257,8 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.close("sampling")
     sampled = refine_limits(work, sampled)
+    if dear is not None:
+        sampled = keep_answers(work, sampled, dear)
     ledger.close("rare events")
     if notice is not None:
         for name, limit in sampled.limits.items():
@@ -276,6 +279,8 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     if shared is not None:
         sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
     sensitivity = share_heavy(work, sampled, sensitivity, pairs)
+    if dear is not None:
+        sensitivity = keep_indices(sensitivity, dear)
     ledger.close("sensitivity")
     drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
     ledger.close("drivers")
@@ -394,7 +399,7 @@ def compare_with_paper(study: Study) -> list[dict[str, Any]]:
 
 
 if TYPE_CHECKING:
-    from uqsphere.runner.dear import Dear
+    from uqsphere.runner.dear_end import Dear
     from uqsphere.runner.pilot import Pilot
     from uqsphere.runner.price import Priced
     from uqsphere.runner.results import Findings

@@ -95,6 +95,8 @@ def _why(name: str, likely: int, taken: int, found: Findings, *, planned: bool, 
             return "The surrogate was found too rough, and no more runs were made for it."
         if ended and not more:
             return f"It ended early: {ended}."
+        if more and any(one.kind == "surrogate" for one in found.sampled.missed):
+            return "What is too rough for a surrogate took the runs that the budget had room for."
         if more:
             return "The model is less smooth than was assumed, and the surrogate needed more runs."
         return "The model is smoother than was assumed, and fewer runs gave the accuracy."

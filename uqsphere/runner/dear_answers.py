@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
-from uqsphere.runner.price import Design
 from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Draw, Sample, Work, draw
@@ -36,10 +35,10 @@ SEEN = 1.0
 class Answers:
     """Descriptions, limits and indices at one size, and how far each answer is from what is asked."""
 
-    descriptions: dict[str, Description]
-    limits: dict[str, LimitAnswer]
-    indices: dict[str, dict[str, list[Estimate]]]
-    excess: dict[str, float]
+    descriptions: dict[str, Description] = field(default_factory=dict)
+    limits: dict[str, LimitAnswer] = field(default_factory=dict)
+    indices: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
+    excess: dict[str, float] = field(default_factory=dict)
 
 
 def germs_of(work: Work) -> tuple[str, ...]:
@@ -49,7 +48,7 @@ def germs_of(work: Work) -> tuple[str, ...]:
     )
 
 
-def demands_of(work: Work, trusted: Mapping[int, Trusted]) -> dict[str, tuple[Demand, float, float]]:
+def demands_of(work: Work, trusted: Mapping[str, Trusted]) -> dict[str, tuple[Demand, float, float]]:
     """For every quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
     from uqsphere.uq.chaos import germ_points, predict
 
@@ -59,8 +58,8 @@ def demands_of(work: Work, trusted: Mapping[int, Trusted]) -> dict[str, tuple[De
         return lambda normals: np.asarray(predict(one.chaos, germ_points(normals, germs)))
 
     return {
-        work.quantities[k]: (demand(one), one.scatter, deviation(one.levels + one.residuals))
-        for k, one in trusted.items()
+        quantity: (demand(one), one.scatter, deviation(one.levels + one.residuals))
+        for quantity, one in trusted.items()
         if one.usable
     }
 
@@ -83,24 +82,26 @@ def dear_sets(work: Work, one: Trusted | None, reason: str) -> dict[str, Any]:
     }
 
 
-def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> Answers:
-    """Answers of the surrogates, with intervals that hold their errors.
+def answers_of(work: Work, runs: int, usable: Mapping[str, Trusted]) -> Answers:
+    """Answers of the surrogates of some quantities, from so many runs, with intervals that hold their errors.
 
     They are evaluated on a large design, and on a larger one where the first would miss an accuracy by itself.
     """
+    if not usable:
+        return Answers()
     indices = {}
     if not dependent_names(work):
-        indices = {quantity: trusted_indices(trusted[k], work.study.seed) for k, quantity in enumerate(work.quantities)}
-    told, limits, alone = _described(work, design, trusted, LARGE)
+        indices = {quantity: trusted_indices(one, work.study.seed) for quantity, one in usable.items()}
+    told, limits, alone = _described(work, runs, usable, LARGE)
     if alone:
-        told, limits, _ = _described(work, design, trusted, LARGER)
+        told, limits, _ = _described(work, runs, usable, LARGER)
     descriptions = {quantity: one.description for quantity, one in told.items()}
     indices = {quantity: told[quantity].indices(found) for quantity, found in indices.items()}
     excess = excess_of(work, descriptions, limits)
     for quantity, described in descriptions.items():
         if described.mean.value is None and not (described.mean.reason or "").startswith(NO_MOMENT):
             excess[quantity] = math.inf
-    for limit in work.study.limits:
+    for limit in _limits(work, usable):
         # what active learning goes on with is not waited for
         if limits[limit.name].miss.value is None and not learnable(work, limit, limits[limit.name]):
             excess[f"limits.{limit.name}.miss"] = math.inf
@@ -112,8 +113,13 @@ def answers_of(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> An
     return Answers(descriptions=descriptions, limits=limits, indices=indices, excess=excess)
 
 
+def _limits(work: Work, usable: Mapping[str, Trusted]) -> list[Limit]:
+    """Limits of the quantities that have a surrogate."""
+    return [limit for limit in work.study.limits if limit.quantity in usable]
+
+
 def _described(
-    work: Work, design: Design, trusted: Mapping[int, Trusted], size: int
+    work: Work, runs: int, usable: Mapping[str, Trusted], size: int
 ) -> tuple[dict[str, Believed], dict[str, LimitAnswer], bool]:
     """What is said of quantities and limits off `size` points of each replicate.
 
@@ -126,23 +132,22 @@ def _described(
     points, shape = germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work)), large.normals.shape[:2]
     found = {
         quantity: believed(
-            trusted[k], points, shape, random_generator(seed=work.study.seed, task=f"dear.residuals.{k}"), quantiles
+            usable[quantity],
+            points,
+            shape,
+            random_generator(seed=work.study.seed, task=f"dear.residuals.{k}"),
+            quantiles,
         )
         for k, quantity in enumerate(work.quantities)
+        if quantity in usable
     }
-    every = list(found.values())
-    values, reach = (np.stack([getattr(one, name) for one in every], axis=-1) for name in ("values", "reach"))
-    samples = [_sample(values + side * reach) for side in (0.0, -1.0, 1.0)]
-    middle, down, up = (judge_limits(work, large, sample) for sample in samples)
-    inwards = middle
-    if any(one.within is not None for one in every):
-        drawn = [one.values if one.within is None else one.within for one in every]
-        inwards = judge_limits(work, large, _sample(np.stack(drawn, axis=-1)))
+    samples = [_sample(work, {q: one.values + side * one.reach for q, one in found.items()}) for side in (0, -1, 1)]
+    samples.append(_sample(work, {q: one.values if one.within is None else one.within for q, one in found.items()}))
+    judged = [judge_limits(work, large, sample, usable) for sample in samples]
     limits = {}
-    for limit in work.study.limits:
-        carried = _carried(work, limit, large, samples[0], design.count)
-        told_of = [answers[limit.name] for answers in (middle, down, up, inwards)]
-        limits[limit.name] = _limit(told_of, design.count, carried)
+    for limit in _limits(work, usable):
+        carried = _carried(work, limit, large, samples[0], runs)
+        limits[limit.name] = _limit([answers[limit.name] for answers in judged], runs, carried)
     # a design whose own half-widths take more than half of what is asked leaves too little for the surrogate
     halved = replace(
         work.study.analysis.accuracy,
@@ -150,13 +155,14 @@ def _described(
     )
     strict = replace(work, study=replace(work.study, analysis=replace(work.study.analysis, accuracy=halved)))
     plain = {quantity: one.plain for quantity, one in found.items()}
-    return found, limits, bool(excess_of(strict, plain, middle))
+    return found, limits, bool(excess_of(strict, plain, judged[0]))
 
 
-def _sample(values: Any) -> Sample:
-    return Sample(
-        values=values, censored=np.zeros(values.shape, dtype=bool), status=np.zeros(values.shape[:2], dtype=np.int64)
-    )
+def _sample(work: Work, found: Mapping[str, Any]) -> Sample:
+    """Values (R, n) by quantity as a sample; those of the other quantities are nan."""
+    shape = next(iter(found.values())).shape
+    values = np.stack([found.get(quantity, np.full(shape, np.nan)) for quantity in work.quantities], axis=-1)
+    return Sample(values=values, censored=np.zeros(values.shape, dtype=bool), status=np.zeros(shape, dtype=np.int64))
 
 
 def widest(found: Mapping[str, list[Estimate]]) -> float | None:

@@ -55,7 +55,7 @@ class _Wide:
     reason: str = ""
 
 
-def dear_margins(work: Work, trusted: Mapping[int, Trusted], affordable: int) -> dict[str, MarginAnswer]:
+def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) -> dict[str, MarginAnswer]:
     """Curves and values of the free scalar for every limit; those that cannot be given say why.
 
     Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.
@@ -70,11 +70,11 @@ def dear_margins(work: Work, trusted: Mapping[int, Trusted], affordable: int) ->
         if solved is not None and solved != limit.name:
             found[limit.name] = _nothing(work, f"the free strength is that of limit {solved}, which does not move this")
             continue
+        one = trusted.get(limit.quantity)
+        if one is None or not one.usable:
+            found[limit.name] = _nothing(work, f"{limit.quantity} has no surrogate, and sampling is beyond the budget")
+            continue
         if solved is not None:
-            one = trusted.get(work.quantities.index(limit.quantity))
-            if one is None or not one.usable:
-                found[limit.name] = _nothing(work, "no surrogate may be used, and sampling is beyond the budget")
-                continue
             found[limit.name] = _answer(work, limit, one, _of_strength(work, limit, one), len(one.residuals))
             continue
         wide = _over_scalar(work, affordable) if wide is None else wide

@@ -97,7 +97,7 @@ def _admitted(quantity: str, indices: Sensitivity, asked: float) -> Sensitivity:
     return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
 
 
-def dear_tails(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> dict[str, HeavyTail | None]:
+def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> dict[str, HeavyTail | None]:
     """The tail that each quantity of a dear model inherits, off its runs.
 
     A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
@@ -113,11 +113,11 @@ def dear_tails(work: Work, design: Design, trusted: Mapping[int, Trusted]) -> di
     for k, quantity in enumerate(work.quantities):
         outputs = np.where(design.sample.failed[0], np.nan, design.sample.values[0, :, k])
         centred = {}
-        if k in trusted and trusted[k].usable:
+        if quantity in trusted and trusted[quantity].usable:
             for j in heavy:
                 moved = normals.copy()
                 moved[:, j] = 0.0
-                centred[work.scene_names[j]] = predict(trusted[k].chaos, germ_points(moved, germs_of(work)))
+                centred[work.scene_names[j]] = predict(trusted[quantity].chaos, germ_points(moved, germs_of(work)))
         answers[quantity] = heavy_tail(laws, physical, outputs, centred) if heavy else None
     return answers
 
@@ -211,7 +211,7 @@ def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate]) -> Sensi
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from uqsphere.runner.dear import Dear
+    from uqsphere.runner.dear_end import Dear
     from uqsphere.runner.price import Design
     from uqsphere.runner.sampling import Sampled
     from uqsphere.runner.sensitivity import Pairs, Sensitivity

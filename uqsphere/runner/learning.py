@@ -72,7 +72,8 @@ def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
 
 def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> int:
     """Evaluations kept for the limits that need learning: at most half of what is affordable."""
-    wanted = sum(learnable(work, limit, limits[limit.name]) for limit in work.study.limits)
+    known = [limit for limit in work.study.limits if limit.name in limits]
+    wanted = sum(learnable(work, limit, limits[limit.name]) for limit in known)
     return min(MOST_CALLS * wanted, affordable // 2)
 
 

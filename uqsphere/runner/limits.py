@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -153,10 +153,14 @@ def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> tup
     return dict(zip(names, found[0].tolist(), strict=True)), found[1]
 
 
-def judge_limits(work: Work, points: Draw, values: Sample) -> dict[str, LimitAnswer]:
-    """Every limit of the study at the points that were sampled."""
+def judge_limits(
+    work: Work, points: Draw, values: Sample, quantities: Container[str] | None = None
+) -> dict[str, LimitAnswer]:
+    """Every limit of the study, or those of some quantities, at the points that were sampled."""
     answers = {}
     for limit in work.study.limits:
+        if quantities is not None and limit.quantity not in quantities:
+            continue
         state = state_of(work, limit, points, values)
         missed, exceeded = miss(state, limit.aim), exceedance(state)
         if not work.drawn.names and not state.late.any() and not state.broken.any():

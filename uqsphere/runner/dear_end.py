@@ -1,0 +1,247 @@
+"""The end of a dear model's design: everything that it answers, by surrogates and by the runs themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, widest
+from uqsphere.runner.dear_course import Course
+from uqsphere.runner.dear_margins import dear_margins
+from uqsphere.runner.heavy_tails import dear_tails
+from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
+from uqsphere.runner.limits import judge_limits, limits_missed
+from uqsphere.runner.margins import MarginAnswer
+from uqsphere.runner.price import Design, Priced, enlarge
+from uqsphere.runner.sampling import METHOD, Sampled, find_missed
+from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.stopping import Cost, Missed, indices_missed
+from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
+from uqsphere.uq import augmented
+from uqsphere.uq.augmented import Trusted
+from uqsphere.uq.estimates import Estimate, absent, describe
+
+__all__ = ["Dear", "End", "conclude", "refusal", "to_be_sampled"]
+
+#: an index whose half-width is above this is withheld
+WORTHLESS = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dear:
+    """What the surrogate way found; without `sampled` where the model has to be sampled instead, and `why`.
+
+    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments, and
+    `found` what surrogates said of quantities and limits where the model is sampled.
+    """
+
+    why: str
+    surrogate: bool
+    sampled: Sampled | None = None
+    found: Answers = field(default_factory=Answers)
+    sensitivity: dict[str, Sensitivity] = field(default_factory=dict)
+    margins: dict[str, MarginAnswer] = field(default_factory=dict)
+    history: list[dict[str, Any]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    stopped: str = "accuracy"
+    believed: tuple[str, ...] = ()
+    tails: dict[str, HeavyTail | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class End:
+    """Where the design ended, and why: its surrogates, what they answer, the quantities too rough for one."""
+
+    work: Work
+    priced: Priced
+    design: Design
+    trusted: Mapping[str, Trusted]
+    found: Answers
+    rough: tuple[str, ...]
+    course: Course
+    stopped: str
+
+
+def refusal(end: End) -> str:
+    """Why surrogates are not used, or an empty text."""
+    if not end.rough:
+        return ""
+    if not end.trusted:
+        return "no surrogate was fitted, since runs are too few or some have no answer"
+    told = [f"{quantity}: {end.trusted[quantity].reason}" for quantity in end.rough]
+    return "the surrogate is too rough (" + "; ".join(told) + ")"
+
+
+def _blocks(design: Design) -> tuple[Draw, Sample]:
+    """The runs in consecutive blocks, which serve as replicates: each is spread as evenly as a design of its size.
+
+    Blocks of one sequence fill each other's gaps, so that intervals from their spread are too wide rather than narrow.
+    """
+    each = max(2, design.count // REPLICATES)
+    blocks = design.count // each
+    kept = blocks * each
+
+    def cut(values: Any) -> Any:
+        return values[0, :kept].reshape(blocks, each, *values.shape[2:])
+
+    points, sample = design.points, design.sample
+    return (
+        Draw(normals=cut(points.normals), physical=cut(points.physical)),
+        Sample(values=cut(sample.values), censored=cut(sample.censored), status=cut(sample.status)),
+    )
+
+
+def _believable(estimate: Estimate) -> Estimate:
+    if estimate.value is None or estimate.half_width <= WORTHLESS:
+        return estimate
+    return absent("the interval spans the whole range", estimate.method, estimate.evaluations)
+
+
+def to_be_sampled(end: End, why: str) -> Dear:
+    """That the model is sampled, with what surrogates say of the quantities that have one."""
+    tails = dear_tails(end.work, end.design, end.trusted)
+    plain = tuple(quantity for quantity in end.found.descriptions if tails[quantity] is None)
+    return Dear(
+        why=why,
+        surrogate=False,
+        found=end.found,
+        sensitivity={quantity: _sensitivity(end, quantity) for quantity in plain},
+        history=end.course.history,
+        seconds=end.course.seconds,
+        believed=plain,
+        tails=tails,
+    )
+
+
+def conclude(end: End) -> Dear:
+    """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
+    work, course, design, stopped = end.work, end.course, end.design, end.stopped
+    affordable = end.priced.way.affordable
+    points, sample = _blocks(design)
+    alone = _from_runs(end, points, sample)
+    limits, learned = end.found.limits | alone.limits, Learned(limits={})
+    if stopped != "time":
+        learned = learn_limits(work, limits, affordable)
+        course.history += learned.history
+        course.seconds += learned.seconds
+        limits = with_surrogate_design(work, learned.limits, demands_of(work, end.trusted), affordable)
+    margins = dear_margins(work, end.trusted, affordable)
+    if end.rough and stopped != "time":
+        # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
+        most = design.count + affordable - work.ledger.total
+        design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
+        stopped = "evaluations"
+        points, sample = _blocks(design)
+        alone = _from_runs(end, points, sample)
+        sharper = {name: one for name, one in alone.limits.items() if name not in learned.calls}
+        limits |= {name: replace(one, checks=limits[name].checks) for name, one in sharper.items()}
+    course.end(work, design.count, alone)
+    answers = end.found.descriptions | alone.descriptions
+    descriptions = {quantity: answers[quantity] for quantity in work.quantities}
+    limits = {limit.name: limits[limit.name] for limit in work.study.limits}
+    lacking = [*find_missed(work, descriptions, {}), *limits_missed(work, limits)]
+    missed = [_refused(quantity, end.trusted.get(quantity)) for quantity in end.rough]
+    why = end.priced.way.why
+    if end.rough:
+        why = f"{refusal(end)}: {'its' if len(end.rough) == 1 else 'their'} {design.count} runs are sampled"
+    if end.rough and end.found.descriptions:
+        why += f"; surrogates answer {', '.join(end.found.descriptions)}"
+    sampled = Sampled(
+        points=points,
+        sample=sample,
+        descriptions=descriptions,
+        limits=limits,
+        missed=missed + course.priced(lacking, end.priced, learned.calls),
+        stopped=stopped,
+        history=[],
+        seconds=[],
+    )
+    return Dear(
+        why=why,
+        surrogate=bool(end.found.descriptions),
+        sampled=sampled,
+        sensitivity={quantity: _sensitivity(end, quantity) for quantity in work.quantities},
+        margins=margins,
+        history=course.history,
+        seconds=course.seconds,
+        stopped=stopped,
+        believed=tuple(end.found.descriptions),
+        tails=dear_tails(work, design, end.trusted),
+    )
+
+
+def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
+    """Answers of the runs alone, for quantities without a surrogate."""
+    work, analysis = end.work, end.work.study.analysis
+    descriptions = {
+        name: describe(
+            sample.values[:, :, k],
+            failed=sample.failed,
+            on_failure=analysis.on_failure,
+            quantiles=analysis.quantiles,
+            method=METHOD,
+        )
+        for k, name in enumerate(work.quantities)
+        if name in end.rough
+    }
+    return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample, end.rough))
+
+
+def _refused(quantity: str, one: Trusted | None) -> Missed:
+    reason = "no surrogate was fitted" if one is None else one.reason
+    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
+    return Missed(subject=quantity, kind="surrogate", said=said)
+
+
+def _sensitivity(end: End, quantity: str) -> Sensitivity:
+    work, one, found = end.work, end.trusted.get(quantity), end.found.indices.get(quantity)
+    names, analysis, sampling = work.scene_names, work.study.analysis, end.priced.way.sampling
+    about: dict[str, Any] = {"kind": None, "error": None, "evaluations": 0}
+    if one is not None:
+        about = {
+            "kind": CHAOS,
+            "error": min(one.error, 1.0),
+            "evaluations": len(one.residuals),
+            "usable": one.usable,
+            "reason": one.reason,
+            "degree": one.chaos.degree,
+            "terms": int(one.chaos.coefficients.size),
+        }
+    tied = dependent_names(work)
+    reason = (
+        f"{', '.join(tied)} depend on each other: Shapley effects take their place, and are sampled"
+        if tied
+        else "no surrogate may be used, and sampled indices are beyond the budget"
+    )
+    nothing = absent(reason, augmented.METHOD, work.ledger.total)
+    sets = dear_sets(work, None if found is None else one, reason)
+    if found is None:
+        rows = dict.fromkeys(names, nothing)
+        cost = Cost(f" ({sampling:,} evaluations)", sampling)
+        missed = [indices_missed(quantity, None, analysis.accuracy.sobol, f": {reason}", cost)]
+        return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
+                           text=f"No index is given: {reason}.", missed=missed, **sets)  # fmt: skip
+    width = widest(found)
+    missed = []
+    if width is not None and width > analysis.accuracy.sobol:
+        cost = end.course.cost(quantity, "indices", None, end.priced)
+        missed = [indices_missed(quantity, width, analysis.accuracy.sobol, cost=cost)]
+    text = "Indices are those of the surrogate; their intervals hold what it leaves of the variance."
+    given = {order: [_believable(e) for e in row] for order, row in found.items()}
+    return Sensitivity(
+        first=dict(zip(names, given["first"], strict=True)),
+        total=dict(zip(names, given["total"], strict=True)),
+        surrogate=about,
+        sampled={},
+        expanded=dict(given),
+        agree=None,
+        text=text,
+        missed=missed,
+        estimators="Off the coefficients of the surrogate, or by sampling it where its output was transformed.",
+        **sets,
+    )
+
+
+if TYPE_CHECKING:
+    from uqsphere.uq.heavy_tails import HeavyTail
