@@ -18,6 +18,7 @@ from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
+from uqsphere.runner import work
 from uqsphere.runner.dear_end import Dear
 from uqsphere.runner.dear_kept import keep_indices
 from uqsphere.runner.sensitivity import Sensitivity
@@ -122,6 +123,19 @@ def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.Monkey
     indices = ask(Counted(ishigami)).results["sensitivity"]["y"]
     for name in ("x1", "x2", "x3"):
         assert indices["first"][name]["low"] <= indices["total"][name]["high"]
+
+
+def test_the_larger_design_of_many_inputs_has_fewer_points(ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes = []
+
+    def noted(*args: Any, **more: Any) -> Any:
+        sizes.append(more["count"])
+        return work.draw(*args, **more)
+
+    monkeypatch.setattr("uqsphere.runner.dear_answers.draw", noted)
+    monkeypatch.setattr("uqsphere.runner.dear_answers.HELD", 16 * 3 * 9000)
+    ask(Counted(ishigami), "analysis.accuracy.mean=1e-7", "analysis.budget.evaluations=64")
+    assert set(sizes) == {4096, 8192}
 
 
 def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:

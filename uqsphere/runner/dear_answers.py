@@ -13,7 +13,7 @@ from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
 from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
-from uqsphere.runner.work import Draw, Sample, Work, draw
+from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, draw
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
@@ -27,6 +27,8 @@ __all__ = ["SEEN", "Answers", "answers_of", "dear_sets", "demands_of", "germs_of
 
 #: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
+#: numbers that the larger design holds at most: fewer points for more than 32 inputs
+HELD = 2**24
 #: runs that a probability has to rest on
 SEEN = 1.0
 
@@ -94,7 +96,8 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Trusted]) -> Answers:
         indices = {quantity: trusted_indices(one, work.study.seed) for quantity, one in usable.items()}
     told, limits, alone = _described(work, runs, usable, LARGE)
     if alone:
-        told, limits, _ = _described(work, runs, usable, LARGER)
+        larger = min(LARGER, 2 ** int(math.log2(HELD / (REPLICATES * max(len(work.drawn.names), 1)))))
+        told, limits, _ = _described(work, runs, usable, max(LARGE, larger))
     descriptions = {quantity: one.description for quantity, one in told.items()}
     indices = {quantity: told[quantity].indices(found) for quantity, found in indices.items()}
     excess = excess_of(work, descriptions, limits)
