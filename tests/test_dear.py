@@ -15,7 +15,7 @@ import pytest
 import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.bench.dear import dear_rows
-from uqsphere.errors import StudyError, UsageError
+from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
 from uqsphere.runner import work
@@ -314,14 +314,18 @@ def test_budgets_below_the_smallest_designs(ask) -> None:
 
 
 def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> None:
-    def sometimes(x: dict[str, np.ndarray]) -> np.ndarray:
-        return np.where(x["x1"] > 2.5, np.nan, x["x1"] + x["x2"])
+    def without(share: float) -> Counted:
+        edge = (2.0 * share - 1.0) * np.pi
+        return Counted(lambda x: np.where(x["x1"] < edge, np.nan, x["x1"] + x["x2"]))
 
-    results = ask(Counted(sometimes), "analysis.on_failure='drop'").results
+    results = ask(without(0.02), "analysis.on_failure='drop'").results
     assert results["plan"]["way"] == "surrogate"
     assert results["model"]["failures"] > 0
-    results = ask(Counted(sometimes), "analysis.on_failure='bound'", "analysis.budget.evaluations=100", out="b").results
-    assert results["plan"]["way"] == "sampling"
+    overrides = ("analysis.on_failure='bound'", "analysis.budget.evaluations=100")
+    assert ask(without(0.1), *overrides, out="b").results["plan"]["way"] == "sampling"
+    # few rows hold more than 1 % by chance, and not so many
+    with pytest.raises(TooManyFailures, match=r"of 32 evaluations failed .*too many to leave out"):
+        ask(without(0.2), "analysis.on_failure='drop'", out="many")
 
 
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:

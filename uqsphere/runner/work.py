@@ -53,6 +53,8 @@ Flags = npt.NDArray[np.bool_]
 REPLICATES = 16
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01
+#: rows from which on that share is taken as it is, and the probability below which fewer do not hold it by chance
+MANY, BY_CHANCE = 1000, 0.025
 #: evaluations without a single answer after which no policy goes on, unless the budget has no more to begin with
 NONE_ANSWERED = 1000
 
@@ -310,11 +312,23 @@ def _account(work: Work, fidelity: str, answered: Answered) -> None:
             f'{failed} of {ledger.total} evaluations failed ({reasons}); on_failure = "abort" ends the run: '
             'narrow or truncate the inputs, or choose on_failure = "bound" or "drop"'
         )
-    if policy == "drop" and failed > MOST_DROPPED * ledger.total and ledger.total >= 1000:
+    if policy == "drop" and _too_many(failed, ledger.total):
         raise TooManyFailures(
             f"{failed} of {ledger.total} evaluations failed ({reasons}), more than {100.0 * MOST_DROPPED:.0f} % of "
             'them: too many to leave out; narrow the inputs, or choose on_failure = "bound"'
         )
+
+
+def _too_many(failed: int, total: int) -> bool:
+    """Whether failed rows are too many to leave out; of few rows, more than chance makes of the share that is let go.
+
+    >>> _too_many(10, 1000), _too_many(11, 1000), _too_many(2, 64), _too_many(4, 64)
+    (False, True, False, True)
+    """
+    from scipy.special import bdtrc
+
+    over = failed > MOST_DROPPED * total
+    return over and (total >= MANY or float(bdtrc(failed - 1, total, MOST_DROPPED)) < BY_CHANCE)
 
 
 def _reasons(work: Work) -> str:
