@@ -66,6 +66,48 @@ def test_an_end_within_the_first_stage_keeps_its_rows(tmp_path: Path) -> None:
     assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
 
 
+@pytest.mark.parametrize(("after", "smooth", "rough"), [(40, 32, 32), (90, 64, 64), (300, 128, 128)])
+def test_an_early_end_of_a_dear_model_answers_by_the_runs_that_are_there(
+    tmp_path: Path, after: int, smooth: int, rough: int
+) -> None:
+    """A stage that is cut short is not counted, whether of a surrogate or of runs that none can use."""
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """seed = 2
+[inputs]
+x1 = { dist = "uniform", lower = 0.0, upper = 1.0 }
+x2 = { dist = "uniform", lower = 0.0, upper = 1.0 }
+[outputs]
+names = ["smooth", "rough"]
+[analysis]
+quantities = ["smooth", "rough"]
+cost = "1 s"
+budget = { evaluations = 600, time = "1 h" }
+accuracy = { mean = 1e-9, quantile = 1e-9, sobol = 1e-9 }
+""",
+        encoding="utf-8",
+    )
+    study = uqsphere.load_study(path)
+    rows = 0
+
+    def box(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        nonlocal rows
+        rows += len(x["x1"])
+        wave = np.sin(97.0 * x["x1"]) * np.sin(83.0 * x["x2"])
+        return {"smooth": np.exp(x["x1"] * x["x2"]), "rough": np.sign(wave)}
+
+    run = uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: rows >= after)
+    assert run.manifest["interrupted"] is True
+    assert run.results["accuracy"]["stopped_by"]["sampling"] == "time"
+    means = {name: entry["mean"] for name, entry in run.results["quantities"].items()}
+    assert (means["smooth"]["evaluations"], means["rough"]["evaluations"]) == (smooth, rough)
+    assert means["smooth"]["method"].startswith("surrogate")
+    resumed = uqsphere.run(study, out=tmp_path / "r", model=box)
+    whole = uqsphere.run(study, out=tmp_path / "whole", model=box)
+    assert resumed.manifest["interrupted"] is False
+    assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
+
+
 def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from('analysis.quantities=["P_max"]', "analysis.accuracy.quantile=0.05", quick=True)
     run = uqsphere.run(study, out=tmp_path / "r")

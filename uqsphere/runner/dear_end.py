@@ -17,7 +17,7 @@ from uqsphere.runner.price import Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import Cost, Missed, indices_missed
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
@@ -130,8 +130,11 @@ def conclude(end: End) -> Dear:
     if end.rough and stopped != "time":
         # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
         most = design.count + affordable - work.ledger.total
-        design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
-        stopped = "evaluations"
+        try:
+            design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
+            stopped = "evaluations"
+        except OutOfBudget:
+            stopped = "time"
         points, sample = _blocks(design)
         alone = _from_runs(end, points, sample)
         sharper = {name: one for name, one in alone.limits.items() if name not in learned.calls}
