@@ -398,6 +398,22 @@ def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypa
     assert first["x65"]["value"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_rough_output_has_indices_where_the_budget_is_short_of_the_first_design(tmp_path: Path) -> None:
+    laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = 0, upper = 1 }}' for k in range(1, 4))
+    budget = 'budget = { evaluations = 7_000 }\nmethods = ["sobol", "pce"]'
+    (tmp_path / "s.toml").write_text(f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\n{budget}\n', "utf-8")
+
+    def chequered(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.sign(np.sin(97.0 * x["x1"]) * np.sin(83.0 * x["x2"])) + x["x3"]}
+
+    found = uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=chequered).results
+    assert sum(found["model"]["evaluations"].values()) <= 7_000
+    total, first = (found["sensitivity"]["y"][order] for order in ("total", "first"))
+    assert total["x1"]["evaluations"] == 16 * 32 * 5
+    assert total["x1"]["low"] < 12.0 / 13.0 < total["x1"]["high"]
+    assert first["x3"]["low"] < 1.0 / 13.0 < first["x3"]["high"]
+
+
 # --- accuracies out of reach -----------------------------------------------------------------------------
 
 

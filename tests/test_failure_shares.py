@@ -78,3 +78,9 @@ def test_nothing_is_said_where_nothing_or_everything_fails() -> None:
     z = scores(2, 64)
     assert failure_shares(z, np.zeros(64)) is None
     assert failure_shares(z, np.ones(64)) is None
+
+
+def test_probabilities_whose_squares_are_beneath_all_numbers_have_no_shares() -> None:
+    z = np.random.default_rng(2).standard_normal((100, 2))
+    assert failure_shares(z, np.full(100, 1e-200)) is None
+    assert failure_shares(z, np.where(z[:, 0] > 0.0, 1e-140, 0.0)) is not None

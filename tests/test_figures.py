@@ -179,6 +179,8 @@ def test_margins_that_span_decades_stand_on_a_logarithmic_axis(
     assert axes.get_xscale() == "log"
     assert axes.get_xlim()[0] < 0.629 < 32.3 < axes.get_xlim()[1]
     assert figure("narrow", (0.6, 1.67, 2.25), (1.59, 2.56, 4.11)).figure.axes[0].get_xscale() == "linear"
+    # of demands that are next to nothing
+    assert np.isfinite(figure("endless", (2e-10, 1.0, 1e304)).figure.axes[0].get_xlim()).all()
 
 
 def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path: Path) -> None:

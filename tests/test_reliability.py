@@ -182,6 +182,9 @@ def test_margins_that_have_no_meaning_are_absent() -> None:
         found = margin_quantiles(LimitState(demands=demands, strength=strength))
         assert all(estimate.value is None and "zero" in estimate.reason for estimate in found.values())
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
+    # the end of the median's interval is looked for where there are too few positive demands, and far out
+    halves = np.where(np.arange(8) < np.where(np.arange(16)[:, None] % 2 == 0, 3, 6), 1e300, -1e300)
+    assert "samples" in margin_quantiles(LimitState(demands=halves, strength=weibull))["median"].reason
     found = margin_quantiles(LimitState(demands=0.0 * demands, strength=weibull))
     assert "unbounded" in found["median"].reason
     censored = demands > 0.5

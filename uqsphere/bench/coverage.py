@@ -25,7 +25,7 @@ __all__ = ["CoverageRow", "Hit", "coverage_rows", "coverage_table", "coverage_te
 
 #: points of a replicate: the first stage of a run, and a later one
 SAMPLE_SIZES: Final = (128, 1024)
-INDEX_SIZES: Final = (64, 512)
+INDEX_SIZES: Final = (32, 64, 512)
 #: points that an expansion is fitted to, and the expansions of a run
 FIT_POINTS: Final = 256
 FITS: Final = 8

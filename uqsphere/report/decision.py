@@ -36,8 +36,8 @@ Array = npt.NDArray[np.float64]
 
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
-#: factor between the largest and the smallest margin from which on their axis is logarithmic
-_WIDE: Final = 8.0
+#: factor between largest and smallest margin from which on their axis is logarithmic, and the logarithm where it ends
+_WIDE, _MOST = 8.0, 600.0
 _TICKS: Final = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 0.999999)
 _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0.3, 0.999: 0.3}
 
@@ -51,10 +51,12 @@ def margin_figure(contents: Contents) -> Picture | None:
         figure, (axes,) = canvas.new_figure(1.5 + 0.55 * len(limits))
         values = [e["value"] for limit in limits.values() for e in _known(limit["margin"]).values()]
         low, high = min(1.0, *values), max(1.0, *values)
-        width = 0.12 * (high - low) or 0.1
-        axes.set_xlim(low - width, high + width)
-        if 0.0 < _WIDE * low < high:
-            x_scale(axes, np.array([low, high]) * (high / low) ** np.array([-0.12, 0.12]))
+        if 0.0 < low < high / _WIDE:
+            ends = np.log([low, high])
+            x_scale(axes, np.exp(np.clip(ends + 0.12 * np.ptp(ends) * np.array([-1.0, 1.0]), -_MOST, _MOST)))
+        else:
+            width = 0.12 * (high - low) or 0.1
+            axes.set_xlim(low - width, high + width)
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         for row, limit in enumerate(limits.values()):
             _margin_bar(axes, row, limit)

@@ -31,7 +31,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-FIRST = 64
+#: base points of each replicate to begin with, and where the budget has no room for these
+FIRST, FEWER = 64, 32
 #: base points of each replicate from which on an accuracy may be given up
 JUDGED = 128
 #: an index whose half-width is above this is withheld
@@ -243,6 +244,8 @@ def find_sensitivity(
     control = control or IndexControl(used=False)
     while "sobol" in methods or "auto" in methods:
         count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
+        if not start and work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
+            count = FEWER
         if work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
             stopped = "evaluations"
             break

@@ -40,7 +40,8 @@ def failure_shares(scores: Array, weight: Array, strength: Array | None = None) 
     Returns
     -------
     (shares, method) or None
-        Shares (d,) or (d + 1,) of sum 1, and BY_DIRECTION or BY_INFORMATION; None where no row fails, or all do.
+        Shares (d,) or (d + 1,) of sum 1, and BY_DIRECTION or BY_INFORMATION; None where no row fails, or all do, or
+        where the squares of the probabilities are beneath all numbers.
 
     >>> scores = np.array([[2.0, 0.5], [2.0, -0.5], [0.0, 1.0], [0.0, 0.0]])
     >>> failure_shares(scores, np.array([1.0, 1.0, 0.0, 0.0]))[0].tolist()
@@ -50,7 +51,7 @@ def failure_shares(scores: Array, weight: Array, strength: Array | None = None) 
 
     n = len(weight)
     mass = float(weight.sum())
-    if not 0.0 < mass < n:
+    if not mass < n or not np.square(weight).any():
         return None
     # both centres lie on one line through the origin; that of the fewer rows is seen more clearly
     fewer = weight if mass <= 0.5 * n else 1.0 - weight

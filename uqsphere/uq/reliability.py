@@ -320,6 +320,7 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
         return absent("the demand may be zero: the margin is unbounded", state.method, total)
     typical = float(ppf(strength, np.array([p]))[0]) / float(np.median(positive))
 
+    @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
     def replicate_probabilities(margin: float) -> Array:
         if state.shift is None and state.tie is None and not is_steps(strength):
             # A root needs one tail only, and there are many evaluations.
