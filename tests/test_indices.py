@@ -129,6 +129,15 @@ def test_outputs_of_any_size_have_indices(size: float) -> None:
     assert [e.value for e in other.total] == pytest.approx([e.value for e in one.total], rel=1e-9)
 
 
+@pytest.mark.parametrize(("count", "room"), [(32, 1.12), (64, 1.0)])
+def test_intervals_of_few_points_are_longer(count: int, room: float) -> None:
+    blocks = Blocks(inputs_count=6)
+    y = outputs(MODELS["g-function"], blocks, count)
+    plain = index_estimates(y, blocks, "saltelli")
+    for one, other in zip(sampled_indices(y, blocks).total[2:], plain["total"][2:], strict=True):
+        assert one.half_width == pytest.approx(room * other.half_width, rel=1e-9)
+
+
 @pytest.mark.parametrize("estimator", ["saltelli", "janon_monod", "martinez", "azzini_rosati"])
 def test_an_input_without_effect_is_zero_within_its_interval(estimator: str) -> None:
     model = MODELS["g-function"]

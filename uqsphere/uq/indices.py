@@ -38,6 +38,8 @@ LARGE: Final = 0.5
 
 METHOD: Final = "pick and freeze"
 
+#: points of a replicate below which intervals are longer, and by how much: lowest cell 88 % of 300 from 32 without
+_FEW, _ROOM = 64, 1.12
 #: What is left of a difference of two sums that cancel, over V.
 _ROUNDING: Final = 1e-15
 _CONTROLLED: Final = " A surrogate, whose indices are known exactly, is the control variate of each."
@@ -184,6 +186,8 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
         found = {order: _estimates(rows, methods, y.evaluations) for order, (rows, methods) in answers.items()}
     else:
         found = _controlled(y, known, surrogate.indices, answers, chosen)
+    if y.a.shape[1] < _FEW:
+        found = {order: [_with_room(estimate) for estimate in row] for order, row in found.items()}
     return SampledIndices(
         first=found["first"],
         total=found["total"],
@@ -193,6 +197,14 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
         large=large,
         text=choice_text(blocks, len(large)) + ("" if surrogate is None else _CONTROLLED),
     )
+
+
+def _with_room(estimate: Estimate) -> Estimate:
+    """The interval with room for what is not normal about a ratio of few points."""
+    if estimate.value is None or estimate.std_error is None:
+        return estimate
+    half, error = _ROOM * estimate.half_width, _ROOM * estimate.std_error
+    return replace(estimate, low=estimate.value - half, high=estimate.value + half, std_error=error)
 
 
 def _controlled(
