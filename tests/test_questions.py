@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -169,6 +170,19 @@ def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., S
     wide = [member for member in members if member["band"]["half_width"] > member["band"]["asked"]]
     told = [text for text in found["accuracy"]["missed"] if text.startswith("margins high: at b")]
     assert len(told) == len(wide)
+
+    def table(name: str) -> list[dict[str, str]]:
+        return list(csv.DictReader((tmp_path / "r" / "tables" / f"{name}.csv").read_text("utf-8").splitlines()))
+
+    # the tables have the curves of the family beside the study's own, which has no value of it
+    for name, key in (("margins", "values"), ("fragility", "curve")):
+        rows = table(name)
+        assert {(row["family"], row["family_value"]) for row in rows} == {("", ""), ("b", "0.0"), ("b", "3.5")}
+        assert len(rows) == len(found["margins"]["high"][key]) + sum(len(member[key]) for member in members)
+        assert all(None not in row and None not in row.values() for row in rows)
+    last = members[-1]["values"]["0.5"]["value"]
+    rows = table("margins")
+    assert [float(r["value"]) for r in rows if r["family_value"] == "3.5" and r["exceedance"] == "0.5"] == [last]
 
 
 def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..., Study], tmp_path: Path) -> None:
