@@ -50,6 +50,13 @@ def test_a_dear_model_of_a_cauchy_input_has_no_mean_either(runs: int, slope: flo
     for estimate in (found["mean"], found["sd"], *indices_of(results)):
         assert estimate["value"] is None
         assert estimate["reason"]
+    # 64 runs show how the output grows unless it is drowned; indices say what is said of the variance
+    shown = runs == 64 and slope == 1.0
+    words = "does not exist: a has" if shown else "not known: "
+    assert found["mean"]["reason"].startswith(words)
+    assert found["sd"]["reason"].startswith(words)
+    whole = f"the variance {'' if shown else 'is '}{found['sd']['reason']}"
+    assert {estimate["reason"] for estimate in indices_of(results)} == {whole}
 
 
 def test_a_dear_model_without_variance_keeps_its_mean(tmp_path: Path) -> None:
@@ -68,6 +75,8 @@ def test_accuracies_are_not_measured_by_a_standard_deviation_that_does_not_exist
     assert "no moments from order 1.5 on" in found["sd"]["reason"]
     short = [row for row in accuracy["questions"] if row["met"] is False]
     assert short
+    scales = {row["question"].partition(", over ")[2] for row in accuracy["questions"]}
+    assert scales == {"half the 16-84 % range", ""}
     assert not accuracy["met"]
     assert all(row["text"] for row in short)
     said = " ".join(accuracy["missed"])

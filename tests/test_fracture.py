@@ -24,7 +24,7 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
-from uqsphere.report.fracture import interplay_figure
+from uqsphere.report.fracture import interplay_figure, interplay_remarks
 from uqsphere.runner.tables import tables
 from uqsphere.summary import summary_of
 
@@ -370,6 +370,13 @@ def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_al
         drawn.append(int(np.isnan(line.get_ydata()).sum()))
     assert drawn[0] >= 1
     assert drawn[1] == 0
+    # and the page says so
+    (remark,) = interplay_remarks(contents)
+    assert f"“{first}” (" in remark
+    assert several.results["fracture"]["limits"][1] not in remark
+    for point in contents.results["margins"][first]["curve"]:
+        point[2:] = [point[1], point[1]]
+    assert interplay_remarks(contents) == ()
 
 
 def test_fracture_in_report_tables_and_summary(several: uqsphere.Run) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,12 @@ import pytest
 from conftest import SUM
 
 import uqsphere
-from uqsphere.report.contents import read_contents
+from uqsphere.report.closing import computed_chapter
+from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.fragility_family import family_table
+from uqsphere.report.headings import accuracy_heading
 from uqsphere.report.method import accuracy_table
-from uqsphere.report.progress import error_series
+from uqsphere.report.progress import course_finding, error_series, progress_finding
 from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.runner import Run
 from uqsphere.runner.band import Band, Stage
@@ -101,6 +105,70 @@ def test_the_summary_and_the_page_name_every_shortfall(run: Run) -> None:
     )
 
 
+@pytest.fixture
+def given_up(run: Run) -> Contents:
+    """The page's contents where a surrogate got as far as asked and was given up: the answers are those of others."""
+    contents = read_contents(run.folder)
+    row = {"method": "surrogate", "quantity": "y", "error_kind": "half-width of the mean over the standard deviation"}
+    course = [row | {"evaluations": n, "error": 0.005 * over} for n, over in ((32, 3.0), (64, 0.5))]
+    told = {"quantity": "y", "question": "mean, over the standard deviation", "asked": 0.005, "evaluations": 64,
+            "needed": None, "text": ""}  # fmt: skip
+    rows = [
+        told | {"reached": 0.01, "met": False},
+        told | {"question": "worst index", "reached": None, "met": False},
+        told | {"question": "worst quantile, over the standard deviation", "reached": 0.004, "met": True},
+        told | {"quantity": "limits.high", "question": "probability of exceedance", "reached": 9.0, "met": None},
+    ]
+    accuracy = run.results["accuracy"] | {"met": False, "missed": ["a", "b", "c"], "questions": rows}
+    return replace(contents, results=run.results | {"speed_error": course, "accuracy": accuracy})
+
+
+def test_what_a_method_reached_whose_answers_were_not_taken_counts_for_nothing(given_up: Contents) -> None:
+    text = progress_finding(given_up)
+    assert text.startswith("1 of 3 accuracies of ")
+    assert "farthest from it, mean of y has 2 times the error that was asked" in text
+    assert "no answer: worst index of y" in text
+    assert accuracy_heading(given_up).endswith("2 of 3 not")
+    assert "Not reached, though no course here ends above what was asked: mean of y, worst index of y" in (
+        course_finding(given_up, 0)
+    )
+
+
+def test_what_its_course_shows_is_not_said_to_be_missing_from_it(given_up: Contents) -> None:
+    course = [row | {"error": 2.0 * row["error"] * 8} for row in given_up.results["speed_error"]]
+    told = course_finding(replace(given_up, results=given_up.results | {"speed_error": course}), 0)
+    assert "above what was asked: worst index of y;" in told
+
+
+def test_two_errors_of_a_surrogate_have_labels_of_their_own(given_up: Contents) -> None:
+    kinds = [f"share of the variance left unexplained{which}" for which in ("", " by the fit before (unseen runs)")]
+    row = given_up.results["speed_error"][0]
+    contents = replace(
+        given_up, results=given_up.results | {"speed_error": [row | {"error_kind": kind} for kind in kinds]}
+    )
+    assert [s.label for s in error_series(contents)] == ["y unexplained", "y by the fit before"]
+
+
+def test_the_page_has_one_sentence_for_a_reason_and_its_cost(run: Run) -> None:
+    contents, cost = read_contents(run.folder), "(about 20,000 evaluations would reach it)"
+    missed = [f"y{k}: quantile {p}: too few samples beyond the {p} quantile {cost}"
+              for k in range(9) for p in (0.01, 0.99)]  # fmt: skip
+    missed += [f"y{k}: mean: half-width 0.{k + 3} of the standard deviation, asked 0.1 {cost}" for k in range(2)]
+    found = run.results | {"accuracy": run.results["accuracy"] | {"missed": missed}}
+    remarks = [
+        text
+        for block in computed_chapter(replace(contents, results=found)).blocks
+        for text in block.remarks
+        if text.startswith("Not reached: ")
+    ]
+    assert len(remarks) == 2
+    assert all(f"y{k} quantile {p}" in remarks[0] for k in range(9) for p in (0.01, 0.99))
+    assert "y0 mean (0.3), y1 mean (0.4): half-width above the 0.1 of the standard deviation" in remarks[1]
+    flat = " ".join(summary_of(found, 100).split())
+    assert "y2 quantile 0.99 and 12 more: too few samples" in flat
+    assert flat.count("20,000 evaluations would") == 2
+
+
 def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from(*ASKED, "analysis.budget.evaluations=400_000", text=SUM)
     found = uqsphere.run(study, out=tmp_path / "r", model=smooth).results
@@ -111,6 +179,19 @@ def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., S
     wide = [member for member in members if member["band"]["half_width"] > member["band"]["asked"]]
     told = [text for text in found["accuracy"]["missed"] if text.startswith("margins high: at b")]
     assert len(told) == len(wide)
+
+    def table(name: str) -> list[dict[str, str]]:
+        return list(csv.DictReader((tmp_path / "r" / "tables" / f"{name}.csv").read_text("utf-8").splitlines()))
+
+    # the tables have the curves of the family beside the study's own, which has no value of it
+    for name, key in (("margins", "values"), ("fragility", "curve")):
+        rows = table(name)
+        assert {(row["family"], row["family_value"]) for row in rows} == {("", ""), ("b", "0.0"), ("b", "3.5")}
+        assert len(rows) == len(found["margins"]["high"][key]) + sum(len(member[key]) for member in members)
+        assert all(None not in row and None not in row.values() for row in rows)
+    last = members[-1]["values"]["0.5"]["value"]
+    rows = table("margins")
+    assert [float(r["value"]) for r in rows if r["family_value"] == "3.5" and r["exceedance"] == "0.5"] == [last]
 
 
 def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..., Study], tmp_path: Path) -> None:

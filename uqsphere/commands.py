@@ -125,6 +125,7 @@ def _seconds(text: str | None) -> float | None:
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
     from uqsphere.report import build_report
+    from uqsphere.report.shortfalls import SUBJECTS, shortfalls
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
@@ -151,7 +152,7 @@ def command_run(chosen: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         say("writing the report")
     page = build_report(found.folder)
-    for text in found.results["accuracy"]["missed"]:
+    for text in shortfalls(found.results["accuracy"]["missed"], SUBJECTS):
         say(f"accuracy not reached: {text}")
     if chosen.json:
         _document(found.results)

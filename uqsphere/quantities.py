@@ -15,23 +15,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 __all__ = [
-    "DEMANDS",
-    "DRIVES",
-    "INPUTS",
-    "OUTPUTS",
-    "UNITS",
-    "Quantity",
-    "UnitError",
-    "display_unit",
-    "format_estimate",
-    "format_value",
-    "lookup",
-    "parse_value",
-    "reading_units",
-    "told_apart",
-    "unit_that_reads",
+    "DEMANDS", "DRIVES", "INPUTS", "OUTPUTS", "UNITS", "Quantity", "UnitError", "bare_number", "display_unit",
+    "format_estimate", "format_value", "lookup", "parse_value", "reading_units", "told_apart", "unit_that_reads",
     "units_of",
-]
+]  # fmt: skip
 
 
 class UnitError(ValueError):
@@ -292,12 +279,13 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     example = example or next(iter(table))
     allowed = ", ".join(unit for unit in table if unit.isascii() and "^" not in unit)
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
-        raise UnitError(f"expected a number{'' if dimension == 'number' else ' with a unit'}, found {_kind(text)}")
+        names: dict[type, str] = {bool: "a boolean", list: "an array", dict: "a table", type(None): "nothing"}
+        kind = names.get(type(text), f"a {type(text).__name__}")
+        raise UnitError(f"expected a number{'' if dimension == 'number' else ' with a unit'}, found {kind}")
     if isinstance(text, (int, float)):
         if dimension != "number":
-            raise UnitError(
-                f'{text!r} has no unit: write it as a string, such as "{text!r} {example}" (units: {allowed})'
-            )
+            bare = bare_number(text)
+            raise UnitError(f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: {allowed})')
         return _finite(text, repr(text))
     stripped = text.strip()
     match = _NUMBER.match(stripped)
@@ -316,9 +304,15 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     return _finite(float(number) * table[unit], text)
 
 
-def _kind(value: object) -> str:
-    names: dict[type, str] = {bool: "a boolean", list: "an array", dict: "a table", type(None): "nothing"}
-    return names.get(type(value), f"a {type(value).__name__}")
+def bare_number(value: float) -> str:
+    """A number as people type it.
+
+    >>> bare_number(52000000000.0), bare_number(0.5), bare_number(40)
+    ('52e9', '0.5', '40')
+    """
+    power = next((p for p in (12, 9, 6) if isinstance(value, float) and 10.0**p <= abs(value) < 1e15), 0)
+    text = f"{value / 10.0**power:.15g}e{power}" if power else ""
+    return text if text and float(text) == value else repr(value).removesuffix(".0")
 
 
 def _finite(value: float, text: str) -> float:

@@ -12,6 +12,7 @@ from uqsphere.report.event import at_most, safe_side
 from uqsphere.report.granted import instead_text, turns, verdict_word
 from uqsphere.report.margin_verdict import margin_answer, subject_of
 from uqsphere.report.reach import answer_checks
+from uqsphere.report.shortfalls import SUBJECTS, shortfalls
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
     MOST_DIGITS,
@@ -28,7 +29,7 @@ __all__ = ["summary_of"]
 
 #: inputs of a quantity or limit that get a line
 _MOST: Final = 6
-#: accuracies that were not reached and are told one by one
+#: sentences about accuracies that were not reached
 _NAMED: Final = 24
 #: tests of an input from which on what they leave open of a quantity is told on the page alone
 _FEW_TESTS: Final = 10
@@ -78,9 +79,10 @@ def _cautions(results: dict[str, Any]) -> list[str]:
     missed = results["accuracy"]["missed"]
     if len(missed) > 1:
         found.append(f"{len(missed)} accuracies were not reached:")
-    found += [f"not reached: {plain(text)}" for text in missed[:_NAMED]]
-    if len(missed) > _NAMED:
-        found.append(f"not reached: {len(missed) - _NAMED} more, which the report names one by one")
+    sentences = shortfalls(missed, SUBJECTS)
+    found += [f"not reached: {plain(text)}" for text in sentences[:_NAMED]]
+    if len(sentences) > _NAMED:
+        found.append("not reached: more, which the report names")
     return found
 
 

@@ -160,6 +160,7 @@ def margins_chapter(contents: Contents) -> Chapter:
                 finding=fracture.fracture_finding(contents),
                 picture=fracture.interplay_figure(contents),
                 table=fracture.fracture_table(contents),
+                remarks=fracture.interplay_remarks(contents),
                 files=("tables/fracture.csv",),
             )
         )

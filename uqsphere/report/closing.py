@@ -6,6 +6,7 @@ from uqsphere.report import force_band, hardest_scene, method, origins, progress
 from uqsphere.report.blocks import Block, Chapter
 from uqsphere.report.contents import Contents
 from uqsphere.report.headings import accuracy_heading, checks_heading
+from uqsphere.report.shortfalls import shortfalls
 from uqsphere.report.subjects import (
     beyond_blocks,
     decided,
@@ -18,6 +19,9 @@ from uqsphere.report.subjects import (
 from uqsphere.report.wording import limit_name, powers
 
 __all__ = ["computed_chapter", "inputs_chapter", "methods_chapter", "others_chapter", "quantities_chapter"]
+
+#: subjects that a sentence about accuracies names; the table has every question
+_SUBJECTS = 24
 
 
 def others(contents: Contents) -> list[str]:
@@ -63,7 +67,7 @@ def quantities_chapter(contents: Contents) -> Chapter:
 
 def computed_chapter(contents: Contents) -> Chapter:
     """Validity, the model that was chosen, and what of the accuracy asked for was reached."""
-    missed = tuple(str(text) for text in contents.results["accuracy"]["missed"])[:200]
+    missed = shortfalls([str(text) for text in contents.results["accuracy"]["missed"]], _SUBJECTS)[:200]
     blocks = [
         Block(
             heading=checks_heading(contents.results["validity"], "Validity of the model"),

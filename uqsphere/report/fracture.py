@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.quantities import display_unit
+from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas, event
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
@@ -23,8 +23,10 @@ from uqsphere.report.wording import (
     probability_text,
     rounded,
 )
+from uqsphere.uq.estimates import Flags
+from uqsphere.uq.families import Array
 
-__all__ = ["fracture_finding", "fracture_table", "interplay_figure"]
+__all__ = ["fracture_finding", "fracture_table", "interplay_figure", "interplay_remarks"]
 
 #: what is shown of the state at fracture: words, and a quantity with the same unit
 _STATE: Final = {
@@ -42,6 +44,8 @@ _STYLES: Final = ("-", "--", "-.", ":")
 _FAR: Final = 1e-14
 #: high over low beyond which the curve of one limit is not drawn beside that of all
 _KNOWN: Final = 4.0
+#: smallest probability that is drawn
+_LEAST: Final = 1e-6
 #: limits that are drawn
 MOST_CURVES: Final = 8
 
@@ -136,6 +140,38 @@ def fracture_table(contents: Contents) -> Table | None:
     )
 
 
+def _beside(contents: Contents) -> dict[str, Array]:
+    """Curves (K, 4) of the limits within the values of that of fracture by any of them."""
+    found, margins = _found(contents), contents.results["margins"]
+    lowest, highest = float(found["curve"][0][0]), float(found["curve"][-1][0])
+    curves = {
+        name: np.array(margins[name]["curve"], dtype=float)
+        for name in found["limits"][:MOST_CURVES]
+        if len(margins.get(name, {}).get("curve", ())) > 1
+    }
+    return {n: c[(c[:, 0] >= lowest * 0.999) & (c[:, 0] <= highest * 1.001)] for n, c in curves.items()}
+
+
+def _hardly_known(curve: Array) -> Flags:
+    return np.asarray(curve[:, 3] > _KNOWN * curve[:, 2])
+
+
+def interplay_remarks(contents: Contents) -> tuple[str, ...]:
+    """Where the curve of a limit is left out of the figure for the few rows that it rests on."""
+    found = _found(contents)
+    if len(found.get("curve", ())) < 2:
+        return ()
+    told = []
+    for name, curve in _beside(contents).items():
+        gone = curve[_hardly_known(curve) & (curve[:, 3] > _LEAST), 0]
+        if gone.size:
+            ends = [format_value(float(end), str(found["solve"]), 3) for end in dict.fromkeys((gone[0], gone[-1]))]
+            told.append(f"{limit_name(name)} ({' to '.join(ends)})")
+    if not told:
+        return ()
+    return (f"Not drawn where the few rows of its curve do not tell it to a factor of two: {listed(told)}.",)
+
+
 def interplay_figure(contents: Contents) -> Picture | None:
     """Probability of exceeding each limit, and of fracture by any, over the free scalar."""
     found = _found(contents)
@@ -144,11 +180,6 @@ def interplay_figure(contents: Contents) -> Picture | None:
     solve = str(found["solve"])
     factor = display_unit(solve)[1]
     union = np.array(found["curve"], dtype=float)
-    curves = {
-        name: np.array(contents.results["margins"][name]["curve"], dtype=float)
-        for name in found["limits"][:MOST_CURVES]
-        if len(contents.results["margins"].get(name, {}).get("curve", ())) > 1
-    }
     here = contents.at_mean(solve)
     lowest, highest = float(union[0, 0]), float(union[-1, 0])
     with canvas.style():
@@ -169,19 +200,17 @@ def interplay_figure(contents: Contents) -> Picture | None:
             alpha=0.55,
             label="any of them",
         )
-        for k, (name, curve) in enumerate(curves.items()):
-            kept = curve[(curve[:, 0] >= lowest * 0.999) & (curve[:, 0] <= highest * 1.001)]
-            # not known to a factor of two, it may seem to lie above that of any of them
-            kept[kept[:, 3] > _KNOWN * kept[:, 2], 1] = np.nan
+        for k, (name, curve) in enumerate(_beside(contents).items()):
             axes.plot(
-                kept[:, 0] * factor,
-                score(kept[:, 1], least=_FAR),
+                curve[:, 0] * factor,
+                # not known to a factor of two, it may seem to lie above that of any of them
+                score(np.where(_hardly_known(curve), np.nan, curve[:, 1]), least=_FAR),
                 color=_COLOURS[k % len(_COLOURS)],
                 linestyle=_STYLES[k % len(_STYLES)],
                 label=canvas.shorten(limit_name(name), 28),
             )
         x_scale(axes, union[:, 0] * factor)
-        axes.set_ylim(float(score(1e-6)), float(score(1.0 - 1e-4)))
+        axes.set_ylim(float(score(_LEAST)), float(score(1.0 - 1e-4)))
         if here is not None and lowest <= here <= highest:
             axes.axvline(here * factor, color=INK, linewidth=0.8, linestyle=":")
             left = axes.transAxes.inverted().transform(axes.transData.transform((here * factor, 0.0)))[0] > 0.3

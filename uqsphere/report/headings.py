@@ -164,7 +164,10 @@ def checks_heading(checks: Any, subject: str) -> str:
 
 
 def accuracy_heading(contents: Contents) -> str:
-    """How much of the accuracy asked for was not reached."""
+    """How much of the accuracy asked for was not reached: of the questions of the table, where there are any."""
     missed = len(contents.results["accuracy"]["missed"])
-    told = "all of it" if contents.results["accuracy"]["met"] else f"{missed} not" if missed else ""
+    rows = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is not None]
+    late = sum(not row["met"] for row in rows)
+    told = f"{late} of {len(rows)} not" if late else f"{missed} not" if missed else ""
+    told = "all of it" if contents.results["accuracy"]["met"] else told
     return capital(_told("what was asked, what was reached", told))

@@ -169,19 +169,24 @@ def accuracy_table(contents: Contents) -> Table:
     )
 
 
-def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
+def question_name(row: Mapping[str, Any]) -> str:
+    """What an accuracy is of, such as "worst quantile of p_max"."""
     head, _, rest = str(row["quantity"]).partition(".")
     name, _, where = rest.partition(" at ")
     subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row["quantity"]))
     subject += f" at {where}" if where else ""
-    kind, comma, scale = str(row["question"]).partition(", ")
+    return f"{str(row['question']).partition(', ')[0]} of {subject}"
+
+
+def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
+    _, comma, scale = str(row["question"]).partition(", ")
     verdict = {True: "reached", False: "not reached", None: "not pursued"}[row["met"]]
     reached = ABSENT if row["reached"] is None else number_text(told_apart(row["reached"], row["asked"]))
     needed = ABSENT if row["met"] or row["met"] is None else "not known"
     if row["needed"]:
         needed = f"about {thousands(int(row['needed']))} evaluations"
-    return f"{kind} of {subject}{comma}{scale}", f"{row['asked']:g}", reached, verdict, needed
+    return f"{question_name(row)}{comma}{scale}", f"{row['asked']:g}", reached, verdict, needed
 
 
 def model_table(contents: Contents) -> Table:

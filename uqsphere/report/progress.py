@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
+from uqsphere.report.method import question_name
 from uqsphere.report.wording import limit_name, number_text, symbol
 from uqsphere.runner.band import ASKED, METHOD
 from uqsphere.runner.further import FURTHER
@@ -29,6 +30,17 @@ _WORDS: Final = dict(
     zip(FURTHER, ("value", "fracture", "share", "median", "delta", "PAWN", "index of a miss", "inputs of a miss"),
         strict=True)
 )  # fmt: skip
+#: accuracies that a sentence names one by one
+_LISTED: Final = 4
+#: the question that an error answers to
+_QUESTIONS: Final = {
+    "mean": "mean",
+    "quantile": "worst quantile",
+    "index": "worst index",
+    "unexplained": "worst index",
+    "probability": "probability of missing the aim",
+    "band": "band of the curve",
+}
 _FRACTURE: Final = {
     "union": "fracture probability",
     "first_loading": "fracture, first loading",
@@ -70,6 +82,8 @@ def _short(kind: str) -> str:
     for word in ("band", "mean", "quantile", "probability", "index"):
         if word in kind:
             return word
+    if "fit before" in kind:
+        return "by the fit before"
     return "unexplained" if "variance" in kind else kind
 
 
@@ -254,38 +268,51 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
 
 
 def progress_finding(contents: Contents) -> str:
-    """How far the errors came, in words."""
-    series = error_series(contents)
-    pursued = [s for s in series if s.kind not in FURTHER]
-    if not pursued:
+    """How many of the accuracies asked for the answers have, in words; courses may be those of other answers."""
+    rows = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is not None]
+    if not rows:
         return "No errors were recorded on the way."
-    # the better of two methods for one question is the one that counts
-    best: dict[tuple[str, str], float] = {}
-    for s in pursued:
-        best[_question(s)] = min(best.get(_question(s), math.inf), s.points[-1][2])
-    reached = sum(error <= 1.0 for error in best.values())
-    counting = [s for s in pursued if s.points[-1][2] == best[_question(s)]]
-    worst = max(counting, key=lambda s: s.points[-1][2])
-    curves = any(_short(s.kind) == "band" for s in pursued)
-    of = "quantities, indices, probabilities and curves" if curves else "quantities, indices and probabilities"
-    text = f"{reached} of {len(best)} errors of {of} are below what was asked after "
-    text += "the last evaluation" + ("" if curves else "; margins are not among them")
-    if worst.points[-1][2] > 1.0:
-        text += f"; the largest, {worst.label} by {worst.method}, is {_times(worst.points[-1][2])} times what was asked"
-        text = text.replace(METHOD, _SHORT[METHOD])
-    if len(pursued) < len(series):
-        below = sum(s.points[-1][2] <= 1.0 for s in series if s.kind in FURTHER)
-        text += f". Of what is read off the same rows, and not pursued, {below} of {len(series) - len(pursued)} are"
+    late = [row for row in rows if not row["met"]]
+    curves = any("curve" in row["question"] for row in rows)
+    of = "quantities (their quantiles as one), indices" + (
+        ", probabilities and curves" if curves else " and probabilities"
+    )
+    text = f"{len(rows) - len(late)} of {len(rows)} accuracies of {of} were reached"
+    text += "; margins are not among them" if contents.results["margins"] and not curves else ""
+    known = [row for row in late if row["reached"] is not None]
+    if known:
+        worst = max(known, key=_excess)
+        text += (
+            f"; farthest from it, {question_name(worst)} has {_times(_excess(worst))} times the error that was asked"
+        )
+    if len(known) < len(late):
+        text += f"; no answer: {_named([row for row in late if row['reached'] is None])}"
+    further = [s for s in error_series(contents) if s.kind in FURTHER]
+    if further:
+        below = sum(s.points[-1][2] <= 1.0 for s in further)
+        text += f". Of what is read off the same rows, and not pursued, {below} of {len(further)} are as accurate"
     return text + "."
+
+
+def _excess(row: Mapping[str, Any]) -> float:
+    return float(row["reached"] / row["asked"])
+
+
+def _named(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Accuracies by their names, the first few of many."""
+    more = f" and {len(rows) - _LISTED} more" if len(rows) > _LISTED else ""
+    return ", ".join(question_name(row) for row in rows[:_LISTED]) + more
 
 
 def _times(ratio: float) -> str:
     return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio))
 
 
-def _question(series: Series) -> tuple[str, str]:
-    """What is asked: two methods answer for the indices."""
-    return series.quantity, "indices" if _short(series.kind) in ("index", "unexplained") else series.kind
+def _unseen(contents: Contents) -> list[Mapping[str, Any]]:
+    """Accuracies that were not reached and of which no course ends above what was asked."""
+    above = {(s.quantity, _QUESTIONS.get(_short(s.kind), "")) for s in error_series(contents) if s.points[-1][2] > 1.0}
+    late = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is False]
+    return [row for row in late if (row["quantity"], row["question"].partition(", ")[0]) not in above]
 
 
 def course_finding(contents: Contents, column: int) -> str:
@@ -300,7 +327,14 @@ def course_finding(contents: Contents, column: int) -> str:
     verb = "fell" if end < begin else "went"
     text = f"{which}, {worst.label}, {verb} from {_times(begin)} to {_times(end)} times what was asked "
     if column == 0:
-        return text + f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
+        text += f"between {_thousands(first[0])} and {_thousands(last[0])} evaluations."
+        unseen = _unseen(contents)
+        return text + (
+            f" Not reached, though no course here ends above what was asked: {_named(unseen)}; such an answer is "
+            "absent, or is not the one that was followed."
+            if unseen
+            else ""
+        )
     seconds = max(p[1] for s in error_series(contents) for p in s.points if not math.isnan(p[1]))
     return text + f"within {_times(last[1])} s; all methods, one after the other, took {_times(seconds)} s."
 

@@ -15,6 +15,7 @@ from uqsphere.report.bearing import bearing, breach, grave, warned
 from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
+from uqsphere.report.shortfalls import shortfalls
 from uqsphere.report.wording import (
     WITHOUT_FAILED,
     absent_reason,
@@ -331,7 +332,8 @@ def limits_are_accurate(results: Mapping[str, Any]) -> bool:
 def _missed(texts: list[str]) -> list[str]:
     """What was not as accurate as asked, in full if it is short; the full list stands further down."""
     if len(texts) <= 4:
-        return ["Accuracy asked for but not reached: " + "; ".join(texts) + "."] if texts else []
+        told = "; ".join(shortfalls(texts, len(texts)))
+        return [f"Accuracy asked for but not reached: {told}."] if texts else []
     counts: dict[str, int] = {}
     for text in texts:
         subject = text.partition(": ")[0]

@@ -17,7 +17,7 @@ __all__ = ["FACTOR", "account"]
 FACTOR: Final = 2.0
 #: parts beside which a cheaper model may be evaluated, and what that is called
 _CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
-#: what sampling answers, by what its errors are called
+#: what sampling answers, by how the names of its errors begin
 _ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
 
 
@@ -115,9 +115,12 @@ def _slowest(found: Findings, name: str) -> str:
     """The answer of a part with the largest error over its standard deviation, as it is called."""
     told = {INDEX_KIND: "The indices"} if name == "sensitivity" else _ANSWERS
     last = {
-        (row["quantity"], row["error_kind"]): float(row["error"]) for row in found.history if row["error_kind"] in told
+        (row["quantity"], head): float(row["error"])
+        for row in found.history
+        for head in told
+        if row["error_kind"].startswith(head)
     }
     if not last:
         return "It"
-    quantity, kind = max(last, key=lambda key: last[key])
-    return f"{told[kind]} of {quantity.removeprefix('limits.')}"
+    quantity, head = max(last, key=lambda key: last[key])
+    return f"{told[head]} of {quantity.removeprefix('limits.')}"

@@ -10,8 +10,9 @@ import numpy as np
 
 from uqsphere.runner.stopping import Missed, indices_missed
 from uqsphere.uq.distribution import tail_orders
-from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
-from uqsphere.uq.heavy_tails import NOT_KNOWN, HeavyTail, heavy_tail, widened_share, without_moments
+from uqsphere.uq.estimates import Description, Estimate, absent
+from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, of_variance, widened_share, without_moments
+from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, OUT_OF_REACH
 
 __all__ = ["dear_tails", "describe_heavy", "settle_heavy", "share_heavy"]
 
@@ -21,6 +22,8 @@ FEWEST_VARIED = 20
 FEW_CARRIERS = 100.0
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
+#: how the reason of an index begins that is absent for its variance
+_SHARED = "the variance "
 #: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
 #: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
 NONE_SEEN = 3.0
@@ -74,7 +77,9 @@ def _shares(
         indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
         reason = _why_none(_outputs(work, sampled.sample, k), sd)
         if reason:
-            indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations))  # type: ignore[misc]
+            # that the variance is not there weighs more than why an index was absent before
+            every = reason.startswith(_SHARED)
+            indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations), every)  # type: ignore[misc]
             # no number of evaluations gives what is not there, so that none is missed
             nowhere = sd.reason is not None and sd.reason.startswith(NO_MOMENT)
             missed = [] if nowhere else [indices_missed(quantity, None, asked, f": {reason}")]
@@ -133,7 +138,8 @@ def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity
         # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
         kept = name in dear.believed and tail is None
         descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
-    gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith((NO_MOMENT, NOT_KNOWN))}
+    absent_mean = (*OUT_OF_REACH, NOT_KNOWN)
+    gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith(absent_mean)}
     rescaled = {q: d for q, d in descriptions.items() if d.scale != sampled.descriptions[q].scale}
     missed = [one for one in _rejudged(work, sampled, rescaled) if (one.subject, one.kind) not in gone]
     missed += [
@@ -159,8 +165,8 @@ def _rejudged(work: Work, sampled: Sampled, rescaled: Mapping[str, Description])
 
 def _why_none(outputs: Array, sd: Estimate) -> str:
     """Why the variance of outputs (n,) cannot be shared out, or an empty text."""
-    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, NOT_KNOWN, "does not converge")):
-        return f"the variance {'is ' if sd.reason.startswith(NOT_KNOWN) else ''}{sd.reason}"
+    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, NOT_KNOWN, NO_CONVERGENCE)):
+        return f"{_SHARED}{of_variance(sd)}"
     kept = outputs[np.isfinite(outputs)]
     varied = int((kept != np.median(kept)).sum()) if kept.size else 0
     if kept.size > 10 * FEWEST_VARIED and varied < FEWEST_VARIED:
@@ -190,11 +196,11 @@ def _no_narrower(estimate: Estimate, half: float) -> Estimate:
     return replace(estimate, value=value, low=value - half, high=value + half, std_error=0.5 * half)
 
 
-def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate]) -> Sensitivity:
-    """Every index changed."""
+def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: bool = False) -> Sensitivity:
+    """Every index that is given changed, and with `every` those that are absent too."""
 
     def row(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
-        return {name: estimate if estimate.value is None else change(estimate) for name, estimate in estimates.items()}
+        return {name: change(e) if every or e.value is not None else e for name, e in estimates.items()}
 
     return replace(
         indices,

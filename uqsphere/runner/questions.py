@@ -60,10 +60,10 @@ def _asked(work: Work, found: Findings, missed: Sequence[Missed]) -> Iterator[_R
             continue
         counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
         if described.mean.value is not None:
-            yield (name, "mean, over the standard deviation", asked.mean, *_worst([described.mean], described.scale),
+            yield (name, f"mean, over {described.scale_name}", asked.mean, *_worst([described.mean], described.scale),
                    told[name, "mean"], "")  # fmt: skip
         if counted:
-            yield (name, "worst quantile, over the standard deviation", asked.quantile,
+            yield (name, f"worst quantile, over {described.scale_name}", asked.quantile,
                    *_worst(counted, described.scale), told[name, "quantile"], "")  # fmt: skip
     for name, indices in found.sensitivity.items():
         refused = indices.text if not indices.missed else ""

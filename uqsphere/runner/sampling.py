@@ -129,10 +129,10 @@ def speed_rows(
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
-        add(name, description.mean.half_width / description.scale, MEAN_KIND)
+        add(name, description.mean.half_width / description.scale, MEAN_KIND + description.scale_name)
         widths = [e.half_width for p, e in description.quantiles.items() if p not in description.exempt]
         if widths:
-            add(name, max(widths) / description.scale, QUANTILE_KIND)
+            add(name, max(widths) / description.scale, QUANTILE_KIND + description.scale_name)
     for name, limit in limits.items():
         miss = limit.miss
         if miss.value:

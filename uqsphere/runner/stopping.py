@@ -34,10 +34,10 @@ LONG, USUAL = 4.0, 0.75
 CAUTION = 1.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
-#: how errors are called in the speed-error table
+#: how errors are called in the speed-error table; what two of them are over follows
 INDEX_KIND = "largest half-width of an index"
-MEAN_KIND = "half-width of the mean over the standard deviation"
-QUANTILE_KIND = "half-width of the worst quantile over the standard deviation"
+MEAN_KIND = "half-width of the mean over "
+QUANTILE_KIND = "half-width of the worst quantile over "
 MISS_KIND = "half-width of the miss probability over itself"
 NO_NUMBER = "no number of evaluations that could be made would reach it"
 

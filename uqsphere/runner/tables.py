@@ -105,6 +105,15 @@ def _instead(row: Mapping[str, Any]) -> str:
     return f"miss, {row['assumption']} of the strength {told}"
 
 
+def _members(results: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any], str, Mapping[str, Any]]]:
+    """Limit, its margin, the path of its family, and a member, one by one."""
+    return [
+        (name, entry, entry["family"]["path"], member)
+        for name, entry in results["margins"].items()
+        for member in (entry.get("family") or {}).get("members", ())
+    ]
+
+
 def tables(results: Mapping[str, Any]) -> dict[str, str]:
     """CSV tables by file name, from the content of results.json alone."""
     quantity_rows = []
@@ -137,6 +146,16 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         for p, e in entry["values"].items()
     ]
     curve_rows = [[name, *point] for name, entry in results["margins"].items() for point in entry["curve"]]
+    members = _members(results)
+    if members:
+        # the curves of the study itself have no value of a family
+        margin_rows = [[*row, "", ""] for row in margin_rows]
+        margin_rows += [[name, entry["solve"], entry["unit"], p, *_row(e), path, member["value"]]
+                        for name, entry, path, member in members for p, e in member["values"].items()]  # fmt: skip
+        curve_rows = [[*row, "", ""] for row in curve_rows]
+        curve_rows += [[name, *point, path, member["value"]]
+                       for name, _, path, member in members for point in member["curve"]]  # fmt: skip
+    family = ("family", "family_value") if members else ()
     inputs = [[n, e["dist"], e["mean"], e["sd"], e["unit"]] for n, e in results["inputs"].items()]
     checks = [[c["check"], c["share"], c["worst"], c["text"]] for c in results["validity"]]
     speed = [
@@ -148,8 +167,8 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
         "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
         "drivers": (("of", "statistic", "input", *_ESTIMATE, "tests"), _driver_rows(results)),
         "limits": (("limit", "statistic", *_ESTIMATE), limit_rows),
-        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE), margin_rows),
-        "fragility": (("limit", "value", "probability", "low", "high"), curve_rows),
+        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE, *family), margin_rows),
+        "fragility": (("limit", "value", "probability", "low", "high", *family), curve_rows),
         "validity": (("check", "share", "worst", "text"), checks),
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
@@ -159,7 +178,7 @@ def tables(results: Mapping[str, Any]) -> dict[str, str]:
     if results.get("fracture"):
         fracture = results["fracture"]
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(fracture))
-        curve_rows += [["any", *point] for point in fracture.get("curve", ())]
+        curve_rows += [["any", *point, *("" for _ in family)] for point in fracture.get("curve", ())]
     if results.get("paper"):
         found["paper"] = (
             ("quantity", "unit", "as_printed", "corrected", "full", "note"),

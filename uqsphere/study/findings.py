@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from uqsphere.errors import Problem
+from uqsphere.quantities import bare_number
 
 __all__ = ["MOST_PROBLEMS", "Findings", "Place", "nearest", "one_of", "render_place", "shown", "suggestion"]
 
@@ -98,7 +99,7 @@ def shown(value: object, longest: int = 60) -> str:
         # An integer of thousands of digits cannot be turned into text at all.
         if isinstance(value, int) and abs(value) >= 1 << 64:
             return "an integer of more than 64 bits"
-        return repr(value)
+        return bare_number(value)
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, (list, tuple)):

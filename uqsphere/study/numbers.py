@@ -91,14 +91,26 @@ def _parse(raw: object, place: Place, quantity: Quantity, findings: Findings) ->
 
 
 def _likely_unit(raw: object, quantity: Quantity) -> str:
-    """The unit to suggest for a number without one: that people read, or SI where only that makes sense of it."""
+    """The unit to suggest for a number without one: that people read, or the first other one that makes sense of it."""
     low, high = quantity.plausible
     try:
         bare = float(raw)  # type: ignore[arg-type]
     except (ValueError, OverflowError):
         return quantity.display
-    read = bare * UNITS[quantity.dimension].get(quantity.display, 1.0)
-    return quantity.unit if low <= bare <= high and not low <= read <= high else quantity.display
+    factors = UNITS[quantity.dimension]
+    return next(
+        (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high), quantity.display
+    )
+
+
+def _unit_beside(raw: Mapping[str, Any], quantity: Quantity) -> str:
+    """The unit that a law's mean, mode or bound has or should have: its scatter is suggested in the same."""
+    for value in (raw[key] for key in _WHERE if key in raw):
+        if isinstance(value, str) and value.split()[-1:] and value.split()[-1] in UNITS[quantity.dimension]:
+            return value.split()[-1]
+        if isinstance(value, (int, float)):
+            return _likely_unit(value, quantity)
+    return quantity.display
 
 
 def _bounds_in_words(quantity: Quantity) -> str:
@@ -133,7 +145,8 @@ def _read_law(
             continue
         due = quantity if key in LAWS[kind].dimensional else plain_quantity(quantity.name)
         if key not in _WHERE:
-            due = replace(due, plausible=(0.0, math.inf))
+            beside = _unit_beside(raw, due) if due.dimension != "number" else ""
+            due = replace(due, plausible=(0.0, math.inf), display=beside)
         value = _parse(raw[key], (*place, key), due, findings)
         if value is not None:
             (bounds if key in ("lower", "upper") else given)[key] = value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -160,6 +161,8 @@ _NAME_RULE: Final = "a name takes up to 64 letters, digits, _ and -, and begins 
 _FACTOR: Final = Quantity(
     name="model_factor", symbol="f", dimension="number", meaning="the model factor", plausible=(0.5, 2.0)
 )
+#: pressures [Pa] that a strength is likely to be
+_STRONG: Final = (1e4, 1e12)
 
 
 def _strength_of(quantity: str) -> Quantity:
@@ -172,6 +175,7 @@ def _strength_of(quantity: str) -> Quantity:
         lower=entry.lower,
         upper=entry.upper,
         meaning=f"the strength against {quantity}",
+        plausible=_STRONG if entry.dimension == "pressure" else (0.0, math.inf),
     )
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from uqsphere.quantities import told_apart
 from uqsphere.uq.families import Array
 from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_second, pieces, second_sums, skewness
+from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, OUT_OF_REACH
 
 __all__ = [
     "LEAST_BEYOND",
@@ -42,8 +43,6 @@ __all__ = [
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
-#: how the reason of a moment that does not exist begins
-NO_MOMENT: Final = "does not exist: "
 LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
 
 
@@ -207,6 +206,11 @@ class Description:
     scale: float
     exempt: tuple[float, ...] = ()
 
+    @property
+    def scale_name(self) -> str:
+        """What `scale` is, in words."""
+        return "the standard deviation" if self.sd.value is not None else "half the 16-84 % range"
+
 
 def describe(
     samples: Array,
@@ -290,7 +294,7 @@ def describe_moments(
         reach = _skew_reach(found, count)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
     if found.largest_share > 0.4 and total >= 1000:
-        reason = f"does not converge: one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
+        reason = f"{NO_CONVERGENCE}one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
         low, high = inner()
         return mean, absent(reason, method, total), 0.5 * (high - low)
     return mean, sd, found.deviation
@@ -412,10 +416,8 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
     exempt.
     """
     missed = []
-    # a mean that does not exist is no accuracy that evaluations could reach
-    exists = description.mean.value is not None or not str(description.mean.reason).startswith(NO_MOMENT)
+    exists = description.mean.value is not None or not str(description.mean.reason).startswith(OUT_OF_REACH)
     asked: list[tuple[float | None, Estimate, float]] = [(None, description.mean, mean)] if exists else []
-    scale = "the standard deviation" if description.sd.value is not None else "half the 16-84 % range"
     asked += [(p, estimate, quantile) for p, estimate in description.quantiles.items() if p not in description.exempt]
     for p, estimate, wanted in asked:
         name = "mean" if p is None else f"quantile {p:g}"
@@ -423,5 +425,6 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
             missed.append((p, f"{name}: {estimate.reason}"))
         elif estimate.half_width > max(wanted * description.scale, 1e-13 * abs(estimate.value)):
             found = estimate.half_width / description.scale if description.scale > 0.0 else math.inf
-            missed.append((p, f"{name}: half-width {told_apart(found, wanted)} of {scale}, asked {wanted:g}"))
+            words = f"half-width {told_apart(found, wanted)} of {description.scale_name}"
+            missed.append((p, f"{name}: {words}, asked {wanted:g}"))
     return missed

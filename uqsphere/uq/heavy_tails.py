@@ -14,13 +14,22 @@ from typing import Final
 import numpy as np
 
 from uqsphere.uq.distribution import Law, tail_orders
-from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
+from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.families import Array
+from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
 
-__all__ = ["MEAN", "NOT_KNOWN", "VARIANCE", "HeavyTail", "heavy_tail", "hill", "widened_share", "without_moments"]
+__all__ = [
+    "MEAN",
+    "VARIANCE",
+    "HeavyTail",
+    "half_range",
+    "heavy_tail",
+    "hill",
+    "of_variance",
+    "widened_share",
+    "without_moments",
+]
 
-#: how the reason of a moment begins that more evaluations may give
-NOT_KNOWN: Final = "not known: "
 #: orders of the moments that are judged
 MEAN, VARIANCE = 1.0, 2.0
 #: least and largest number of rows that a growth is read off, and the share of all that are taken between them
@@ -41,8 +50,8 @@ CAUCHY: Final = 1.2
 class HeavyTail:
     """The input whose tail an output inherits, the order from which on the law has no moments, and the growth.
 
-    `order` is that of the output, at the growth that the rows leave possible.  A growth of nan is one that too few
-    `rows` leave open.
+    `order` is that of the output, at the growth that the rows leave possible: `growth` and `doubt` more.  A growth of
+    nan is one that too few `rows` leave open.
     """
 
     name: str
@@ -50,17 +59,25 @@ class HeavyTail:
     growth: float
     order: float
     rows: int = 0
+    doubt: float = 0.0
 
-    def reason(self) -> str:
-        """Why a moment is not given."""
+    def reason(self, moment: float) -> str:
+        """Why a moment of this order is not given: it does not exist, or the rows leave open whether it does.
+
+        A whole power that they leave possible is taken for the growth.
+        """
         if math.isnan(self.growth):
             return (
                 f"{NOT_KNOWN}{self.name} has no moments from order {self.law_order:.3g} on, and {self.rows} runs are "
                 f"too few to show how this grows with it: at least {UNREADABLE}, or truncate the law where it ends"
             )
+        whole = round(self.growth) if abs(self.growth - round(self.growth)) <= self.doubt else 0
+        open_ = self.law_order > moment * max(self.growth, whole)
         return (
-            f"{NO_MOMENT}{self.name} has no moments from order {self.law_order:.3g} on, and this grows like its power "
-            f"{self.growth:.2g}: truncate the law where it ends"
+            f"{NOT_KNOWN if open_ else NO_MOMENT}{self.name} has no moments from order {self.law_order:.3g} on, and "
+            f"this grows like its power {self.growth:.2g}"
+            + (f", or up to {self.growth + self.doubt:.2g}" if open_ else "")
+            + ": truncate the law where it ends"
         )
 
 
@@ -97,8 +114,10 @@ def heavy_tail(
         middle = np.median(outputs[kept]) if centred is None or name not in centred else centred[name][kept]
         growth, error = _growth(out, np.abs(outputs[kept] - middle))
         if growth > SEEN * error and growth > 0.0:
-            order = law_order / (growth + DOUBT * error)
-            found.append(HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count))
+            doubt = DOUBT * error
+            order = law_order / (growth + doubt)
+            tail = HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count, doubt=doubt)
+            found.append(tail)
     return min(found, key=lambda tail: tail.order, default=None)
 
 
@@ -151,19 +170,22 @@ def without_moments(
     """
     mean, sd = described.mean, described.sd
     if tail is not None and tail.order <= VARIANCE and (sd.value is not None or sd.reason is not None):
-        mean = _gone(mean, tail.reason()) if tail.order <= MEAN else mean
-        sd = _gone(sd, tail.reason())
-        return replace(described, mean=mean, sd=sd, scale=_half_range(outputs))
+        mean = _gone(mean, tail.reason(MEAN)) if tail.order <= MEAN else mean
+        sd = _gone(sd, tail.reason(VARIANCE))
+        return replace(described, mean=mean, sd=sd, scale=half_range(outputs))
     if sd.value is not None and outputs.size < FEW and (text := _dominated(outputs)):
-        described = replace(described, sd=_gone(sd, text), scale=_half_range(outputs))
+        described = replace(described, sd=_gone(sd, text), scale=half_range(outputs))
         return replace(described, mean=_gone(mean, text)) if min(law_order, hill(outputs)) <= CAUCHY else described
     if sd.value is None and mean.value is not None and (order := hill(outputs)) <= CAUCHY:
-        text = f"{NO_MOMENT}large values are as frequent as in a law without moments from order {order:.2g} on"
-        return replace(described, mean=_gone(mean, text))
+        # Hill's estimate from k values is off by 1/sqrt(k) of itself
+        surely = order * (1.0 + DOUBT / math.sqrt(_far(int(np.isfinite(outputs).sum())))) <= MEAN
+        text = f"large values are as frequent as in a law without moments from order {order:.2g} on"
+        return replace(described, mean=_gone(mean, (NO_MOMENT if surely else UNTOLD) + text))
     return described
 
 
-def _half_range(outputs: Array) -> float:
+def half_range(outputs: Array) -> float:
+    """Half of what lies between the 16 and 84 % quantiles of outputs (n,), the scale where there is no deviation."""
     kept = outputs[np.isfinite(outputs)]
     low, high = np.quantile(kept, (0.16, 0.84)) if kept.size else (0.0, 0.0)
     return float(0.5 * (high - low))
@@ -186,6 +208,14 @@ def _gone(estimate: Estimate, reason: str) -> Estimate:
     return absent(reason, estimate.method, estimate.evaluations)
 
 
+def of_variance(sd: Estimate) -> str:
+    """What is said of a variance without a standard deviation `sd`: that it does not exist, or that it is not known."""
+    reason = sd.reason or ""
+    if reason.startswith(NOT_KNOWN):
+        return f"is {reason}"
+    return reason if reason.startswith((NO_MOMENT, NO_CONVERGENCE)) else "is not known"
+
+
 def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     """A share of the variance whose interval holds what the variance itself may be, where that is known badly.
 
@@ -195,8 +225,7 @@ def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     if share.value is None or share.low is None or share.high is None:
         return share
     if not sd.value or not sd.low or sd.high is None:
-        reason = "the variance that it is a share of is not known"
-        return absent(reason, share.method, share.evaluations)
+        return absent(f"the variance that it is a share of {of_variance(sd)}", share.method, share.evaluations)
     less, more = (sd.low / sd.value) ** 2, (sd.high / sd.value) ** 2
     ends = [end / factor for end in (share.low, share.high) for factor in (less, more)]
     ends += [1.0 - (1.0 - end) / factor for end in (share.low, share.high) for factor in (less, more)]

@@ -20,8 +20,9 @@ from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.surrogate import Piece
 from uqsphere.uq.estimates import Description, Estimate, absent, describe
 from uqsphere.uq.families import Array
-from uqsphere.uq.heavy_tails import NOT_KNOWN, hill, widened_share, without_moments
+from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
+from uqsphere.uq.reasons import NOT_KNOWN
 
 __all__ = ["Believed", "believed", "drawn_in", "held", "released", "shifted", "stretched"]
 
@@ -151,7 +152,7 @@ def stretched(held: Description, free: Description, values: Array, runs: int) ->
         reason = f"{NOT_KNOWN}beyond the reach of the {runs} runs large values are as frequent as in a law without "
         sd = absent(f"{reason}moments from order {order:.2g} on", sd.method, sd.evaluations)
     quantiles = {p: _stretched(estimate, free.quantiles[p], runs) for p, estimate in held.quantiles.items()}
-    scale = held.scale if sd.value is not None else min(held.scale, free.scale)
+    scale = held.scale if sd.value is not None else half_range(values)
     return replace(held, mean=mean, sd=sd, quantiles=quantiles, scale=scale)
 
 

@@ -1,0 +1,96 @@
+"""Moments that are not given: those that do not exist, those that are not known, and the scale that is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uqsphere.runner.account import _slowest
+from uqsphere.runner.sampling import speed_rows
+from uqsphere.uq.estimates import absent, describe, exact
+from uqsphere.uq.families import Array
+from uqsphere.uq.heavy_tails import MEAN, VARIANCE, HeavyTail, half_range, widened_share, without_moments
+from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
+from uqsphere.uq.released import stretched
+
+
+def tail(law_order: float, growth: float, doubt: float) -> HeavyTail:
+    return HeavyTail(
+        name="a", law_order=law_order, growth=growth, order=law_order / (growth + doubt), rows=64, doubt=doubt
+    )
+
+
+@pytest.mark.parametrize(
+    ("law_order", "growth", "doubt", "moment", "words"),
+    [
+        (1.5, 1.0, 0.01, VARIANCE, NO_MOMENT),
+        (2.4, 1.0, 0.4, VARIANCE, NOT_KNOWN),  # there as far as the growth was seen
+        (2.0, 0.95, 0.1, VARIANCE, NO_MOMENT),  # it may well grow in proportion
+        (1.0, 0.8, 0.1, MEAN, NOT_KNOWN),
+        (2.0, 1.9, 0.2, MEAN, NO_MOMENT),
+    ],
+)
+def test_only_what_the_growth_rules_out_is_said_not_to_exist(
+    law_order: float, growth: float, doubt: float, moment: float, words: str
+) -> None:
+    reason = tail(law_order, growth, doubt).reason(moment)
+    assert reason.startswith(words)
+    assert ("or up to" in reason) == (words == NOT_KNOWN)
+
+
+def pareto(order: float, seed: int) -> Array:
+    """Samples (16, 4096) of a law that has moments below an order."""
+    return np.asarray(np.random.default_rng(seed).uniform(size=(16, 4096)) ** (-1.0 / order))
+
+
+@pytest.mark.parametrize(("order", "words"), [(0.5, NO_MOMENT), (1.05, UNTOLD)])
+def test_samples_alone_do_not_tell_a_law_with_a_mean_from_one_without(order: float, words: str) -> None:
+    """Of order 1.05 the mean is 21, and no sample of this size gives it."""
+    samples = next(s for s in (pareto(order, seed) for seed in range(20)) if describe(s).sd.value is None)
+    found = without_moments(describe(samples), None, samples)
+    assert found.mean.value is None
+    assert str(found.mean.reason).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("reason", "told"),
+    [
+        (f"{NO_MOMENT}a has none", f"{NO_MOMENT}a has none"),
+        (f"{NOT_KNOWN}too few runs", f"is {NOT_KNOWN}too few runs"),
+        (f"{NO_CONVERGENCE}one sample", f"{NO_CONVERGENCE}one sample"),
+        ("too few successful samples in a replicate", "is not known"),
+    ],
+)
+def test_a_share_says_of_its_variance_what_is_said_of_the_deviation(reason: str, told: str) -> None:
+    share = widened_share(replace(exact(0.5), low=0.4, high=0.6), absent(reason, "m", 9))
+    assert share.reason == f"the variance that it is a share of {told}"
+
+
+def test_errors_say_what_they_are_over() -> None:
+    samples = np.random.default_rng(1).normal(size=(16, 256))
+    found = describe(samples)
+    kinds = [row["error_kind"] for row in speed_rows({"y": found}, {}, 4096, "")]
+    assert kinds
+    assert all(kind.endswith("over the standard deviation") for kind in kinds)
+    gone = without_moments(found, tail(1.5, 1.0, 0.0), samples)
+    rows = speed_rows({"y": gone}, {}, 4096, "")
+    assert len(rows) == len(kinds)
+    assert all(row["error_kind"].endswith("over half the 16-84 % range") for row in rows)
+    history: Any = SimpleNamespace(history=rows)
+    # the part that took longest names its answer whatever this is over
+    assert _slowest(history, "sampling").endswith(" of y")
+    assert rows[0]["error"] == pytest.approx(gone.mean.half_width / half_range(samples))
+
+
+def test_without_a_deviation_the_scale_is_the_range_that_it_is_called() -> None:
+    """Bounded values have a deviation, and what they are without bounds has none."""
+    values = pareto(1.5, 3)
+    held = describe(np.minimum(values, 50.0))
+    found = stretched(held, describe(values), values, 64)
+    assert found.sd.value is None
+    assert found.scale_name == "half the 16-84 % range"
+    assert found.scale == half_range(values) < held.scale
