@@ -18,7 +18,8 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.estimates import NO_MOMENT, Description, Estimate, absent
+from uqsphere.uq.estimates import Description, Estimate, absent
+from uqsphere.uq.reasons import OUT_OF_REACH
 from uqsphere.uq.released import Believed, believed, held, shifted
 from uqsphere.uq.reliability import reliability_index, tails, target_met
 from uqsphere.uq.sampling import random_generator
@@ -102,7 +103,7 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Trusted]) -> Answers:
     indices = {quantity: told[quantity].indices(found) for quantity, found in indices.items()}
     excess = excess_of(work, descriptions, limits)
     for quantity, described in descriptions.items():
-        if described.mean.value is None and not (described.mean.reason or "").startswith(NO_MOMENT):
+        if described.mean.value is None and not (described.mean.reason or "").startswith(OUT_OF_REACH):
             excess[quantity] = math.inf
     for limit in _limits(work, usable):
         # what active learning goes on with is not waited for

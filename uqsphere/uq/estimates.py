@@ -22,7 +22,6 @@ from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, OUT_OF_REACH
 
 __all__ = [
     "LEAST_BEYOND",
-    "NO_MOMENT",
     "Description",
     "Estimate",
     "Flags",
