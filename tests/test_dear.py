@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,15 +20,16 @@ from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
 from uqsphere.runner import work
-from uqsphere.runner.dear_end import Dear
+from uqsphere.runner.dear_end import Dear, blocks_of_runs
 from uqsphere.runner.dear_kept import keep_indices
+from uqsphere.runner.price import Design
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Cost, cost_of, indices_missed
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimates import Estimate, describe
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.ways import CHEAP, choose_way
 
@@ -216,6 +218,23 @@ def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[
     assert "evaluations would reach it" in means[0]
     told = {row["quantity"] for row in results["speed_error"] if row["evaluations"] == z["evaluations"]}
     assert {"z", "limits.rough"} <= told
+
+
+@pytest.mark.parametrize("runs", [16, 32, 64, 256])
+def test_intervals_by_the_runs_of_a_rough_output_cover(runs: int) -> None:
+    """Blocks of one sequence as replicates: of an output too rough for its evenness they are as good as independent."""
+    truths = {"mean": 0.5, "sd": math.sqrt(0.25 + 1.0 / 12.0)}
+    hits = dict.fromkeys(truths, 0)
+    for seed in range(300):
+        u = sobol_points(dimension=3, count=runs, seed=seed, task="dear", replicate=0)[None]
+        values = (np.sin(300.0 * u[..., 0]) * np.sin(270.0 * u[..., 1]) + u[..., 2])[..., None]
+        sample = work.Sample(values=values, censored=values > 9.0, status=np.zeros(values.shape[:2], dtype=np.int64))
+        _, blocks = blocks_of_runs(Design(points=work.Draw(normals=u, physical=u), sample=sample))
+        found = describe(blocks.values[:, :, 0])
+        for name, truth in truths.items():
+            estimate = getattr(found, name)
+            hits[name] += estimate.low <= truth <= estimate.high
+    assert all(0.91 * 300 <= count <= 0.99 * 300 for count in hits.values())
 
 
 def test_what_surrogates_reached_is_kept_where_sampling_does_not(

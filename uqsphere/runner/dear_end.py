@@ -22,7 +22,7 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
 
-__all__ = ["Dear", "End", "conclude", "refusal", "to_be_sampled"]
+__all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
 
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
@@ -73,12 +73,13 @@ def refusal(end: End) -> str:
     return "the surrogate is too rough (" + "; ".join(told) + ")"
 
 
-def _blocks(design: Design) -> tuple[Draw, Sample]:
+def blocks_of_runs(design: Design) -> tuple[Draw, Sample]:
     """The runs in consecutive blocks, which serve as replicates: each is spread as evenly as a design of its size.
 
     Blocks of one sequence fill each other's gaps, so that intervals from their spread are too wide rather than narrow.
     """
-    each = max(2, design.count // REPLICATES)
+    # of two runs each a standard deviation has no interval to speak of
+    each = max(4 if design.count >= 16 else 2, design.count // REPLICATES)
     blocks = design.count // each
     kept = blocks * each
 
@@ -118,7 +119,7 @@ def conclude(end: End) -> Dear:
     """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
     work, course, design, stopped = end.work, end.course, end.design, end.stopped
     affordable = end.priced.way.affordable
-    points, sample = _blocks(design)
+    points, sample = blocks_of_runs(design)
     alone = _from_runs(end, points, sample)
     limits, learned = end.found.limits | alone.limits, Learned(limits={})
     if stopped != "time":
@@ -135,7 +136,7 @@ def conclude(end: End) -> Dear:
             stopped = "evaluations"
         except OutOfBudget:
             stopped = "time"
-        points, sample = _blocks(design)
+        points, sample = blocks_of_runs(design)
         alone = _from_runs(end, points, sample)
         sharper = {name: one for name, one in alone.limits.items() if name not in learned.calls}
         limits |= {name: replace(one, checks=limits[name].checks) for name, one in sharper.items()}

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from uqsphere.quantities import told_apart
 from uqsphere.uq.families import Array
 from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_second, pieces, second_sums, skewness
-from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, OUT_OF_REACH
+from uqsphere.uq.reasons import NO_CONVERGENCE, OUT_OF_REACH
 
 __all__ = [
     "LEAST_BEYOND",
