@@ -15,7 +15,7 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.moved import evaluate_at, probabilities
+from uqsphere.runner.moved import at_strength, evaluate_at, probabilities, strength_solved
 from uqsphere.runner.stopping import rounded
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
@@ -114,6 +114,7 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
     count = next((n for n in POINTS if n * each * FIRST_GRID <= left), 0)
     if not count:
         return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * FIRST_GRID))
+    still = strength_solved(work.study.margins.solve) is not None
     space = np.geomspace if low > 0.0 else np.linspace
     todo = [low, *(float(value) for value in space(low, high, FIRST_GRID)[1:-1]), high]
     names = [limit.name for limit in limits]
@@ -125,12 +126,14 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
                 ended = "the budget of evaluations was used up"
                 break
             try:
-                points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
+                # a strength leaves the demands what they are: the rows of one value serve all
+                if not found or not still:
+                    points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
                 ended = "the time was over, or the run was stopped"
                 break
-            states = {limit.name: state_of(work, limit, points, sample) for limit in limits}
-            found[value] = {name: probabilities(state) for name, state in states.items()}
+            states = [at_strength(work, limit, state_of(work, limit, points, sample), value) for limit in limits]
+            found[value] = {limit.name: probabilities(state) for limit, state in zip(limits, states, strict=True)}
         todo = _steep(sorted(found), found, names) if not ended else []
         if not todo:
             break
