@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
@@ -235,6 +236,58 @@ def test_indices_of_a_surrogate_are_kept_where_sampled_ones_are_wider_than_asked
     dear = Dear(why="", surrogate=False, sensitivity={"y": own})
     found = keep_indices({"y": sampled, "z": sampled}, dear)
     assert found == {"y": own if kept else sampled, "z": sampled}
+
+
+FAR = '[limits.far]\nquantity = "z"\nstrength = { dist = "normal", mean = 12.0, sd = 0.5 }\n'
+
+
+def test_a_probability_that_few_runs_carry_is_bounded_only(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    study = study_from("analysis.budget.evaluations=24", text=MIXED + FAR + "target = 1e-7\n")
+    found = uqsphere.run(study, out=tmp_path / "r", model=both).results["limits"]["far"]
+    # the spread of these runs about their own mean would have said 1e-7 at most
+    x = 2.0 * np.pi * (np.random.default_rng(1).random((10**6, 3)) - 0.5)
+    truth = float(ndtr((chequered({"x1": x[:, 0], "x2": x[:, 1]}) - 12.0) / 0.5).mean())
+    assert found["miss"]["value"] is None
+    assert "few of them carry it" in found["miss"]["reason"]
+    assert found["miss"]["low"] <= truth <= found["miss"]["high"]
+    assert found["miss"]["high"] < 0.2
+    assert found["met"] is None
+    assert found["exceedance"]["value"] is None
+
+
+def test_what_active_learning_leaves_of_a_rough_limit_rests_on_all_runs(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    results = uqsphere.run(
+        study_from("analysis.budget.evaluations=460", text=MIXED + FAR), out=tmp_path / "r", model=both
+    ).results
+    runs = results["quantities"]["z"]["mean"]["evaluations"]
+    far = results["limits"]["far"]
+    assert runs > 128
+    assert any("active learning" in text for text in far["checks"])
+    assert far["margin"]["median"]["evaluations"] == runs
+    if not far["miss"]["method"].startswith("active"):
+        assert far["miss"]["evaluations"] == runs
+
+
+@pytest.mark.parametrize(("after", "runs"), [(40, 32), (300, 128)])
+def test_a_run_that_is_cut_off_reports_what_its_runs_say(
+    study_from: Callable[..., Study], tmp_path: Path, after: int, runs: int
+) -> None:
+    rows = 0
+
+    def counted(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        nonlocal rows
+        rows += len(x["x1"])
+        return both(x)
+
+    study = study_from("analysis.budget.evaluations=600", "analysis.rows_per_call=8", text=MIXED)
+    found = uqsphere.run(study, out=tmp_path / "r", model=counted, stop=lambda: rows >= after)
+    assert found.manifest["interrupted"]
+    assert found.results["quantities"]["z"]["mean"]["evaluations"] == runs
+    assert found.results["accuracy"]["stopped_by"]["sampling"] == "time"
+    again = uqsphere.run(study, out=tmp_path / "r", model=counted)
+    assert again.results["quantities"]["z"]["mean"]["evaluations"] > 500
 
 
 def test_a_step_is_answered_within_its_interval(ask) -> None:

@@ -17,7 +17,7 @@ from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
 from uqsphere.runner.learning import reserve
 from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
 from uqsphere.runner.sensitivity import CHAOS
-from uqsphere.runner.work import REPLICATES, Work, none_answered
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, none_answered
 from uqsphere.uq.augmented import MOST, Trusted, trust
 from uqsphere.ways import FIRST_SAMPLE
 
@@ -58,7 +58,13 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
         kept = reserve(work, found.limits, priced.way.affordable)
         if kept and count > priced.way.affordable - kept:
             break
-        design = enlarge(work, design, count)
+        try:
+            design = enlarge(work, design, count)
+        except OutOfBudget:
+            if design is None:
+                raise
+            stopped = "time"
+            break
         if design.sample.failed.all():
             raise none_answered(work)
         trusted, fits = _fit(work, design, fits)
@@ -72,8 +78,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
         if not rough and not found.excess:
             stopped = "accuracy"
             break
-        if work.ledger.elapsed > work.seconds:
-            work.ledger.stopped_by_time = True
+        if work.out_of_time:
             stopped = "time"
             break
         waiting = [bool(rough), bool(found.excess)]
@@ -88,6 +93,8 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
     end = End(work=work, priced=priced, design=design, trusted=trusted, found=found, rough=tuple(rough),
               course=course, stopped=stopped)  # fmt: skip
     room = priced.way.affordable - work.ledger.total
+    if stopped == "time":
+        return conclude(end)
     if rough and room >= FIRST_SAMPLE:
         return to_be_sampled(end, f"{refusal(end)}: the model is sampled")
     if stopped != "accuracy" and room >= priced.way.sampling:

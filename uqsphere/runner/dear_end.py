@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, widest
+from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
-from uqsphere.runner.limits import judge_limits, limits_missed
+from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import Cost, Missed, indices_missed
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work
+from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
@@ -32,8 +32,8 @@ WORTHLESS = 0.5
 class Dear:
     """What the surrogate way found; without `sampled` where the model has to be sampled instead, and `why`.
 
-    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments, and
-    `found` what surrogates said of quantities and limits where the model is sampled.
+    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments.  Where
+    the model is sampled, `found` is what surrogates said of quantities and limits, and `trusted` has those surrogates.
     """
 
     why: str
@@ -47,6 +47,7 @@ class Dear:
     stopped: str = "accuracy"
     believed: tuple[str, ...] = ()
     tails: dict[str, HeavyTail | None] = field(default_factory=dict)
+    trusted: Mapping[str, Trusted] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +112,7 @@ def to_be_sampled(end: End, why: str) -> Dear:
         seconds=end.course.seconds,
         believed=plain,
         tails=tails,
+        trusted={quantity: end.trusted[quantity] for quantity in plain},
     )
 
 
@@ -130,12 +132,15 @@ def conclude(end: End) -> Dear:
     if end.rough and stopped != "time":
         # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
         most = design.count + affordable - work.ledger.total
-        design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
-        stopped = "evaluations"
+        before = alone.limits
+        try:
+            design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
+            stopped = "evaluations"
+        except OutOfBudget:
+            stopped = "time"
         points, sample = _blocks(design)
         alone = _from_runs(end, points, sample)
-        sharper = {name: one for name, one in alone.limits.items() if name not in learned.calls}
-        limits |= {name: replace(one, checks=limits[name].checks) for name, one in sharper.items()}
+        limits |= {name: _sharpened(limits[name], before[name], one) for name, one in alone.limits.items()}
     course.end(work, design.count, alone)
     answers = end.found.descriptions | alone.descriptions
     descriptions = {quantity: answers[quantity] for quantity in work.quantities}
@@ -171,6 +176,15 @@ def conclude(end: End) -> Dear:
     )
 
 
+def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> LimitAnswer:
+    """A limit by more runs, with the checks and the probability that active learning gave it beside those `before`."""
+    if answer.miss is not before.miss:
+        return replace(answer, margin=more.margin)
+    if answer.design is not None:
+        return replace(answer.with_probabilities(more.exceedance, more.miss), margin=more.margin)
+    return replace(more, checks=answer.checks, design_reason=answer.design_reason)
+
+
 def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
     """Answers of the runs alone, for quantities without a surrogate."""
     work, analysis = end.work, end.work.study.analysis
@@ -185,7 +199,7 @@ def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
         for k, name in enumerate(work.quantities)
         if name in end.rough
     }
-    return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample, end.rough))
+    return Answers(descriptions=descriptions, limits=limits_of_runs(work, points, sample, end.rough))
 
 
 def _refused(quantity: str, one: Trusted | None) -> Missed:
