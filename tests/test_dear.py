@@ -19,10 +19,14 @@ from uqsphere.bench.dear import dear_rows
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.plan import plan_run, plan_text
 from uqsphere.runner import price as pricing
+from uqsphere.runner.dear_answers import Answers
 from uqsphere.runner.dear_end import Dear
-from uqsphere.runner.dear_kept import keep_indices
+from uqsphere.runner.dear_kept import keep_answers, keep_indices
+from uqsphere.runner.limits import LimitAnswer
+from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Cost, cost_of, indices_missed
+from uqsphere.runner.work import Draw, Ledger, Sample, Work
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
@@ -220,6 +224,57 @@ def test_what_surrogates_reached_is_kept_where_sampling_does_not(
     missed = results["accuracy"]["missed"]
     assert any(text.startswith("z: mean") for text in missed)
     assert not any(text.startswith("y: mean") for text in missed)
+
+
+def test_more_budget_takes_no_margin_and_no_design_point_from_a_surrogate(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    text = MIXED + '[margins]\nsolve = "limits.high.strength"\nbetween = [6.0, 14.0]\n'
+    study = study_from("analysis.budget.evaluations=2700", "analysis.budget.time='100 h'", text=text)
+    results = uqsphere.run(study, out=tmp_path / "r", model=both).results
+    assert results["plan"]["way"] == "sampling"
+    # it was searched for on the surrogate, which sampling has no room for
+    assert results["limits"]["high"]["design_point_reason"] == "no search for a design point converged"
+    assert results["limits"]["rough"]["design_point_reason"] == "no search for a design point was made"
+    # sampling has no room for a curve
+    assert not results["margins"]["rough"]["curve"]
+    at = results["margins"]["high"]["values"]["0.1"]
+    x = 2.0 * np.pi * (sobol_points(dimension=3, count=2**18, seed=1, task="truth", replicate=0) - 0.5)
+    values = ishigami({"x1": x[:, 0], "x2": x[:, 1], "x3": x[:, 2]})
+    assert at["low"] <= float(np.quantile(values, 0.9)) <= at["high"]
+    assert sum(results["model"]["evaluations"].values()) <= 2700
+    told = [part["why"] for part in results["plan"]["parts"] if part["part"] == "sampling"]
+    assert told == ["A surrogate was not good enough, and the model was sampled."]
+
+
+def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_known(
+    study_from: Callable[..., Study],
+) -> None:
+    study = study_from(text=DEAR)
+    work = Work(study=study, store=None, ledger=Ledger(), fidelity="full")
+
+    def limit(value: float, half: float) -> LimitAnswer:
+        p = Estimate(value=value, low=value - half, high=value + half, std_error=0.5 * half, method="", evaluations=1)
+        return LimitAnswer(
+            quantity="y", aim="survive", target=0.5, exceedance=p, miss=p, reliability_index=None,
+            reliability_interval=(None, None), margin={}, governing=None, met=None, design={"x1": 0.0},
+        )  # fmt: skip
+
+    def kept(one: LimitAnswer, other: LimitAnswer) -> Sampled:
+        nothing = np.zeros((2, 1, 1))
+        points, values = Draw(normals=nothing, physical=nothing), np.zeros((2, 1), dtype=np.int64)
+        sample = Sample(values=nothing, censored=nothing > 0.0, status=values)
+        sampled = Sampled(points=points, sample=sample, descriptions={}, limits={"high": one}, missed=[],
+                          stopped="", history=[], seconds=[])  # fmt: skip
+        dear = Dear(why="", surrogate=False, found=Answers(limits={"high": other}), believed=("y",))
+        return keep_answers(work, sampled, dear)
+
+    # below 1 % the methods for rare events may take over, and widths are not held against the accuracy on the way
+    narrow, wide = limit(0.011, 0.003), limit(0.009, 0.008)
+    assert kept(narrow, wide).limits["high"].miss is narrow.miss
+    better = kept(wide, narrow)
+    assert better.limits["high"].miss is narrow.miss
+    assert [one.subject for one in better.missed] == ["limits.high"]
 
 
 @pytest.mark.parametrize(("half", "late", "kept"), [(0.03, True, True), (0.03, False, False), (0.001, True, False)])
