@@ -163,6 +163,8 @@ def test_a_free_strength_moves_its_limit_where_evaluations_fail(
     # the rows of one value serve all
     taken = next(part["taken"] for part in results["plan"]["parts"] if part["part"] == "margins")
     assert 0 < taken < 4 * 16 * 64
+    few = uqsphere.run(study_from("analysis.budget.evaluations=3500", text=FAILS), out=tmp_path / "few", model=model)
+    assert len(few.results["margins"]["own"]["curve"]) >= 9
 
 
 def test_the_design_point_at_a_margin_keeps_to_the_budget(study_from: Callable[..., Study], tmp_path: Path) -> None:

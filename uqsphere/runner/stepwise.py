@@ -111,10 +111,12 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
     low, high = work.study.margins.between
     each = REPLICATES if work.scene_names else 1
     left = work.study.analysis.budget.evaluations - work.ledger.total
-    count = next((n for n in POINTS if n * each * FIRST_GRID <= left), 0)
-    if not count:
-        return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * FIRST_GRID))
+    # a strength leaves the demands what they are: the rows of one value serve all
     still = strength_solved(work.study.margins.solve) is not None
+    values = 1 if still else FIRST_GRID
+    count = next((n for n in POINTS if n * each * values <= left), 0)
+    if not count:
+        return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * values))
     space = np.geomspace if low > 0.0 else np.linspace
     todo = [low, *(float(value) for value in space(low, high, FIRST_GRID)[1:-1]), high]
     names = [limit.name for limit in limits]
@@ -122,12 +124,12 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
     ended, before = "", work.ledger.total
     for _ in range(ROUNDS + 1):
         for value in todo:
-            if work.ledger.total + count * each > work.study.analysis.budget.evaluations:
+            known = still and bool(found)
+            if not known and work.ledger.total + count * each > work.study.analysis.budget.evaluations:
                 ended = "the budget of evaluations was used up"
                 break
             try:
-                # a strength leaves the demands what they are: the rows of one value serve all
-                if not found or not still:
+                if not known:
                     points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
                 ended = "the time was over, or the run was stopped"
