@@ -325,6 +325,19 @@ def test_what_active_learning_leaves_of_a_rough_limit_rests_on_all_runs(
         assert far["miss"]["evaluations"] == runs
 
 
+def test_runs_made_for_a_rough_output_serve_the_surrogates_of_the_others(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    asked = "analysis.accuracy={ mean = 1e-7, quantile = 1e-4, sobol = 1e-9, probability = 1e-4 }"
+    study = study_from("analysis.budget.evaluations=300", asked, text=MIXED)
+    results = uqsphere.run(study, out=tmp_path / "r", model=both).results
+    y, z = results["quantities"]["y"], results["quantities"]["z"]
+    assert y["mean"]["method"].startswith("surrogate")
+    assert y["mean"]["evaluations"] == z["mean"]["evaluations"] > 256
+    assert results["limits"]["high"]["miss"]["evaluations"] == y["mean"]["evaluations"]
+    assert holds(y["mean"], TRUTH.mean)
+
+
 @pytest.mark.parametrize(("after", "runs"), [(40, 32), (300, 128)])
 def test_a_run_that_is_cut_off_reports_what_its_runs_say(
     study_from: Callable[..., Study], tmp_path: Path, after: int, runs: int

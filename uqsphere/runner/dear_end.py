@@ -6,23 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, limits_of_runs, widest
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.price import Design, Priced, enlarge
+from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted
+from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.estimates import Estimate, absent, describe
 
-__all__ = ["Dear", "End", "conclude", "refusal", "to_be_sampled"]
+__all__ = ["Dear", "End", "conclude", "fit_design", "refusal", "to_be_sampled"]
 
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
@@ -58,10 +58,45 @@ class End:
     priced: Priced
     design: Design
     trusted: Mapping[str, Trusted]
+    fits: dict[int, Chaos]
     found: Answers
     rough: tuple[str, ...]
     course: Course
     stopped: str
+
+
+def fit_design(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[str, Trusted], dict[int, Chaos]]:
+    """Surrogates of all quantities, each checked by runs that the fit before had not seen; the fits by number."""
+    from uqsphere.uq.chaos import fit_outputs, germ_points
+
+    d, germs = len(work.scene_names), germs_of(work)
+    whole = ~design.sample.failed[0]
+    if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
+        return {}, {}
+    points = germ_points(design.points.normals[0, :, :d], germs)[whole]
+    outputs = design.sample.values[0][whole]
+    if len(outputs) < FIRST_RUNS // 2:
+        return {}, {}
+    if not before:
+        half = len(outputs) // 2
+        before = dict(enumerate(fit_outputs(points[:half], outputs[:half], germs)))
+    fits = dict(enumerate(fit_outputs(points, outputs, germs)))
+    checked = {
+        quantity: trust(fits[k], points, outputs[:, k], before.get(k)) for k, quantity in enumerate(work.quantities)
+    }
+    return checked, fits
+
+
+def _with_all_runs(end: End, design: Design) -> End:
+    """The end with surrogates of a larger design, where all that were believed still are."""
+    trusted, fits = fit_design(end.work, design, end.fits)
+    usable = {quantity: one for quantity, one in trusted.items() if one.usable}
+    if not usable.keys() >= end.found.descriptions.keys():
+        return end
+    found = answers_of(end.work, design.count, usable)
+    end.course.add(end.work, design.count, found)
+    rough = tuple(quantity for quantity in end.rough if quantity not in usable)
+    return replace(end, design=design, trusted=trusted, fits=fits, found=found, rough=rough)
 
 
 def refusal(end: End) -> str:
@@ -132,15 +167,18 @@ def conclude(end: End) -> Dear:
     if end.rough and stopped != "time":
         # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
         most = design.count + affordable - work.ledger.total
-        before = alone.limits
+        before = end.found.limits | alone.limits
         try:
             design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
             stopped = "evaluations"
         except OutOfBudget:
             stopped = "time"
+        if end.found.excess and design.count > end.design.count:
+            end = _with_all_runs(end, design)
         points, sample = _blocks(design)
         alone = _from_runs(end, points, sample)
-        limits |= {name: _sharpened(limits[name], before[name], one) for name, one in alone.limits.items()}
+        after = end.found.limits | alone.limits
+        limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
     course.end(work, design.count, alone)
     answers = end.found.descriptions | alone.descriptions
     descriptions = {quantity: answers[quantity] for quantity in work.quantities}
@@ -258,4 +296,5 @@ def _sensitivity(end: End, quantity: str) -> Sensitivity:
 
 
 if TYPE_CHECKING:
+    from uqsphere.uq.chaos import Chaos
     from uqsphere.uq.heavy_tails import HeavyTail
