@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import uqsphere
 from uqsphere.bench.fragility import straight_value, value_coverage
@@ -122,3 +124,55 @@ def test_a_family_says_which_curves_the_budget_did_not_reach(crusher: Study) -> 
     members = _members(work, study.limits, 10**5)
     assert all("evaluations ran out" in str(member["chute"]) for member in members.values())
     assert work.ledger.total <= budget
+
+
+FAILS = """
+seed = 4
+[inputs]
+x = { dist = "normal", mean = 10.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[limits.own]
+quantity = "y"
+strength = { dist = "normal", mean = 12.0, cov = 0.1 }
+[limits.other]
+quantity = "y"
+strength = 11.0
+[margins]
+solve = "limits.own.strength"
+between = [8.0, 16.0]
+[analysis]
+on_failure = "drop"
+budget = { evaluations = 20_000 }
+"""
+
+
+def test_a_free_strength_moves_its_limit_where_evaluations_fail(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    def model(inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.where(inputs["x"] > 13.0, np.nan, inputs["x"])}
+
+    results = uqsphere.run(study_from(text=FAILS), out=tmp_path / "r", model=model).results
+    assert results["model"]["failures"] > 0
+    own, other = (results["margins"][name]["curve"] for name in ("own", "other"))
+    for value, probability, *_ in own:
+        # the share of 0.13 % that fails is among those that would break
+        assert probability == pytest.approx(ndtr((10.0 - value) / np.hypot(1.0, 0.1 * value)), abs=0.01)
+    assert {probability for _, probability, *_ in other} == {other[0][1]}
+    # the rows of one value serve all
+    taken = next(part["taken"] for part in results["plan"]["parts"] if part["part"] == "margins")
+    assert 0 < taken < 4 * 16 * 64
+    few = uqsphere.run(study_from("analysis.budget.evaluations=3500", text=FAILS), out=tmp_path / "few", model=model)
+    assert len(few.results["margins"]["own"]["curve"]) >= 9
+
+
+def test_the_design_point_at_a_margin_keeps_to_the_budget(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    def model(inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": inputs["x"]}
+
+    text = FAILS.replace('"limits.own.strength"', '"x"').replace("8.0, 16.0", "4.0, 24.0").replace("20_000", "4_600")
+    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=model).results
+    assert results["margins"]["own"]["curve"]
+    assert "the budget has no room" in results["margins"]["own"]["lost_to"]["reason"]
+    assert sum(results["model"]["evaluations"].values()) <= 4600

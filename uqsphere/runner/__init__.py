@@ -224,7 +224,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.quantities import format_estimate
     from uqsphere.runner.answer_validity import judge_answers
     from uqsphere.runner.dear import answer_dear
-    from uqsphere.runner.dear_kept import keep_answers, keep_indices
+    from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
@@ -267,7 +267,10 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
                 notice(f"limit {name}: probability of missing its aim {interval}")
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
-    margins = judge_answers(work, find_margins(work, sampled))
+    margins = find_margins(work, sampled)
+    if dear is not None:
+        margins = keep_margins(work, margins, dear)
+    margins = judge_answers(work, margins)
     ledger.close("margins")
     band_rows, band_seconds = band_history(margins)
     fracture = find_fracture(work, sampled, margins)

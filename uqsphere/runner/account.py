@@ -62,7 +62,7 @@ def _why(name: str, likely: int, taken: int, found: Findings, *, planned: bool, 
         return ""
     more = taken > likely
     if planned and not surrogate and name != "surrogate" and not likely:
-        return "No surrogate was good enough, and the model was sampled."
+        return "A surrogate was not good enough, and the model was sampled."
     stop = found.stops.get("sensitivity" if name == "sensitivity" else "sampling", "")
     ended = {
         "evaluations": "the next stage would have passed the budget",

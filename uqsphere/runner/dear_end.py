@@ -6,23 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, widest
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
-from uqsphere.runner.limits import judge_limits, limits_missed
+from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.price import Design, Priced, enlarge
+from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted
+from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.estimates import Estimate, absent, describe
 
-__all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
+__all__ = ["Dear", "End", "blocks_of_runs", "conclude", "fit_design", "refusal", "to_be_sampled"]
 
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
@@ -32,8 +32,8 @@ WORTHLESS = 0.5
 class Dear:
     """What the surrogate way found; without `sampled` where the model has to be sampled instead, and `why`.
 
-    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments, and
-    `found` what surrogates said of quantities and limits where the model is sampled.
+    `believed` are the quantities that a surrogate speaks for, `tails` what they inherit of laws without moments.  Where
+    the model is sampled, `found` is what surrogates said of quantities and limits, and `trusted` has those surrogates.
     """
 
     why: str
@@ -47,6 +47,7 @@ class Dear:
     stopped: str = "accuracy"
     believed: tuple[str, ...] = ()
     tails: dict[str, HeavyTail | None] = field(default_factory=dict)
+    trusted: Mapping[str, Trusted] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +58,45 @@ class End:
     priced: Priced
     design: Design
     trusted: Mapping[str, Trusted]
+    fits: dict[int, Chaos]
     found: Answers
     rough: tuple[str, ...]
     course: Course
     stopped: str
+
+
+def fit_design(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[str, Trusted], dict[int, Chaos]]:
+    """Surrogates of all quantities, each checked by runs that the fit before had not seen; the fits by number."""
+    from uqsphere.uq.chaos import fit_outputs, germ_points
+
+    d, germs = len(work.scene_names), germs_of(work)
+    whole = ~design.sample.failed[0]
+    if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
+        return {}, {}
+    points = germ_points(design.points.normals[0, :, :d], germs)[whole]
+    outputs = design.sample.values[0][whole]
+    if len(outputs) < FIRST_RUNS // 2:
+        return {}, {}
+    if not before:
+        half = len(outputs) // 2
+        before = dict(enumerate(fit_outputs(points[:half], outputs[:half], germs)))
+    fits = dict(enumerate(fit_outputs(points, outputs, germs)))
+    checked = {
+        quantity: trust(fits[k], points, outputs[:, k], before.get(k)) for k, quantity in enumerate(work.quantities)
+    }
+    return checked, fits
+
+
+def _with_all_runs(end: End, design: Design) -> End:
+    """The end with surrogates of a larger design, where all that were believed still are."""
+    trusted, fits = fit_design(end.work, design, end.fits)
+    usable = {quantity: one for quantity, one in trusted.items() if one.usable}
+    if not usable.keys() >= end.found.descriptions.keys():
+        return end
+    found = answers_of(end.work, design.count, usable)
+    end.course.add(end.work, design.count, found)
+    rough = tuple(quantity for quantity in end.rough if quantity not in usable)
+    return replace(end, design=design, trusted=trusted, fits=fits, found=found, rough=rough)
 
 
 def refusal(end: End) -> str:
@@ -112,6 +148,7 @@ def to_be_sampled(end: End, why: str) -> Dear:
         seconds=end.course.seconds,
         believed=plain,
         tails=tails,
+        trusted={quantity: end.trusted[quantity] for quantity in plain},
     )
 
 
@@ -131,15 +168,18 @@ def conclude(end: End) -> Dear:
     if end.rough and stopped != "time":
         # runs that no surrogate can use still sharpen what sampling says: as far as the budget goes
         most = design.count + affordable - work.ledger.total
+        before = end.found.limits | alone.limits
         try:
             design = enlarge(work, design, max(design.count, REPLICATES * (most // REPLICATES)))
             stopped = "evaluations"
         except OutOfBudget:
             stopped = "time"
+        if end.found.excess and design.count > end.design.count:
+            end = _with_all_runs(end, design)
         points, sample = blocks_of_runs(design)
         alone = _from_runs(end, points, sample)
-        sharper = {name: one for name, one in alone.limits.items() if name not in learned.calls}
-        limits |= {name: replace(one, checks=limits[name].checks) for name, one in sharper.items()}
+        after = end.found.limits | alone.limits
+        limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
     course.end(work, design.count, alone)
     answers = end.found.descriptions | alone.descriptions
     descriptions = {quantity: answers[quantity] for quantity in work.quantities}
@@ -175,6 +215,15 @@ def conclude(end: End) -> Dear:
     )
 
 
+def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> LimitAnswer:
+    """A limit by more runs, with the checks and the probability that active learning gave it beside those `before`."""
+    if answer.miss is not before.miss:
+        return replace(answer, margin=more.margin)
+    if answer.design is not None:
+        return replace(answer.with_probabilities(more.exceedance, more.miss), margin=more.margin)
+    return replace(more, checks=answer.checks, design_reason=answer.design_reason)
+
+
 def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
     """Answers of the runs alone, for quantities without a surrogate."""
     work, analysis = end.work, end.work.study.analysis
@@ -189,7 +238,7 @@ def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
         for k, name in enumerate(work.quantities)
         if name in end.rough
     }
-    return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample, end.rough))
+    return Answers(descriptions=descriptions, limits=limits_of_runs(work, points, sample, end.rough))
 
 
 def _refused(quantity: str, one: Trusted | None) -> Missed:
@@ -248,4 +297,5 @@ def _sensitivity(end: End, quantity: str) -> Sensitivity:
 
 
 if TYPE_CHECKING:
+    from uqsphere.uq.chaos import Chaos
     from uqsphere.uq.heavy_tails import HeavyTail

@@ -10,17 +10,21 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from uqsphere.runner.dear_answers import widest
+from uqsphere.runner.dear_answers import demands_of, widest
+from uqsphere.runner.dear_margins import dear_margins
+from uqsphere.runner.learning import with_surrogate_design
+from uqsphere.runner.limits import limits_missed
 from uqsphere.runner.sampling import Sampled, find_missed, shortfalls
 from uqsphere.runner.work import Work
 
 if TYPE_CHECKING:
     from uqsphere.runner.dear_end import Dear
     from uqsphere.runner.limits import LimitAnswer
+    from uqsphere.runner.margins import MarginAnswer
     from uqsphere.runner.sensitivity import Sensitivity
-    from uqsphere.uq.estimates import Description
+    from uqsphere.uq.estimates import Description, Estimate
 
-__all__ = ["keep_answers", "keep_indices"]
+__all__ = ["keep_answers", "keep_indices", "keep_margins"]
 
 #: what an answer lacks that is not there at all
 _NOTHING = float("inf")
@@ -36,16 +40,35 @@ def keep_answers(work: Work, sampled: Sampled, dear: Dear) -> Sampled:
     for name, limit in dear.found.limits.items():
         lacks = _lack(work, {}, {name: limits[name]})
         if limit.quantity in dear.believed and 1.0 < lacks > _lack(work, {}, {name: limit}):
-            limits[name] = _probabilities_of(limits[name], limit)
+            limits[name] = replace(
+                limits[name].with_probabilities(limit.exceedance, limit.miss),
+                margin=limit.margin,
+                checks=(*limits[name].checks, "the probability is that of the surrogate"),
+            )
+    limits = with_surrogate_design(work, limits, demands_of(work, dear.trusted), work.study.analysis.budget.evaluations)
     kept = {name for name, one in descriptions.items() if one is not sampled.descriptions[name]}
-    kept |= {f"limits.{name}" for name, one in limits.items() if one is not sampled.limits[name]}
+    kept |= {f"limits.{name}" for name, one in limits.items() if one.miss is not sampled.limits[name].miss}
+    costs = {(one.subject, one.kind, one.at): one.cost for one in sampled.missed}
+    lacking = [
+        one for one in [*find_missed(work, descriptions, {}), *limits_missed(work, limits)] if one.subject in kept
+    ]
     return replace(
         sampled,
         descriptions=descriptions,
         limits=limits,
         missed=[one for one in sampled.missed if one.subject not in kept]
-        + [one for one in find_missed(work, descriptions, limits) if one.subject in kept],
+        + [replace(one, cost=costs.get((one.subject, one.kind, one.at), one.cost)) for one in lacking],
     )
+
+
+def keep_margins(work: Work, found: Mapping[str, MarginAnswer], dear: Dear) -> dict[str, MarginAnswer]:
+    """Margins, with those of surrogates where sampling drew no curve, as far as the budget goes."""
+    without = {one.name: one.quantity for one in work.study.limits if one.name in found and not found[one.name].curve}
+    trusted = {quantity: one for quantity, one in dear.trusted.items() if quantity in without.values()}
+    if not trusted:
+        return dict(found)
+    answers = dear_margins(work, trusted, work.study.analysis.budget.evaluations)
+    return {**found, **{name: answers[name] for name in without if answers[name].curve}}
 
 
 def keep_indices(found: Mapping[str, Sensitivity], dear: Dear) -> dict[str, Sensitivity]:
@@ -68,19 +91,14 @@ def _lack(work: Work, descriptions: dict[str, Description], limits: dict[str, Li
     """The worst half-width over what is asked; infinite where something asked for is absent."""
     if any(one.mean.value is None or one.sd.value is None for one in descriptions.values()):
         return _NOTHING
-    if any(one.miss.value is None for one in limits.values()):
-        return _NOTHING
-    return max(shortfalls(work, descriptions, limits).values(), default=0.0)
+    asked = work.study.analysis.accuracy.probability
+    # small ones too, which `shortfalls` leaves to the methods for rare events
+    wide = [_lack_of(one, which, asked) for one in limits.values() for which in ("exceedance", "miss")]
+    return max([*wide, *shortfalls(work, descriptions, {}).values()], default=0.0)
 
 
-def _probabilities_of(sampled: LimitAnswer, one: LimitAnswer) -> LimitAnswer:
-    """A sampled limit, its design point and drivers, with the probabilities and the margin of another answer."""
-    return replace(
-        sampled,
-        exceedance=one.exceedance,
-        miss=one.miss,
-        reliability_index=one.reliability_index,
-        reliability_interval=one.reliability_interval,
-        margin=one.margin,
-        met=one.met,
-    )
+def _lack_of(limit: LimitAnswer, which: str, asked: float) -> float:
+    if not limit.accuracy_missed(which, asked):
+        return 0.0
+    estimate: Estimate = getattr(limit, which)
+    return estimate.half_width / estimate.value / asked if estimate.value else _NOTHING

@@ -24,7 +24,6 @@ from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.rare.active import METHOD, ActiveAnswer, learn_probability
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator
-from uqsphere.uq.reliability import reliability_index, target_met
 
 __all__ = ["MOST_CALLS", "Demand", "Learned", "learn_limits", "learnable", "reserve", "with_surrogate_design"]
 
@@ -131,16 +130,8 @@ def _joined(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> LimitAn
         checks.append(f"the surrogate gave {old.value:.3g}, outside of this: the interval holds both")
         low, high = min(low, old.low), max(high, old.high)
     own = replace(own, low=low, high=high, std_error=(high - low) / 3.92)
-    return replace(
-        answer,
-        miss=own,
-        exceedance=own if limit.aim == "survive" else complement(own),
-        reliability_index=reliability_index(own.value),
-        reliability_interval=(reliability_index(own.high), reliability_index(own.low)),
-        met=None if limit.target is None else target_met(own, limit.target),
-        modes=learned.modes or None,
-        checks=tuple(checks),
-    )
+    exceeded = own if limit.aim == "survive" else complement(own)
+    return replace(answer.with_probabilities(exceeded, own), modes=learned.modes or None, checks=tuple(checks))
 
 
 def with_surrogate_design(
@@ -161,9 +152,14 @@ def with_surrogate_design(
             continue
         demand, scatter, sd = demands[limit.quantity]
         space = limit_space(work, limit, at, demand)
-        design: FormAnswer = find_design_points(
-            Evaluator(limit=space.function, budget=ON_SURROGATE), seed=work.study.seed, most=ON_SURROGATE
-        )
+        try:
+            design: FormAnswer = find_design_points(
+                Evaluator(limit=space.function, budget=ON_SURROGATE), seed=work.study.seed, most=ON_SURROGATE
+            )
+        except OutOfBudget:
+            reason = "no search for a design point was made: the time was over, or the run was stopped"
+            found[limit.name] = replace(answer, design_reason=reason)
+            continue
         updated = with_design(work, answer, design, space)
         if updated.design is not None and work.ledger.total >= affordable:
             text = "the design point is the surrogate's own: no evaluation was left to confirm it"

@@ -71,6 +71,17 @@ class LimitAnswer:
         relative = estimate.half_width / estimate.value
         return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
 
+    def with_probabilities(self, exceedance: Estimate, miss: Estimate) -> LimitAnswer:
+        """The same limit by other probabilities, with the reliability index and the verdict that follow."""
+        return replace(
+            self,
+            exceedance=exceedance,
+            miss=miss,
+            reliability_index=reliability_index(miss.value),
+            reliability_interval=(reliability_index(miss.high), reliability_index(miss.low)),
+            met=None if self.target is None else target_met(miss, self.target),
+        )
+
     def beneath(self, which: str) -> bool:
         """Whether a probability is too small to matter: beneath notice, or far beneath the target."""
         high = getattr(self, which).high

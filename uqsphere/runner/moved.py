@@ -19,7 +19,15 @@ from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.sampling import sobol_points
 
-__all__ = ["draw_points", "evaluate_at", "limit_state", "moved_study", "probabilities", "strength_solved"]
+__all__ = [
+    "at_strength",
+    "draw_points",
+    "evaluate_at",
+    "limit_state",
+    "moved_study",
+    "probabilities",
+    "strength_solved",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -126,16 +134,21 @@ def probabilities(state: LimitState) -> Array:
 
 
 def limit_state(work: Work, limit: Limit, points: Draw, demands: Array, value: float) -> LimitState:
-    """The state of a limit at a value, with demands (R, n) before its model factor, all of them known.
-
-    Where its strength is the free scalar, all values of the strength go in proportion to the mean.
-    """
+    """The state of a limit at a value, with demands (R, n) before its model factor, all of them known."""
     assert work.study.margins is not None
     full = np.ones((*demands.shape, len(work.quantities)))
     full[:, :, work.quantities.index(limit.quantity)] = demands
     none = np.zeros(full.shape, dtype=bool)
     sample = Sample(values=full, censored=none, status=np.zeros(demands.shape, dtype=np.int64))
-    state = state_of(work, limit, points, sample)
+    return at_strength(work, limit, state_of(work, limit, points, sample), value)
+
+
+def at_strength(work: Work, limit: Limit, state: LimitState, value: float) -> LimitState:
+    """The state of a limit where the free scalar has a value: moved where that is the limit's own strength.
+
+    All values of the strength go in proportion to the mean, or the demands the other way.
+    """
+    assert work.study.margins is not None
     if strength_solved(work.study.margins.solve) != limit.name:
         return state
     nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength

@@ -26,7 +26,7 @@ from uqsphere.uq.inputs import conditional_normal, normal_scores, physical_from_
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
-from uqsphere.uq.reliability import reliability_index, strength_tails, target_met
+from uqsphere.uq.reliability import strength_tails
 
 __all__ = [
     "METHOD",
@@ -233,16 +233,7 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
     exceeded = answer.exceedance
     if kept is own:
         exceeded = own if limit.aim == "survive" else complement(own)
-    updated = replace(
-        answer,
-        miss=kept,
-        exceedance=exceeded,
-        reliability_index=reliability_index(kept.value),
-        reliability_interval=(reliability_index(kept.high), reliability_index(kept.low)),
-        met=None if limit.target is None else target_met(kept, limit.target),
-        modes=rare.modes or None,
-        checks=tuple(checks),
-    )
+    updated = replace(answer.with_probabilities(exceeded, kept), modes=rare.modes or None, checks=tuple(checks))
     return with_design(work, updated, rare.design, space)
 
 
@@ -335,6 +326,8 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
         return "nothing but the strength is random"
     if tied_strength(work, limit):
         return "the strength depends on an input by a copula that is not Gaussian"
+    if work.study.analysis.budget.evaluations - work.ledger.total < FOR_DESIGN:
+        return f"no design point was searched for: the budget has no room for {FOR_DESIGN:,} evaluations more"
     space = limit_space(replace(work, spare=True, store=None), limit, 0)
     found = find_design_points(
         Evaluator(limit=space.function, budget=FOR_DESIGN), seed=work.study.seed, most=FOR_DESIGN

@@ -15,7 +15,7 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.moved import evaluate_at, probabilities
+from uqsphere.runner.moved import at_strength, evaluate_at, probabilities, strength_solved
 from uqsphere.runner.stopping import rounded
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
@@ -111,9 +111,12 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
     low, high = work.study.margins.between
     each = REPLICATES if work.scene_names else 1
     left = work.study.analysis.budget.evaluations - work.ledger.total
-    count = next((n for n in POINTS if n * each * FIRST_GRID <= left), 0)
+    # a strength leaves the demands what they are: the rows of one value serve all
+    still = strength_solved(work.study.margins.solve) is not None
+    values = 1 if still else FIRST_GRID
+    count = next((n for n in POINTS if n * each * values <= left), 0)
     if not count:
-        return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * FIRST_GRID))
+        return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * values))
     space = np.geomspace if low > 0.0 else np.linspace
     todo = [low, *(float(value) for value in space(low, high, FIRST_GRID)[1:-1]), high]
     names = [limit.name for limit in limits]
@@ -121,16 +124,18 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
     ended, before = "", work.ledger.total
     for _ in range(ROUNDS + 1):
         for value in todo:
-            if work.ledger.total + count * each > work.study.analysis.budget.evaluations:
+            known = still and bool(found)
+            if not known and work.ledger.total + count * each > work.study.analysis.budget.evaluations:
                 ended = "the budget of evaluations was used up"
                 break
             try:
-                points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
+                if not known:
+                    points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
                 ended = "the time was over, or the run was stopped"
                 break
-            states = {limit.name: state_of(work, limit, points, sample) for limit in limits}
-            found[value] = {name: probabilities(state) for name, state in states.items()}
+            states = [at_strength(work, limit, state_of(work, limit, points, sample), value) for limit in limits]
+            found[value] = {limit.name: probabilities(state) for limit, state in zip(limits, states, strict=True)}
         todo = _steep(sorted(found), found, names) if not ended else []
         if not todo:
             break
