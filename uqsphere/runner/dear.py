@@ -11,14 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from uqsphere.runner.dear_answers import Answers, answers_of, germs_of
+from uqsphere.runner.dear_answers import Answers, answers_of
 from uqsphere.runner.dear_course import BEFORE, UNEXPLAINED, Course, needed
 from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
+from uqsphere.runner.dear_fits import fit_design
 from uqsphere.runner.learning import reserve
-from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
+from uqsphere.runner.price import FIRST_RUNS, Priced, enlarge
 from uqsphere.runner.sensitivity import CHAOS
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, none_answered
-from uqsphere.uq.augmented import MOST, Trusted, trust
+from uqsphere.uq.augmented import MOST, Trusted
 from uqsphere.ways import FIRST_SAMPLE
 
 __all__ = ["LEAST_RUNS", "MOST_RUNS", "answer_dear"]
@@ -69,7 +70,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
             break
         if design.sample.failed.all():
             raise none_answered(work)
-        trusted, fits = _fit(work, design, fits)
+        trusted, fits = fit_design(work, design, fits)
         for quantity, one in trusted.items():
             course.note(work, CHAOS, quantity, count, one.error, UNEXPLAINED)
             course.note(work, CHAOS, quantity, count, one.seen_by_none, BEFORE)
@@ -116,28 +117,6 @@ def _sizes(most: int, have: int) -> list[int]:
         return [max(2 * (most // 2), have)]
     last = REPLICATES * (most // REPLICATES)
     return sizes + ([last] if last >= 1.25 * sizes[-1] and sizes[-1] < MOST_RUNS else [])
-
-
-def _fit(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[str, Trusted], dict[int, Chaos]]:
-    """Surrogates of all quantities, each checked by runs that the fit before had not seen; the fits by number."""
-    from uqsphere.uq.chaos import fit_outputs, germ_points
-
-    d, germs = len(work.scene_names), germs_of(work)
-    whole = ~design.sample.failed[0]
-    if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
-        return {}, {}
-    points = germ_points(design.points.normals[0, :, :d], germs)[whole]
-    outputs = design.sample.values[0][whole]
-    if len(outputs) < FIRST_RUNS // 2:
-        return {}, {}
-    if not before:
-        half = len(outputs) // 2
-        before = dict(enumerate(fit_outputs(points[:half], outputs[:half], germs)))
-    fits = dict(enumerate(fit_outputs(points, outputs, germs)))
-    checked = {
-        quantity: trust(fits[k], points, outputs[:, k], before.get(k)) for k, quantity in enumerate(work.quantities)
-    }
-    return checked, fits
 
 
 def _hopeless(courses: Sequence[Sequence[tuple[int, float]]], wanted: float, most: int) -> bool:

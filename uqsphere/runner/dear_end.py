@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, dear_sets, demands_of, widest
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, widest
 from uqsphere.runner.dear_course import Course
+from uqsphere.runner.dear_fits import simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
@@ -116,7 +117,10 @@ def to_be_sampled(end: End, why: str) -> Dear:
 
 
 def conclude(end: End) -> Dear:
-    """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
+    """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves.
+
+    Indices of the latter are those of a simpler surrogate, where one may be used: all else the runs know better.
+    """
     work, course, design, stopped = end.work, end.course, end.design, end.stopped
     affordable = end.priced.way.affordable
     points, sample = blocks_of_runs(design)
@@ -145,7 +149,10 @@ def conclude(end: End) -> Dear:
     descriptions = {quantity: answers[quantity] for quantity in work.quantities}
     limits = {limit.name: limits[limit.name] for limit in work.study.limits}
     lacking = [*find_missed(work, descriptions, {}), *limits_missed(work, limits)]
-    missed = [_refused(quantity, end.trusted.get(quantity)) for quantity in end.rough]
+    simpler = simpler_fits(work, design, end.rough)
+    missed = [_refused(quantity, end.trusted.get(quantity), simpler.get(quantity)) for quantity in end.rough]
+    indices = end.found.indices | answers_of(work, design.count, simpler).indices
+    told = replace(end, trusted={**end.trusted, **simpler}, found=replace(end.found, indices=indices))
     why = end.priced.way.why
     if end.rough:
         why = f"{refusal(end)}: {'its' if len(end.rough) == 1 else 'their'} {design.count} runs are sampled"
@@ -165,7 +172,7 @@ def conclude(end: End) -> Dear:
         why=why,
         surrogate=bool(end.found.descriptions),
         sampled=sampled,
-        sensitivity={quantity: _sensitivity(end, quantity) for quantity in work.quantities},
+        sensitivity={quantity: _sensitivity(told, quantity) for quantity in work.quantities},
         margins=margins,
         history=course.history,
         seconds=course.seconds,
@@ -192,9 +199,12 @@ def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
     return Answers(descriptions=descriptions, limits=judge_limits(work, points, sample, end.rough))
 
 
-def _refused(quantity: str, one: Trusted | None) -> Missed:
+def _refused(quantity: str, one: Trusted | None, simpler: Trusted | None) -> Missed:
     reason = "no surrogate was fitted" if one is None else one.reason
-    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
+    rest = "there are no indices"
+    if simpler is not None:
+        rest = f"the indices those of a simpler surrogate: {simpler.reason}"
+    said = f"{quantity}: {reason}; the answers are those of the runs alone, and {rest}"
     return Missed(subject=quantity, kind="surrogate", said=said)
 
 
