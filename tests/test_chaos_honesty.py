@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
+from scipy.stats import t as student_t
 
 from uqsphere.bench.chaos_models import MODELS, ChaosModel
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.chaos.bases import orthonormal_values
+from uqsphere.uq.chaos.choice import compete, lowered, prepare
 from uqsphere.uq.chaos.honesty import blended, leaned, left_one_out, neglected, refits, steadied
 from uqsphere.uq.sampling import sobol_points
 
@@ -151,3 +153,57 @@ def points_of(model: ChaosModel, count: int, replicate: int) -> np.ndarray:
     """Scrambled Sobol' germs that no figure was taken on."""
     uniforms = sobol_points(dimension=len(model.laws), count=count, seed=2, task="honesty", replicate=replicate)
     return germ_points(ndtri(uniforms), model.germs)
+
+
+def levelling(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Normal scores (n, 2) and x + tanh c, c Student with 5 degrees of freedom."""
+    points = np.asarray(ndtri(sobol_points(dimension=2, count=count, seed=seed, task="levels off", replicate=0)))
+    return points, points[:, 0] + np.tanh(student_t.ppf(ndtr(points[:, 1]), 5))
+
+
+def test_a_fit_that_is_wild_beyond_its_samples_gives_way_where_one_of_lower_degree_may_be_used() -> None:
+    """Of eight designs; what it reports is honest, and a fit that may be used is left alone."""
+    law, truth = levelling(99, 4096)
+    usable = given_way = 0
+    for seed in range(8):
+        points, outputs = levelling(seed, 64)
+        plain, mild = (fit_chaos(points, outputs, ("normal", "normal"), most=most) for most in (1.0, 0.05))
+        if plain.cross_validation_error <= 0.05:
+            usable += 1
+            assert np.array_equal(plain.coefficients, mild.coefficients)
+        elif mild.cross_validation_error <= 0.05:
+            given_way += 1
+            error = float(np.mean((predict(mild, law) - truth) ** 2) / np.var(truth))
+            assert error <= 2.0 * mild.cross_validation_error
+            # of all that may be used the one that reports most: the least of these errors is 0.005
+            assert mild.cross_validation_error > 0.01
+            assert mild.degree < plain.degree or plain.constant
+    assert usable <= 3
+    assert given_way >= 4
+
+
+def test_a_rough_fit_gives_way_to_none() -> None:
+    points = np.asarray(ndtri(sobol_points(dimension=2, count=64, seed=3, task="rough", replicate=0)))
+    outputs = np.sign(points[:, 0] + points[:, 1])
+    plain, mild = (fit_chaos(points, outputs, ("normal", "normal"), most=most) for most in (1.0, 0.05))
+    assert plain.cross_validation_error > 0.05
+    assert np.array_equal(plain.coefficients, mild.coefficients)
+
+
+def test_a_contender_without_its_highest_degrees_has_the_error_of_what_its_folds_chose_so() -> None:
+    points, outputs = levelling(1, 64)
+    contest = prepare(points, ("normal", "normal"))
+    leader = next(one for one in compete(contest, outputs, plain=True) if one.without)
+    found = list(lowered(contest, leader, outputs))
+    degrees = [int(one.indices.sum(axis=1).max()) for one in found]
+    assert degrees == sorted(set(leader.indices.sum(axis=1).tolist()) - {0}, reverse=True)[1:]
+    for one, degree in zip(found, degrees, strict=True):
+        off = np.empty(64)
+        for fold, chosen in enumerate(leader.without):
+            kept = chosen[chosen.sum(axis=1) <= degree]
+            rows = np.prod([orthonormal_values("normal", points[:, j], 15)[kept[:, j]] for j in (0, 1)], axis=0)
+            here = contest.folds == fold
+            coefficients = np.linalg.lstsq(rows[:, ~here].T, outputs[~here], rcond=None)[0]
+            off[here] = coefficients @ rows[:, here] - outputs[here]
+        assert one.error == pytest.approx(float(np.mean(off**2) / np.var(outputs)), rel=1e-6)
+        assert one.reported > one.error

@@ -119,3 +119,31 @@ def _output(kind: str, normals: np.ndarray[Any, np.dtype[np.float64]]) -> np.nda
     if kind == "straight":
         return np.asarray(normals[:, 0] + normals[:, 1])
     return np.asarray(np.tanh(np.tan(np.pi * (ndtr(normals[:, 0]) - 0.5))) + normals[:, 1])
+
+
+def test_a_rough_output_that_levels_off_has_the_indices_of_a_simpler_surrogate(tmp_path: Path) -> None:
+    """The surrogate of high degree is refused, since it is wild beyond the runs: all but the indices are the runs'."""
+    found = answers(("100 s", 64), lambda rows: {"y": rows["a"] + np.tanh(rows["b"])}, tmp_path)
+    assert found["quantities"]["y"]["mean"]["method"].startswith("randomised")
+    share = 0.3942944904 / 1.3942944904  # the variance of tanh(b), by quadrature
+    sensitivity = found["sensitivity"]["y"]
+    for order in ("first", "total"):
+        estimate = sensitivity[order]["b"]
+        assert estimate["low"] <= share <= estimate["high"]
+        assert estimate["high"] - estimate["low"] < 0.1
+    assert 0.01 < sensitivity["surrogate"]["error"] <= 0.05
+    refused = next(text for text in found["accuracy"]["missed"] if text.startswith("y: refused"))
+    assert "the indices those of a simpler surrogate: it leaves" in refused
+
+
+def test_no_simpler_surrogate_tells_indices_where_inputs_depend_on_each_other(tmp_path: Path) -> None:
+    text = STUDY.replace("COST", "100 s").replace("RUNS", "64") + '[[dependence]]\nof = ["a", "b"]\nspearman = 0.2\n'
+    (tmp_path / "s.toml").write_text(text, "utf-8")
+    run = uqsphere.run(
+        load_study(tmp_path / "s.toml"),
+        out=tmp_path / "r",
+        model=lambda rows: {"y": rows["a"] + np.tanh(rows["b"])},
+    )
+    assert run.results["sensitivity"]["y"]["first"]["b"]["value"] is None
+    refused = next(text for text in run.results["accuracy"]["missed"] if text.startswith("y: refused"))
+    assert refused.endswith("and there are no indices")

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from uqsphere.runner.dear_answers import Answers, answers_of
 from uqsphere.runner.dear_course import BEFORE, UNEXPLAINED, Course, needed
-from uqsphere.runner.dear_end import Dear, End, conclude, fit_design, refusal, to_be_sampled
+from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
+from uqsphere.runner.dear_fits import fit_design
 from uqsphere.runner.learning import reserve
 from uqsphere.runner.price import FIRST_RUNS, Priced, enlarge
 from uqsphere.runner.sensitivity import CHAOS

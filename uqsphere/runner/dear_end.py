@@ -6,23 +6,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, germs_of, limits_of_runs, widest
+from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
+from uqsphere.runner.dear_fits import fit_design, simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.heavy_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.price import FIRST_RUNS, Design, Priced, enlarge
+from uqsphere.runner.price import Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted, trust
+from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
 
-__all__ = ["Dear", "End", "blocks_of_runs", "conclude", "fit_design", "refusal", "to_be_sampled"]
+__all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
 
 #: an index whose half-width is above this is withheld
 WORTHLESS = 0.5
@@ -63,28 +64,6 @@ class End:
     rough: tuple[str, ...]
     course: Course
     stopped: str
-
-
-def fit_design(work: Work, design: Design, before: dict[int, Chaos]) -> tuple[dict[str, Trusted], dict[int, Chaos]]:
-    """Surrogates of all quantities, each checked by runs that the fit before had not seen; the fits by number."""
-    from uqsphere.uq.chaos import fit_outputs, germ_points
-
-    d, germs = len(work.scene_names), germs_of(work)
-    whole = ~design.sample.failed[0]
-    if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
-        return {}, {}
-    points = germ_points(design.points.normals[0, :, :d], germs)[whole]
-    outputs = design.sample.values[0][whole]
-    if len(outputs) < FIRST_RUNS // 2:
-        return {}, {}
-    if not before:
-        half = len(outputs) // 2
-        before = dict(enumerate(fit_outputs(points[:half], outputs[:half], germs)))
-    fits = dict(enumerate(fit_outputs(points, outputs, germs)))
-    checked = {
-        quantity: trust(fits[k], points, outputs[:, k], before.get(k)) for k, quantity in enumerate(work.quantities)
-    }
-    return checked, fits
 
 
 def _with_all_runs(end: End, design: Design) -> End:
@@ -153,7 +132,10 @@ def to_be_sampled(end: End, why: str) -> Dear:
 
 
 def conclude(end: End) -> Dear:
-    """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
+    """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves.
+
+    Indices of the latter are those of a simpler surrogate, where one may be used: all else the runs know better.
+    """
     work, course, design, stopped = end.work, end.course, end.design, end.stopped
     affordable = end.priced.way.affordable
     points, sample = blocks_of_runs(design)
@@ -185,7 +167,10 @@ def conclude(end: End) -> Dear:
     descriptions = {quantity: answers[quantity] for quantity in work.quantities}
     limits = {limit.name: limits[limit.name] for limit in work.study.limits}
     lacking = [*find_missed(work, descriptions, {}), *limits_missed(work, limits)]
-    missed = [_refused(quantity, end.trusted.get(quantity)) for quantity in end.rough]
+    simpler = simpler_fits(work, design, end.rough)
+    missed = [_refused(quantity, end.trusted.get(quantity), simpler.get(quantity)) for quantity in end.rough]
+    indices = end.found.indices | answers_of(work, design.count, simpler).indices
+    told = replace(end, trusted={**end.trusted, **simpler}, found=replace(end.found, indices=indices))
     why = end.priced.way.why
     if end.rough:
         why = f"{refusal(end)}: {'its' if len(end.rough) == 1 else 'their'} {design.count} runs are sampled"
@@ -205,7 +190,7 @@ def conclude(end: End) -> Dear:
         why=why,
         surrogate=bool(end.found.descriptions),
         sampled=sampled,
-        sensitivity={quantity: _sensitivity(end, quantity) for quantity in work.quantities},
+        sensitivity={quantity: _sensitivity(told, quantity) for quantity in work.quantities},
         margins=margins,
         history=course.history,
         seconds=course.seconds,
@@ -241,9 +226,12 @@ def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
     return Answers(descriptions=descriptions, limits=limits_of_runs(work, points, sample, end.rough))
 
 
-def _refused(quantity: str, one: Trusted | None) -> Missed:
+def _refused(quantity: str, one: Trusted | None, simpler: Trusted | None) -> Missed:
     reason = "no surrogate was fitted" if one is None else one.reason
-    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
+    rest = "there are no indices"
+    if simpler is not None:
+        rest = f"the indices those of a simpler surrogate: {simpler.reason}"
+    said = f"{quantity}: {reason}; the answers are those of the runs alone, and {rest}"
     return Missed(subject=quantity, kind="surrogate", said=said)
 
 

@@ -8,7 +8,7 @@ whole choice of terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
@@ -22,7 +22,7 @@ from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products, skipping
 from uqsphere.uq.families import Array
 
-__all__ = ["Basis", "Contest", "Found", "compete", "deal", "prepare", "spread_of"]
+__all__ = ["Basis", "Contest", "Found", "compete", "deal", "lowered", "prepare", "spread_of"]
 
 #: hyperbolic norms of the bases that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
@@ -146,6 +146,30 @@ def _run(contest: Contest, solver: str, transform: Transform, outputs: Array, ba
         without=tuple(indices[chosen] for chosen in path.chosen_without()),
         ended=path.order.size < most,
     )
+
+
+def lowered(contest: Contest, found: Found, outputs: Array) -> Iterator[Found]:
+    """The same contender without its terms above a total degree, the highest degree first, by least squares.
+
+    What the folds chose is cut likewise, so that the K-fold error is still that of the whole choice of terms.
+    """
+    values, variance = found.transform.forward(outputs), float(np.var(outputs)) * outputs.size
+    degrees = found.indices.sum(axis=1)
+    for degree in sorted(set(degrees.tolist()) - {0}, reverse=True)[1:]:
+        kept = degrees <= degree
+        without = tuple(indices[indices.sum(axis=1) <= degree] for indices in found.without)
+        predicted = np.empty_like(values)
+        for fold in range(int(contest.folds.max()) + 1):
+            there = contest.folds == fold
+            rows = products(contest.values, without[fold]) if without else found.rows[kept]
+            predicted[there] = solve_rows(rows[:, ~there], values[~there]) @ rows[:, there]
+        off = found.transform.back(predicted) - outputs
+        error = float(off @ off) / variance
+        reported = error + spread_of(off) / variance
+        mean = float(np.mean(off**2))
+        yield replace(found, indices=found.indices[kept], rows=found.rows[kept], error=error, reported=reported,
+                      steady=reported * steadied(off**2) / mean if 0.0 < mean < np.inf else reported,
+                      without=without)  # fmt: skip
 
 
 def spread_of(off: Array) -> float:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
 
 from uqsphere.uq.chaos.bases import GermLike, orthonormal_values
-from uqsphere.uq.chaos.choice import Contest, Found, compete, prepare
+from uqsphere.uq.chaos.choice import Contest, Found, compete, lowered, prepare
 from uqsphere.uq.chaos.honesty import blended, leaned, neglected, refits, steadied
 from uqsphere.uq.chaos.sampled import law_points
 from uqsphere.uq.chaos.solvers import solve_rows
@@ -47,14 +48,18 @@ class Verdict:
     reason: str
 
 
-def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> Chaos:
+def fit_chaos(
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0
+) -> Chaos:
     """Sparse expansion of outputs (n,) at germ points (n, d).
 
     Solvers, degrees, norms and output transforms compete by K-fold error in the units of the output; an output that
     stays rough is tried in two pieces.  Never more terms than half the points.  A fit whose error reaches the
     variance is given up for the constant.  `plain`: the output itself is expanded, in one piece, so that its indices
-    are those of the coefficients.  Raises ValueError for values that are not finite and for shapes that do not go
-    together.
+    are those of the coefficients.  `most` is the largest error that may be used: a winner that leaves no more than
+    that by K-fold and reports more, since it is wild beyond the samples, gives way to a contender, or to itself without
+    its highest degrees, that reports no more.  Raises ValueError for values that are not finite and for shapes that do
+    not go together.
 
     >>> import numpy as np
     >>> x = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
@@ -63,7 +68,7 @@ def fit_chaos(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain
     1.125
     """
     outputs = np.asarray(outputs, dtype=float)
-    return fit_outputs(points, outputs[:, None] if outputs.ndim == 1 else outputs, germs, plain=plain)[0]
+    return fit_outputs(points, outputs[:, None] if outputs.ndim == 1 else outputs, germs, plain=plain, most=most)[0]
 
 
 def fit_again(chaos: Chaos, points: Array, outputs: Array) -> Chaos:
@@ -84,7 +89,9 @@ def fit_again(chaos: Chaos, points: Array, outputs: Array) -> Chaos:
     return replace(chaos, pieces=(replace(piece, coefficients=coefficients),), samples=outputs.size)
 
 
-def fit_outputs(points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False) -> list[Chaos]:
+def fit_outputs(
+    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False, most: float = 1.0
+) -> list[Chaos]:
     """Expansions of each column of outputs (n, m) at the same germ points (n, d), which share their bases."""
     points, outputs = np.asarray(points, dtype=float), np.asarray(outputs, dtype=float)
     n = outputs.shape[0]
@@ -94,7 +101,7 @@ def fit_outputs(points: Array, outputs: Array, germs: Sequence[GermLike], *, pla
         raise ValueError("a polynomial chaos cannot be fitted to values that are not finite")
     contest = prepare(points, germs) if germs else None
     law = law_points(germs, 0)[0][:_LOOKED_AT] if germs else points
-    return [_fitted(contest, points, column, tuple(germs), plain, law) for column in outputs.T]
+    return [_fitted(contest, points, column, tuple(germs), plain, law, most) for column in outputs.T]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,8 +116,9 @@ class _Candidate:
 
 
 def _fitted(
-    contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array
-) -> Chaos:
+    contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array,
+    most: float,
+) -> Chaos:  # fmt: skip
     # A power of two loses no figures, and squares of what is divided by it stay finite.
     largest = float(np.abs(outputs).max())
     unit = 2.0 ** math.frexp(largest)[1] if 0.0 < largest < 2.0**1000 else max(largest, 1e-300)
@@ -125,12 +133,21 @@ def _fitted(
     if not plain and error > _ROUGH and outputs.size >= max(48, 6 * (len(germs) + 1)):
         split = find_split(contest, points, scaled, below=_SPLIT_HELPS * min(error, 1.0))
     best, least = _constant(centre * unit, germs, 1.0, outputs.size), _NOTHING
-    for one in _candidates(contest, leaders, split, points, scaled, unit, germs, law):
+    candidates, tried = _candidates(contest, leaders, split, points, scaled, unit, germs, law), []
+    for one in candidates:
+        tried.append(one)
         believed = max(one.folded, _excess(one, scaled))
         if believed < least:
             best, least = replace(one.chaos, cross_validation_error=min(one.reported, 1.0)), believed
             if believed == one.folded:
                 break
+    if leaders and error <= most < best.cross_validation_error:
+        lower = (_whole(found, contest, scaled, unit, germs, law) for found in lowered(contest, leaders[0], scaled))
+        calm = [one for one in chain(tried, candidates, lower) if one.reported <= most]
+        if calm:
+            # the least of their errors is a lucky one: what they report of where no sample lies is hardly known
+            simpler = max(calm, key=lambda one: one.reported)
+            best = replace(simpler.chaos, cross_validation_error=simpler.reported)
     return best
 
 
