@@ -108,6 +108,44 @@ accuracy = { mean = 1e-9, quantile = 1e-9, sobol = 1e-9 }
     assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
 
 
+def test_a_run_with_margins_that_is_resumed_evaluates_nothing(tmp_path: Path) -> None:
+    """The design point at a margin too, which is that of another study."""
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """[inputs]
+a = { dist = "normal", mean = 1.0, sd = 0.3 }
+b = { dist = "uniform", lower = -1.0, upper = 1.0 }
+[outputs]
+names = ["y"]
+[limits.l]
+quantity = "y"
+strength = 2.5
+[margins]
+solve = "a"
+between = [0.5, 3.0]
+for_probability = [0.1]
+[analysis]
+methods = ["qmc"]
+budget = { evaluations = 60_000 }
+accuracy = { mean = 0.01, quantile = 0.05, sobol = 0.05, probability = 0.2 }
+""",
+        encoding="utf-8",
+    )
+    study, rows = uqsphere.load_study(path), 0
+
+    def box(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        nonlocal rows
+        rows += len(x["a"])
+        return {"y": x["a"] + 0.3 * x["b"] ** 2}
+
+    first = uqsphere.run(study, out=tmp_path / "r", model=box)
+    assert "factors" in first.results["margins"]["l"]
+    done = rows
+    again = uqsphere.run(study, out=tmp_path / "r", model=box)
+    assert rows == done
+    assert again.results == first.results
+
+
 def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from('analysis.quantities=["P_max"]', "analysis.accuracy.quantile=0.05", quick=True)
     run = uqsphere.run(study, out=tmp_path / "r")

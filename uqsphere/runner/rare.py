@@ -318,17 +318,14 @@ class DesignFound:
 
 
 def find_design(work: Work, limit: Limit) -> DesignFound | str:
-    """The nearest design point of a limit of another study than that of the run, or why there is none.
-
-    Nothing of it is stored: the chunks of the run belong to its own study.
-    """
+    """The nearest design point of a limit of another study than that of the run, or why there is none."""
     if not work.drawn.names:
         return "nothing but the strength is random"
     if tied_strength(work, limit):
         return "the strength depends on an input by a copula that is not Gaussian"
     if work.study.analysis.budget.evaluations - work.ledger.total < FOR_DESIGN:
         return f"no design point was searched for: the budget has no room for {FOR_DESIGN:,} evaluations more"
-    space = limit_space(replace(work, spare=True, store=None), limit, 0)
+    space = limit_space(replace(work, spare=True), limit, 0)
     found = find_design_points(
         Evaluator(limit=space.function, budget=FOR_DESIGN), seed=work.study.seed, most=FOR_DESIGN
     )
