@@ -26,6 +26,8 @@ from uqsphere.uq.chaos import (
     predict,
     validation_error,
 )
+from uqsphere.uq.chaos.indices import error_with_tails
+from uqsphere.uq.estimates import student
 from uqsphere.uq.sampling import sobol_points
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.4])
@@ -171,6 +173,70 @@ def test_indices_cover_the_closed_form(name: str, n: int) -> None:
                 hits += estimate.low <= value <= estimate.high
                 tries += 1
     assert hits / tries >= 0.90
+
+
+def unseen_error(fits: list, model, seed: int, n: int, germs: tuple[str, ...]) -> float:
+    others = [points(seed, 10 + r, n, germs) for r in range(len(fits))]
+    return float(np.mean([validation_error(fit, p, model(p)) for fit, p in zip(fits, others, strict=True)]))
+
+
+def test_the_unexplained_share_widens_an_interval_by_a_quarter_of_itself() -> None:
+    """A kink across two inputs, and a third that does nothing: twice the share would hide small indices."""
+    germs = ("uniform",) * 3
+
+    def kink(p: np.ndarray) -> np.ndarray:
+        return np.abs(p[..., 0] + 0.3 * p[..., 1])
+
+    axis = (np.arange(1000) + 0.5) / 500.0 - 1.0
+    grid = kink(np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1))
+    along = [float(np.var(grid.mean(axis=1 - j)) / np.var(grid)) for j in range(2)]
+    exact = {"first": [*along, 0.0], "total": [1.0 - along[1], 1.0 - along[0], 0.0]}
+    for seed in range(3):
+        fits = [fit_chaos(p := points(seed, r, 128, germs), kink(p), germs, plain=True) for r in range(4)]
+        error = error_with_tails(fits, unseen_error(fits, kink, seed, 128, germs))
+        assert 1e-3 < error < 0.05
+        found = chaos_indices(fits, error=error)
+        for order, values in exact.items():
+            for estimate, value in zip(found[order], values, strict=True):
+                assert estimate.low <= value <= estimate.high
+        assert 0.25 * error <= found["first"][2].high < 0.5 * error
+
+
+@pytest.mark.parametrize("germ", ["uniform", "normal"])
+def test_what_fits_lack_in_common_adds_to_their_spread_where_a_germ_is_unbounded(germ: str) -> None:
+    fits = []
+    for replicate in range(3):
+        p = points(1, replicate, 48, (germ, germ))
+        fits.append(fit_chaos(p, np.abs(p[:, 0] - 0.3) + p[:, 0] + 0.5 * p[:, 1], (germ, germ), plain=True))
+    shares = np.array([index_of(fit, [0]) for fit in fits])
+    spread = student(3) * float(np.std(shares, ddof=1)) / math.sqrt(3)
+    value, error = float(np.mean(shares)), 5e-3
+    lacked = student(3) * 2.0 * math.sqrt(value * (1.0 - value) * error / (144 if germ == "uniform" else 48))
+    half = max(spread, lacked) if germ == "uniform" else math.hypot(spread, lacked)
+    assert 0.1 < spread / lacked < 10.0
+    assert chaos_indices(fits, error=error)["first"][0].half_width == pytest.approx(half + 0.25 * error, rel=1e-9)
+
+
+def test_tails_that_no_sample_reaches_are_in_the_intervals() -> None:
+    """A skewed product: samples unseen end where those of the fits do, and what lies beyond moves all fits alike."""
+    germs, scatter = ("normal",) * 3, np.array([0.7, 0.4, 0.2])
+
+    def skewed(p: np.ndarray) -> np.ndarray:
+        return np.exp(p @ scatter)
+
+    s2 = scatter**2
+    every = math.expm1(s2.sum())
+    exact = [*(np.expm1(s2) / every), *((math.exp(s2.sum()) - np.exp(s2.sum() - s2)) / every)]
+    hits: dict[str, list[bool]] = {"unseen": [], "tails": []}
+    for seed in range(4):
+        fits = [fit_chaos(p := points(seed, r, 256, germs), skewed(p), germs, plain=True) for r in range(8)]
+        unseen = unseen_error(fits, skewed, seed, 256, germs)
+        for name, error in (("unseen", unseen), ("tails", error_with_tails(fits, unseen))):
+            found = chaos_indices(fits, error=error)
+            estimates = [*found["first"], *found["total"]]
+            hits[name] += [e.low <= value <= e.high for e, value in zip(estimates, exact, strict=True)]
+    assert np.mean(hits["tails"]) >= 0.9
+    assert np.mean(hits["unseen"]) < 0.8
 
 
 def test_a_single_fit_is_bounded_by_what_it_leaves_unexplained() -> None:

@@ -162,6 +162,7 @@ def surrogate_rows(
     from scipy.special import ndtri
 
     from uqsphere.uq.chaos import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.chaos.indices import error_with_tails
     from uqsphere.uq.sampling import sobol_points
     from uqsphere.uq.surrogate import mean_expansion
 
@@ -186,8 +187,10 @@ def surrogate_rows(
                 # where the expansion stands alone a run fits the terms of every replicate anew
                 alone = fits[:1] + [fit_chaos(germs[k], outputs[k], model.germs, plain=True) for k in range(1, FITS)]
                 held = [validation_error(alone[k], germs[FITS + k], outputs[FITS + k]) for k in range(FITS)]
-                own = chaos_indices(alone, error=float(np.mean(held)), evaluations=FITS * FIT_POINTS)
-                ways.append(("chaos alone", FIT_POINTS, own))
+                error = error_with_tails(alone, float(np.mean(held)))
+                if judge(alone[0], error).usable:
+                    own = chaos_indices(alone, error=error, evaluations=FITS * FIT_POINTS)
+                    ways.append(("chaos alone", FIT_POINTS, own))
             for way, points, found in ways:
                 for order, truths in (("first", model.first), ("total", model.total)):
                     tally.add(

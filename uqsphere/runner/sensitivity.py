@@ -88,6 +88,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     indices of the expansion known exactly, as those of a control variate must be.
     """
     from uqsphere.uq.chaos import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.chaos.indices import error_with_tails
     from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)
@@ -118,7 +119,9 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
         errors.append(validation_error(fits[-1], points, outputs[other][whole[other]]))
     error = float(np.mean(errors))
-    verdict = judge(fits[0], error)
+    own = error_with_tails(fits, error)
+    # sampling corrects a control variate whatever it leaves out; nothing corrects an answer of its own
+    verdict = judge(fits[0], own if alone else error)
     evaluations = FITS * used
     about = {
         "kind": CHAOS,
@@ -131,7 +134,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     }
     if not verdict.usable:
         return {}, about, None
-    return chaos_indices(fits, error=error, evaluations=evaluations), about, mean_expansion(fits)
+    return chaos_indices(fits, error=own, evaluations=evaluations), about, mean_expansion(fits)
 
 
 def _refused(work: Work, reason: str) -> Sensitivity:
