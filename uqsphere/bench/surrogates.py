@@ -27,14 +27,12 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     from uqsphere.runner.work import draw, sub_inputs
     from uqsphere.study import load_study, shipped_studies
     from uqsphere.uq.chaos import fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.laws import germs_of
 
     study = load_study(shipped_studies()[STUDY])
     names = tuple(name for name in study.random if not name.startswith("limits."))
     # as a run chooses them
-    germs = tuple(
-        "uniform" if study.random[name].kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
-        for name in names
-    )
+    germs = germs_of(study.random[name] for name in names)
     inputs = sub_inputs(study.inputs(), names)
     sizes = _SIZES[:2] if quick else _SIZES
     seeds = range(1, 3 if quick else 11)

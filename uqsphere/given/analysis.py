@@ -16,9 +16,9 @@ from uqsphere.given.table import Data
 from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
 from uqsphere.uq.collinear import combinations
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.given import germs_of, given_answers, law_scores, least_runs, odd_pairs, trusted_from
+from uqsphere.uq.given import given_answers, law_scores, least_runs, odd_pairs, trusted_from
 from uqsphere.uq.inputs import Inputs
-from uqsphere.uq.laws import Law, LawError
+from uqsphere.uq.laws import Law, LawError, germs_of
 
 __all__ = ["analyse_data", "known_laws"]
 

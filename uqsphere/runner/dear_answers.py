@@ -24,7 +24,7 @@ from uqsphere.uq.released import Believed, believed, held, shifted
 from uqsphere.uq.reliability import tails
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["SEEN", "Answers", "answers_of", "dear_sets", "demands_of", "germs_of", "limits_of_runs", "widest"]
+__all__ = ["SEEN", "Answers", "answers_of", "dear_sets", "demands_of", "limits_of_runs", "widest"]
 
 #: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
@@ -48,18 +48,11 @@ class Answers:
     excess: dict[str, float] = field(default_factory=dict)
 
 
-def germs_of(work: Work) -> tuple[str, ...]:
-    return tuple(
-        "uniform" if law.kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
-        for law in work.study.random.values()
-    )
-
-
 def demands_of(work: Work, trusted: Mapping[str, Trusted]) -> dict[str, tuple[Demand, float, float]]:
     """For every quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
     from uqsphere.uq.chaos import germ_points, predict
 
-    germs = germs_of(work)
+    germs = work.germs
 
     def demand(one: Trusted) -> Demand:
         return lambda normals: np.asarray(predict(one.chaos, germ_points(normals, germs)))
@@ -137,7 +130,7 @@ def _described(
 
     d, quantiles = len(work.scene_names), work.study.analysis.quantiles
     large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)
-    points, shape = germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work)), large.normals.shape[:2]
+    points, shape = germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs), large.normals.shape[:2]
     found = {
         quantity: believed(
             usable[quantity],

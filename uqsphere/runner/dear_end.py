@@ -17,16 +17,13 @@ from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Design, Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
-from uqsphere.runner.stopping import Cost, Missed, indices_missed
+from uqsphere.runner.stopping import WORTHLESS, Cost, Missed, indices_missed
 from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
 
 __all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
-
-#: an index whose half-width is above this is withheld
-WORTHLESS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

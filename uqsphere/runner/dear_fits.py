@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from uqsphere.runner.dear_answers import germs_of
 from uqsphere.runner.price import FIRST_RUNS, Design
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Work
@@ -26,7 +25,7 @@ def fit_design(
     """
     from uqsphere.uq.chaos import fit_outputs, germ_points
 
-    d, germs = len(work.scene_names), germs_of(work)
+    d, germs = len(work.scene_names), work.germs
     whole = ~design.sample.failed[0]
     if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
         return {}, {}

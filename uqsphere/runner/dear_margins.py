@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.dear_answers import SEEN, germs_of
+from uqsphere.runner.dear_answers import SEEN
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities
 from uqsphere.runner.moved import moved_study, probabilities, strength_solved
@@ -100,7 +100,7 @@ def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    values = predict(one.chaos, germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work)))
+    values = predict(one.chaos, germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs))
     rng = random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}")
     centre, reach = with_residuals(one, values.reshape(large.normals.shape[:2]), rng)
     nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
@@ -113,7 +113,7 @@ def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    points = germ_points(large.normals[:, :, :d].reshape(-1, d), germs_of(work))
+    points = germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs)
 
     def demands(value: float) -> tuple[Array, Array]:
         rows = np.column_stack([points, np.full(len(points), _germ(work, value))])
@@ -171,7 +171,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     if run.status.any():
         lost = int(np.count_nonzero(run.status))
         return _Wide(trusted={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")
-    germs = (*germs_of(work), "uniform")
+    germs = (*work.germs, "uniform")
     points = np.column_stack([germ_points(normals, germs[:d]), [_germ(work, float(value)) for value in values]])
     half = count // 2
     before = fit_outputs(points[:half], run.values[:half], germs)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.runner.stopping import Missed, indices_missed
+from uqsphere.runner.stopping import WORTHLESS, Missed, indices_missed
 from uqsphere.uq.distribution import tail_orders
 from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, of_variance, widened_share, without_moments
@@ -20,8 +20,6 @@ __all__ = ["dear_tails", "describe_heavy", "settle_heavy", "share_heavy"]
 FEWEST_VARIED = 20
 #: base points that carry the variance of a design, below which its replicates do not show what they lack
 FEW_CARRIERS = 100.0
-#: an index whose half-width is above this is withheld
-WORTHLESS = 0.5
 #: how the reason of an index begins that is absent for its variance
 _SHARED = "the variance "
 #: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
@@ -107,7 +105,6 @@ def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> di
 
     A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
     """
-    from uqsphere.runner.dear_answers import germs_of
     from uqsphere.uq.chaos import germ_points, predict
 
     d = len(work.scene_names)
@@ -122,7 +119,7 @@ def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> di
             for j in heavy:
                 moved = normals.copy()
                 moved[:, j] = 0.0
-                centred[work.scene_names[j]] = predict(trusted[quantity].chaos, germ_points(moved, germs_of(work)))
+                centred[work.scene_names[j]] = predict(trusted[quantity].chaos, germ_points(moved, work.germs))
         answers[quantity] = heavy_tail(laws, physical, outputs, centred) if heavy else None
     return answers
 

@@ -15,7 +15,7 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.stopping import INDEX_KIND, Cost, Missed, index_cost, indices_missed, out_of_reach
+from uqsphere.runner.stopping import INDEX_KIND, WORTHLESS, Cost, Missed, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.indices import METHOD, SampledIndices, ordered, sampled_indices
@@ -35,8 +35,6 @@ Array = npt.NDArray[np.float64]
 FIRST, FEWER = 64, 32
 #: base points of each replicate from which on an accuracy may be given up
 JUDGED = 128
-#: an index whose half-width is above this is withheld
-WORTHLESS = 0.5
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
@@ -92,10 +90,6 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)
-    germs = tuple(
-        "uniform" if law.kind in ("uniform", "loguniform", "triangular", "beta") else "normal"
-        for law in work.study.random.values()
-    )
     n = sampled.sample.values.shape[1]
     least = 4 * (d + 1)
     used = min(max(FIT_POINTS, least), n)
@@ -106,17 +100,17 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     errors = []
     for replicate in range(FITS):
         keep = whole[replicate, :used]
-        points = germ_points(sampled.points.normals[replicate, :used, :d][keep], germs)
+        points = germ_points(sampled.points.normals[replicate, :used, :d][keep], work.germs)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
             return {}, {"kind": None, "error": None, "evaluations": 0, "reason": reason}, None
         column = outputs[replicate, :used][keep]
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone
-        fits.append(fit_again(fits[0], points, column) if again else fit_chaos(points, column, germs, plain=True))
+        fits.append(fit_again(fits[0], points, column) if again else fit_chaos(points, column, work.germs, plain=True))
         # held out: another randomisation altogether
         other = FITS + replicate
-        points = germ_points(sampled.points.normals[other, :, :d][whole[other]], germs)
+        points = germ_points(sampled.points.normals[other, :, :d][whole[other]], work.germs)
         errors.append(validation_error(fits[-1], points, outputs[other][whole[other]]))
     error = float(np.mean(errors))
     own = error_with_tails(fits, error)

@@ -30,6 +30,7 @@ from uqsphere.runner.worker import Task
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.inputs import Inputs, physical_from_normal, sub_inputs
+from uqsphere.uq.laws import germs_of
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = [
@@ -184,6 +185,11 @@ class Work:
     def scene_names(self) -> tuple[str, ...]:
         """The random inputs of the model itself."""
         return tuple(self.study.random)
+
+    @property
+    def germs(self) -> tuple[str, ...]:
+        """What expansions of the model are in, for each of its random inputs."""
+        return germs_of(self.study.random.values())
 
     @cached_property
     def all_inputs(self) -> Inputs:

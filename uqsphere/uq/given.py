@@ -35,7 +35,6 @@ __all__ = [
     "LAWS",
     "Answer",
     "LeftOpen",
-    "germs_of",
     "given_answers",
     "law_scores",
     "least_runs",
@@ -96,12 +95,6 @@ class LeftOpen:
 def least_runs(inputs: int) -> int:
     """Runs below which no surrogate is fitted."""
     return max(16, 4 * (inputs + 1))
-
-
-def germs_of(laws: Sequence[Law]) -> tuple[str, ...]:
-    """Legendre polynomials for laws between bounds, Hermite polynomials of the normal score for all others."""
-    bounded = ("uniform", "loguniform", "triangular", "beta")
-    return tuple("uniform" if law.kind in bounded else "normal" for law in laws)
 
 
 def _scores(below: Array, above: Array) -> Array:

@@ -7,7 +7,7 @@ Nothing imports scipy.stats before a family is fitted to observations or a fit i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -37,6 +37,7 @@ __all__ = [
     "LawKind",
     "cdf",
     "from_normal",
+    "germs_of",
     "goodness_of_fit",
     "isf",
     "make_law",
@@ -229,3 +230,8 @@ def goodness_of_fit(law: Law) -> dict[str, float]:
     distance = float(max(np.max(above_step - below), np.max(left - below_step), 0.0))
     p_value = empirical.kolmogorov_p_value(distance, n)
     return {"distance": distance, "p_value": p_value, "observations": float(n)}
+
+
+def germs_of(laws: Iterable[Law]) -> tuple[str, ...]:
+    """What an expansion is in: "uniform" (Legendre polynomials) for laws between bounds, else "normal" (Hermite)."""
+    return tuple("uniform" if LAWS[law.kind].bounded else "normal" for law in laws)
