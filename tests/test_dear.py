@@ -343,6 +343,19 @@ def test_a_probability_that_few_runs_carry_is_bounded_only(study_from: Callable[
     assert found["exceedance"]["value"] is None
 
 
+def test_what_is_assumed_of_a_strength_is_bounded_only_where_few_runs_carry_it(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    text = DEAR.replace("strength = 10.0", 'strength = { dist = "normal", mean = 16.0, sd = 1.2 }')
+    study = study_from("analysis.budget.evaluations=300", text=text)
+    found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": ishigami(x)}).results["limits"]["high"]
+    # 1.77e-3, found by active learning: 64 runs said 8e-3 to 1e-2 of the strength with more or less scatter
+    assert found["miss"]["value"] == pytest.approx(1.77e-3, rel=0.2)
+    assert len(found["assumed"]) == 3
+    for row in found["assumed"]:
+        assert "few of them carry it" in row["miss"]["reason"]
+
+
 def test_what_active_learning_leaves_of_a_rough_limit_rests_on_all_runs(
     study_from: Callable[..., Study], tmp_path: Path
 ) -> None:

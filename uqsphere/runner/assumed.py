@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.curves import law_curves
-from uqsphere.runner.limits import LimitAnswer, state_of
+from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import Work
 from uqsphere.study import Limit
@@ -66,7 +66,8 @@ def find_assumed(work: Work, sampled: Sampled) -> dict[str, dict[str, Any]]:
 
 
 def _row(limit: Limit, answer: LimitAnswer, state: LimitState, other: LimitState, **about: Any) -> dict[str, Any]:
-    found = _against(answer.miss, miss(state, limit.aim), miss(other, limit.aim))
+    told = told_by_runs(miss(other, limit.aim), other, "miss", limit.aim)
+    found = _against(answer.miss, miss(state, limit.aim), told)
     met = None if limit.target is None or found.value is None else target_met(found, limit.target)
     return {**about, "miss": found.as_dict(), "met": met}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.runner.learning import Demand, learnable
-from uqsphere.runner.limits import LimitAnswer, judge_limits, state_of
+from uqsphere.runner.limits import SEEN, LimitAnswer, carriers, judge_limits, state_of, told_by_runs, unseen
 from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, draw
@@ -21,21 +21,14 @@ from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.reasons import OUT_OF_REACH
 from uqsphere.uq.released import Believed, believed, held, shifted
-from uqsphere.uq.reliability import tails
 from uqsphere.uq.sampling import random_generator
 
-__all__ = ["SEEN", "Answers", "answers_of", "dear_sets", "demands_of", "limits_of_runs", "widest"]
+__all__ = ["Answers", "answers_of", "dear_sets", "demands_of", "limits_of_runs", "widest"]
 
 #: points of each replicate that the surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
 #: numbers that the larger design holds at most: fewer points for more than 32 inputs
 HELD = 2**24
-#: runs that a probability has to rest on
-SEEN = 1.0
-#: runs that have to carry a smaller one for the spread of replicates to tell how well it is known, by Kish's count:
-#: of strengths with a normal score of their own, intervals held 30 % of the answers that one run carries, 60 % with
-#: three, 80 % with ten, and from twenty on 93 to 97 %
-CARRYING = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +140,7 @@ def _described(
     judged = [judge_limits(work, large, sample, usable) for sample in samples]
     limits = {}
     for limit in _limits(work, usable):
-        carried = _carried(work, limit, large, samples[0], runs)
+        carried = carriers(state_of(work, limit, large, samples[0]), limit.aim, runs)
         limits[limit.name] = _limit([answers[limit.name] for answers in judged], runs, carried)
     # a design whose own half-widths take more than half of what is asked leaves too little for the surrogate
     halved = replace(
@@ -171,42 +164,15 @@ def widest(found: Mapping[str, list[Estimate]]) -> float | None:
     return max(widths) if widths else None
 
 
-def _carried(work: Work, limit: Limit, points: Draw, sample: Sample, runs: int) -> dict[str, float]:
-    """How many of the runs a probability of exceedance, or of its complement, rests on: by Kish's count."""
-    found = {}
-    for side, weights in zip(("exceedance", "other"), tails(state_of(work, limit, points, sample)), strict=True):
-        squares = float((weights**2).sum())
-        found[side] = runs * float(weights.sum()) ** 2 / squares / weights.size if squares > 0.0 else 0.0
-    found["miss"] = found["exceedance" if limit.aim == "survive" else "other"]
-    return found
-
-
-def _unseen(estimate: Estimate, runs: int, why: str) -> Estimate:
-    """No value, since it is too small for `why`, and the bound that `runs` of which none shows it allow."""
-    bound = max(estimate.high or 0.0, -math.expm1(math.log(0.05) / runs))
-    return replace(absent(f"too small for {why}", estimate.method, runs), low=0.0, high=min(bound, 1.0))
-
-
 def limits_of_runs(work: Work, points: Draw, sample: Sample, quantities: Container[str]) -> dict[str, LimitAnswer]:
-    """Limits of some quantities by the runs themselves, without a surrogate.
-
-    The spread of the replicates says little of a probability that hangs on a few runs: where fewer than one in all
-    would miss the aim and few carry that, it is bounded only.
-    """
-    answers, runs = judge_limits(work, points, sample, quantities), sample.status.size
-
-    def probability(limit: Limit, which: str) -> Estimate:
-        found: Estimate = getattr(answers[limit.name], which)
-        seen = not found.value or found.value * runs >= SEEN
-        if seen or _carried(work, limit, points, sample, runs)[which] >= CARRYING:
-            return found
-        return _unseen(found, runs, f"{runs} runs alone: too few of them carry it")
-
-    return {
-        limit.name: answers[limit.name].with_probabilities(probability(limit, "exceedance"), probability(limit, "miss"))
-        for limit in work.study.limits
-        if limit.name in answers
-    }
+    """Limits of some quantities by the runs themselves, without a surrogate."""
+    answers = judge_limits(work, points, sample, quantities)
+    for limit in work.study.limits:
+        if limit.name in answers:
+            state, one = state_of(work, limit, points, sample), answers[limit.name]
+            told = [told_by_runs(getattr(one, which), state, which, limit.aim) for which in ("exceedance", "miss")]
+            answers[limit.name] = one.with_probabilities(*told)
+    return answers
 
 
 def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, float]) -> LimitAnswer:
@@ -221,7 +187,7 @@ def _limit(answers: Sequence[LimitAnswer], runs: int, carried: Mapping[str, floa
         found = joined(plain, getattr(down, which), getattr(up, which), runs)
         if found.value is None or carried[which] >= SEEN:
             return shifted(found, plain, getattr(within, which))
-        return _unseen(found, runs, f"a surrogate of {runs} runs: none of them would be expected to show it")
+        return unseen(found, runs, f"a surrogate of {runs} runs: none of them would be expected to show it")
 
     def of_margin(key: str) -> Estimate:
         return held(middle.margin[key], down.margin[key], up.margin[key], within.margin[key], runs)

@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.dear_answers import SEEN
-from uqsphere.runner.limits import state_of
+from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities
 from uqsphere.runner.moved import moved_study, probabilities, strength_solved
 from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_points
