@@ -228,7 +228,7 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.dependent import share_variance
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fracture import find_fracture
-    from uqsphere.runner.heavy_tails import share_heavy
+    from uqsphere.runner.heavy_shares import share_heavy
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import band_history, find_margins
     from uqsphere.runner.multifidelity import propose
@@ -346,11 +346,12 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
 
 def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
     """What the surrogate way found, as every run writes it."""
-    from uqsphere.runner.heavy_tails import settle_heavy
+    from uqsphere.runner.dear_tails import settle_heavy
     from uqsphere.runner.results import Findings
     from uqsphere.runner.tolerance import find_tolerance
 
-    sampled, sensitivity = settle_heavy(work, dear)
+    assert dear.sampled is not None
+    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity, dear.believed, dear.tails)
     tolerance = find_tolerance(work)
     work.ledger.close("tolerance intervals")
     return Findings(

@@ -10,7 +10,7 @@ from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_fits import fit_design, simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
-from uqsphere.runner.heavy_tails import dear_tails
+from uqsphere.runner.dear_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer

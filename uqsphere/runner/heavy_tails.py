@@ -1,44 +1,34 @@
-"""Answers that rest on moments which do not exist: withheld, with the reason, where a law of an input has none."""
+"""Descriptions of outputs whose moments do not exist: withheld, with the reason, where a law of an input has none."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.runner.stopping import WORTHLESS, Missed, indices_missed
-from uqsphere.uq.distribution import tail_orders
-from uqsphere.uq.estimates import Description, Estimate, absent
-from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, of_variance, widened_share, without_moments
-from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, OUT_OF_REACH
+from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 
-__all__ = ["dear_tails", "describe_heavy", "settle_heavy", "share_heavy"]
+if TYPE_CHECKING:
+    from uqsphere.runner.work import Draw, Sample, Work
+    from uqsphere.uq.estimates import Description
+    from uqsphere.uq.families import Array
 
-#: samples that must differ from the most frequent value for the variance to be shared out
-FEWEST_VARIED = 20
-#: base points that carry the variance of a design, below which its replicates do not show what they lack
-FEW_CARRIERS = 100.0
-#: how the reason of an index begins that is absent for its variance
-_SHARED = "the variance "
-#: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
-#: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
-NONE_SEEN = 3.0
+__all__ = ["describe_heavy", "outputs_of", "tail_of"]
 
 
-def _outputs(work: Work, sample: Sample, k: int) -> Array:
+def outputs_of(work: Work, sample: Sample, k: int) -> Array:
     """Answers (n,) of a quantity, nan where there is none."""
     flat: Array = np.where(sample.failed, np.nan, sample.values[:, :, k]).ravel()
     return flat
 
 
-def _tail(work: Work, points: Draw, sample: Sample, k: int) -> HeavyTail | None:
+def tail_of(work: Work, points: Draw, sample: Sample, k: int) -> HeavyTail | None:
+    """The tail that a quantity inherits of the laws of the inputs."""
     d = len(work.scene_names)
     if d == 0:
         return None
     laws = {name: work.study.random[name] for name in work.scene_names}
-    return heavy_tail(laws, points.physical[:, :, :d].reshape(-1, d), _outputs(work, sample, k))
+    return heavy_tail(laws, points.physical[:, :, :d].reshape(-1, d), outputs_of(work, sample, k))
 
 
 def describe_heavy(
@@ -46,178 +36,6 @@ def describe_heavy(
 ) -> dict[str, Description]:
     """The same without moments that do not exist."""
     return {
-        name: without_moments(found, _tail(work, points, sample, k), _outputs(work, sample, k))
+        name: without_moments(found, tail_of(work, points, sample, k), outputs_of(work, sample, k))
         for (k, name), found in zip(enumerate(work.quantities), descriptions.values(), strict=True)
     }
-
-
-def share_heavy(
-    work: Work, sampled: Sampled, found: dict[str, Sensitivity], pairs: Pairs | None
-) -> dict[str, Sensitivity]:
-    """Indices without those of a variance that does not exist, does not converge, or rests on a handful of samples.
-
-    Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
-    of the design carry it and no expansion helps, they hold what so few may have missed.
-    """
-    tails = {q: _tail(work, sampled.points, sampled.sample, k) for k, q in enumerate(work.quantities)}
-    return _shares(work, sampled, found, tails, pairs)
-
-
-def _shares(
-    work: Work,
-    sampled: Sampled,
-    found: dict[str, Sensitivity],
-    tails: Mapping[str, HeavyTail | None],
-    pairs: Pairs | None,
-) -> dict[str, Sensitivity]:
-    answers, asked = {}, work.study.analysis.accuracy.sobol
-    for k, quantity in enumerate(work.quantities):
-        indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
-        reason = _why_none(_outputs(work, sampled.sample, k), sd)
-        if reason:
-            # that the variance is not there weighs more than why an index was absent before
-            every = reason.startswith(_SHARED)
-            indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations), every)  # type: ignore[misc]
-            # no number of evaluations gives what is not there, so that none is missed
-            nowhere = sd.reason is not None and sd.reason.startswith(NO_MOMENT)
-            missed = [] if nowhere else [indices_missed(quantity, None, asked, f": {reason}")]
-            indices = replace(indices, text=reason, missed=missed, sampled={}, expanded={}, agree=None)
-        elif tail is not None and tail.order <= 4.0:
-            indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
-        elif pairs is not None and not indices.expanded and (count := _carriers(pairs, k)) < FEW_CARRIERS:
-            indices = _each(indices, lambda e, half=NONE_SEEN / count: _no_narrower(e, half))  # type: ignore[misc]
-        answers[quantity] = _admitted(quantity, indices, asked)
-    return answers
-
-
-def _admitted(quantity: str, indices: Sensitivity, asked: float) -> Sensitivity:
-    """Indices whose intervals were widened beyond what was asked, with that said."""
-    rows = (indices.first, indices.total, indices.shapley)
-    width = max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
-    if indices.missed or width <= asked:
-        return indices
-    why = " (so few samples carry the variance: how many evaluations would reach it is not known)"
-    return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
-
-
-def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> dict[str, HeavyTail | None]:
-    """The tail that each quantity of a dear model inherits, off its runs.
-
-    A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
-    """
-    from uqsphere.uq.chaos import germ_points, predict
-
-    d = len(work.scene_names)
-    normals, physical = design.points.normals[0, :, :d], design.points.physical[0, :, :d]
-    laws = {name: work.study.random[name] for name in work.scene_names}
-    heavy = [j for j, law in enumerate(laws.values()) if min(tail_orders(law)) < math.inf]
-    answers = {}
-    for k, quantity in enumerate(work.quantities):
-        outputs = np.where(design.sample.failed[0], np.nan, design.sample.values[0, :, k])
-        centred = {}
-        if quantity in trusted and trusted[quantity].usable:
-            for j in heavy:
-                moved = normals.copy()
-                moved[:, j] = 0.0
-                centred[work.scene_names[j]] = predict(trusted[quantity].chaos, germ_points(moved, work.germs))
-        answers[quantity] = heavy_tail(laws, physical, outputs, centred) if heavy else None
-    return answers
-
-
-def settle_heavy(work: Work, dear: Dear) -> tuple[Sampled, dict[str, Sensitivity]]:
-    """Answers of a design that is not enlarged for what does not exist: without such moments and their shares."""
-    assert dear.sampled is not None
-    sampled, found = dear.sampled, dear.sensitivity
-    descriptions = {}
-    order = min((min(tail_orders(work.study.random[name])) for name in work.scene_names), default=math.inf)
-    for k, (name, described) in enumerate(sampled.descriptions.items()):
-        tail, outputs = dear.tails.get(name), _outputs(work, sampled.sample, k)
-        # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
-        kept = name in dear.believed and tail is None
-        descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
-    absent_mean = (*OUT_OF_REACH, NOT_KNOWN)
-    gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith(absent_mean)}
-    rescaled = {q: d for q, d in descriptions.items() if d.scale != sampled.descriptions[q].scale}
-    missed = [one for one in _rejudged(work, sampled, rescaled) if (one.subject, one.kind) not in gone]
-    missed += [
-        Missed(subject=q, kind="mean", said=f"{q}: mean: {d.mean.reason}")
-        for q, d in descriptions.items()
-        if (d.mean.reason or "").startswith(NOT_KNOWN)
-    ]
-    settled = replace(sampled, descriptions=descriptions, missed=missed)
-    return settled, _shares(work, settled, found, dear.tails, None)
-
-
-def _rejudged(work: Work, sampled: Sampled, rescaled: Mapping[str, Description]) -> list[Missed]:
-    """What was missed, with means and quantiles of quantities that have another scale now held against that.
-
-    What was forecast of a half-width over the scale before says nothing of it over the new one.
-    """
-    from uqsphere.runner.sampling import find_missed
-
-    stays = {(one.subject, one.said): one for one in sampled.missed}
-    kept = [one for one in sampled.missed if one.subject not in rescaled or one.kind not in ("mean", "quantile")]
-    return kept + [stays.get((one.subject, one.said), one) for one in find_missed(work, dict(rescaled), {})]
-
-
-def _why_none(outputs: Array, sd: Estimate) -> str:
-    """Why the variance of outputs (n,) cannot be shared out, or an empty text."""
-    if sd.value is None and sd.reason is not None and sd.reason.startswith((NO_MOMENT, NOT_KNOWN, NO_CONVERGENCE)):
-        return f"{_SHARED}{of_variance(sd)}"
-    kept = outputs[np.isfinite(outputs)]
-    varied = int((kept != np.median(kept)).sum()) if kept.size else 0
-    if kept.size > 10 * FEWEST_VARIED and varied < FEWEST_VARIED:
-        times = "none" if varied == 0 else f"{varied}"
-        return f"{times} of the {kept.size:,} samples differ from {np.median(kept):.6g}: too few for shares"
-    return ""
-
-
-def _carriers(pairs: Pairs, k: int) -> float:
-    """How many base points of a design carry the variance of quantity k, by Kish's count."""
-    outputs = pairs.values[:, :, 0, k][~pairs.failed]
-    away = np.abs(outputs - outputs.mean())
-    largest = float(away.max(initial=0.0))
-    if largest == 0.0:
-        return 1.0
-    squares = (away / largest) ** 2
-    return float(squares.sum() ** 2 / (squares**2).sum())
-
-
-def _no_narrower(estimate: Estimate, half: float) -> Estimate:
-    if estimate.value is None or estimate.half_width >= half:
-        return estimate
-    if half > WORTHLESS:
-        reason = "not known: too few samples carry the variance"
-        return absent(reason, estimate.method, estimate.evaluations)
-    value = min(max(estimate.value, 0.0), 1.0)
-    return replace(estimate, value=value, low=value - half, high=value + half, std_error=0.5 * half)
-
-
-def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: bool = False) -> Sensitivity:
-    """Every index that is given changed, and with `every` those that are absent too."""
-
-    def row(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
-        return {name: change(e) if every or e.value is not None else e for name, e in estimates.items()}
-
-    return replace(
-        indices,
-        first=row(indices.first),
-        total=row(indices.total),
-        second=row(indices.second),
-        group_first=row(indices.group_first),
-        group_total=row(indices.group_total),
-        shapley=row(indices.shapley),
-        kucherenko={order: row(estimates) for order, estimates in indices.kucherenko.items()},
-    )
-
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from uqsphere.runner.dear_end import Dear
-    from uqsphere.runner.price import Design
-    from uqsphere.runner.sampling import Sampled
-    from uqsphere.runner.sensitivity import Pairs, Sensitivity
-    from uqsphere.runner.work import Draw, Sample, Work
-    from uqsphere.uq.augmented import Trusted
-    from uqsphere.uq.families import Array
