@@ -13,11 +13,13 @@ from scipy.special import ndtr
 
 import uqsphere
 from uqsphere.bench.fragility import straight_value, value_coverage
+from uqsphere.cli import main
 from uqsphere.report.margin_verdict import margin_answer
 from uqsphere.runner.curve_rows import shared
 from uqsphere.runner.margins import find_margins
 from uqsphere.runner.work import Ledger, Work
 from uqsphere.study import Study
+from uqsphere.summary import summary_of
 from uqsphere.uq.row_fit import fit_rows
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
@@ -155,16 +157,28 @@ def test_a_free_strength_moves_its_limit_where_evaluations_fail(
 
     results = uqsphere.run(study_from(text=FAILS), out=tmp_path / "r", model=model).results
     assert results["model"]["failures"] > 0
-    own, other = (results["margins"][name]["curve"] for name in ("own", "other"))
-    for value, probability, *_ in own:
+    for value, probability, *_ in results["margins"]["own"]["curve"]:
         # the share of 0.13 % that fails is among those that would break
         assert probability == pytest.approx(ndtr((10.0 - value) / np.hypot(1.0, 0.1 * value)), abs=0.01)
-    assert {probability for _, probability, *_ in other} == {other[0][1]}
+    said = [text for text in results["accuracy"]["missed"] if text.startswith("margins other")]
+    assert said == ["margins other: the free strength is that of limit own, which does not move this"]
+    assert not results["margins"]["other"]["values"]
+    shown = summary_of(results, 100)
+    assert shown.count("\nother\n") == 0
+    assert shown.count("free strength") == 1
     # the rows of one value serve all
     taken = next(part["taken"] for part in results["plan"]["parts"] if part["part"] == "margins")
     assert 0 < taken < 4 * 16 * 64
     few = uqsphere.run(study_from("analysis.budget.evaluations=3500", text=FAILS), out=tmp_path / "few", model=model)
     assert len(few.results["margins"]["own"]["curve"]) >= 9
+
+
+def test_a_limit_that_no_free_strength_moves_has_no_family(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    text = FAILS.replace("[analysis]", 'family = { path = "x", values = [9.0, 11.0] }\n[analysis]')
+    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=lambda x: {"y": x["x"]}).results
+    assert len(results["margins"]["own"]["family"]["members"]) == 2
+    assert len([text for text in results["accuracy"]["missed"] if text.startswith("margins other")]) == 1
+    assert main(["report", str(tmp_path / "r")]) == 0
 
 
 def test_the_design_point_at_a_margin_keeps_to_the_budget(study_from: Callable[..., Study], tmp_path: Path) -> None:

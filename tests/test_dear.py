@@ -17,8 +17,10 @@ from scipy.special import ndtr
 import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.bench.dear import dear_rows
+from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.plan import plan_run, plan_text
+from uqsphere.report.wording import without_failed
 from uqsphere.runner import price as pricing
 from uqsphere.runner import work
 from uqsphere.runner.dear_answers import Answers
@@ -31,6 +33,7 @@ from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Cost, cost_of, indices_missed
 from uqsphere.runner.work import Draw, Ledger, Sample, Work
 from uqsphere.study import Study
+from uqsphere.summary import summary_of
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
@@ -106,6 +109,9 @@ def test_a_dear_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
     entry, indices = results["quantities"]["y"], results["sensitivity"]["y"]
     assert abs(entry["mean"]["value"] - TRUTH.mean) < 0.005 * TRUTH.sd
     assert abs(entry["sd"]["value"] - TRUTH.sd) < 0.01 * TRUTH.sd
+    # no run outlasts a record, and no more runs than these say so
+    assert entry["censored_share"]["evaluations"] == entry["mean"]["evaluations"] <= box.rows
+    assert entry["censored_share"]["high"] == pytest.approx(1.0 - 0.05 ** (1.0 / entry["mean"]["evaluations"]))
     for p, truth in TRUTH.quantiles.items():
         assert abs(entry["quantiles"][f"{p:g}"]["value"] - truth) < 0.05 * TRUTH.sd
     for j, name in enumerate(("x1", "x2", "x3")):
@@ -205,7 +211,10 @@ def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[
     found = uqsphere.run(study_from("analysis.budget.evaluations=600", text=MIXED), out=tmp_path / "r", model=both)
     results = found.results
     assert results["plan"]["way"] == "surrogate"
-    assert "surrogates answer y" in results["plan"]["why"]
+    assert results["plan"]["why"].startswith("the surrogate is too rough (z: refused")
+    assert "): the 592 runs are sampled; surrogates answer y" in results["plan"]["why"]
+    assert without_failed(results).startswith("of y mean, standard deviation and indices are those of a surrogate")
+    assert "; of the rest mean, standard deviation and indices are those of the others" in without_failed(results)
     y, z = results["quantities"]["y"]["mean"], results["quantities"]["z"]["mean"]
     assert y["method"].startswith("surrogate")
     assert y["evaluations"] < z["evaluations"]
@@ -223,6 +232,17 @@ def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[
     assert "evaluations would reach it" in means[0]
     told = {row["quantity"] for row in results["speed_error"] if row["evaluations"] == z["evaluations"]}
     assert {"z", "limits.rough"} <= told
+
+
+def test_several_outputs_that_are_too_rough_are_told_as_several(
+    study_from: Callable[..., Study], tmp_path: Path
+) -> None:
+    def rough(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": -chequered(x), "z": chequered(x)}
+
+    study = study_from("analysis.budget.evaluations=100", text=MIXED)
+    why = uqsphere.run(study, out=tmp_path / "r", model=rough).results["plan"]["why"]
+    assert re.fullmatch(r"surrogates are too rough \(y: refused: .*; z: refused: .*\): the 96 runs are sampled", why)
 
 
 @pytest.mark.parametrize("runs", [16, 32, 64, 256])
@@ -474,6 +494,11 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
     results = ask(without(0.02), "analysis.on_failure='drop'").results
     assert results["plan"]["way"] == "surrogate"
     assert results["model"]["failures"] > 0
+    # that of the rows with an answer is 0.02 pi: the surrogate goes on where the others have none
+    assert abs(results["quantities"]["y"]["mean"]["value"]) < 0.002 * np.pi
+    text = " ".join(summary_of(results, 80).split())
+    assert "indices are those of a surrogate fitted to the others, which goes on where the model has no answer" in text
+    assert "another matter than the whole model's" not in text
     overrides = ("analysis.on_failure='bound'", "analysis.budget.evaluations=100")
     assert ask(without(0.1), *overrides, out="b").results["plan"]["way"] == "sampling"
     # few rows hold more than 1 % by chance, and not so many
@@ -548,6 +573,28 @@ def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: p
     assert any("the model gives 11" in text for text in limit["checks"])
 
 
+def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_before(
+    ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search would put its importance factors in the place of shares by direction."""
+    monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
+
+    def run(out: str) -> dict[str, Any]:
+        return dict(ask(Counted(plane), out=out).results["limits"]["high"])
+
+    with monkeypatch.context() as without:
+        without.setattr("uqsphere.runner.dear_end.with_surrogate_design", lambda work, limits, *_: limits)
+        before = run("before")
+    for name in ("CONFIRMED", "CLOSE"):
+        monkeypatch.setattr(f"uqsphere.runner.learning.{name}", -1.0)
+    limit = run("after")
+    assert "does not confirm" in limit["design_point_reason"]
+    assert not limit["design_point"]
+    assert before["governing_inputs"]
+    for key in ("governing_inputs", "governing_inputs_method"):
+        assert limit[key] == before[key]
+
+
 def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
     found = ask(Counted(plane)).results["sensitivity"]["y"]
@@ -571,6 +618,16 @@ def test_margins_of_a_dear_model(ask, monkeypatch: pytest.MonkeyPatch, solve: st
     for p, found in values.items():
         truth = shift + side * np.sqrt(1.01) * float(ndtri(float(p)))
         assert found["value"] == pytest.approx(truth, abs=0.03)
+
+
+def test_a_family_that_no_surrogate_draws_is_told(
+    ask, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = PLANE.replace("14.0", "11.0") + '[margins]\nsolve = "limits.high.strength"\nbetween = [6.0, 16.0]\n'
+    monkeypatch.setitem(globals(), "DEAR", text + 'family = { path = "x1", values = [9.0, 11.0] }\n')
+    results = ask(Counted(plane)).results
+    assert "margins high: the curves over x1 are not drawn off a surrogate" in results["accuracy"]["missed"]
+    assert main(["report", str(tmp_path / "r")]) == 0
 
 
 # --- the plan -------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from uqsphere.report.html import MOST_BYTES
 from uqsphere.report.method import methods_table, paper_table
 from uqsphere.report.verdict import Verdict, cautions, verdicts
 from uqsphere.report.wording import probability_text, rounded, share_text
+from uqsphere.summary import summary_of
 
 NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
 
@@ -253,6 +254,21 @@ def test_everything_that_weakens_the_answer_is_said(tmp_path: Path) -> None:
         "a warning of the study",
     ):
         assert words in text
+
+
+def test_one_evaluation_that_failed_is_one(tmp_path: Path) -> None:
+    model = {
+        "chosen": "full",
+        "why": "w",
+        "measured_error": {},
+        "evaluations": {"full": 64},
+        "failures": 1,
+        "failure_reasons": {"2": 1},
+        "numbers": {},
+    }
+    contents = read_contents(write_folder(tmp_path, model=model))
+    for text in (" ".join(cautions(contents)), summary_of(dict(contents.results), 80)):
+        assert "1 evaluation failed" in text
 
 
 def test_texts_of_the_study_are_data(tmp_path: Path) -> None:

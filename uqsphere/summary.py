@@ -16,13 +16,14 @@ from uqsphere.report.shortfalls import SUBJECTS, shortfalls
 from uqsphere.report.units import units_of
 from uqsphere.report.wording import (
     MOST_DIGITS,
-    WITHOUT_FAILED,
     Estimate,
     estimate_text,
+    failures_text,
     plain_percent,
     probability_range,
     probability_text,
     rounded,
+    without_failed,
 )
 
 __all__ = ["summary_of"]
@@ -56,7 +57,7 @@ def _cautions(results: dict[str, Any]) -> list[str]:
     if results["model"]["failures"]:
         failed, whole = results["model"]["failures"], sum(results["model"]["evaluations"].values())
         share = plain_percent(float(f"{failed / max(whole, 1):.2g}"))
-        found.append(f"{failed:,} evaluations failed, {share} of all: {WITHOUT_FAILED}")
+        found.append(f"{failures_text(failed)}, {share} of all: {plain(without_failed(results))}")
     for check in results["validity"]:
         for grade, share in (
             ("failure", check.get("share_failure", 0.0)),
@@ -337,7 +338,7 @@ def _margins(results: dict[str, Any], width: int) -> list[str]:
     """The free scalar at every probability of fracture that was asked for."""
     rows: list[tuple[str, ...] | str] = []
     for name, entry in results["margins"].items():
-        rows += [name] if len(results["margins"]) > 1 else []
+        rows += [name] if len(results["margins"]) > 1 and entry["values"] else []
         subject = subject_of(results, entry["solve"])
         rows += [(plain_percent(float(p)), _estimate(e, subject)) for p, e in entry["values"].items()]
     if not rows:

@@ -17,11 +17,11 @@ from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures import distribution_finding, sensitivity_finding, single_value
 from uqsphere.report.shortfalls import shortfalls
 from uqsphere.report.wording import (
-    WITHOUT_FAILED,
     absent_reason,
     begin,
     call,
     capital,
+    failures_text,
     input_name,
     limit_name,
     listed,
@@ -32,6 +32,7 @@ from uqsphere.report.wording import (
     rounded,
     symbol,
     value_text,
+    without_failed,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
 
@@ -356,5 +357,5 @@ def _failures(contents: Contents) -> list[str]:
     ]
     policy = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
     how = policy[contents.resolved["analysis"]["on_failure"]]
-    text = f"{model['failures']} evaluations failed ({how})"
-    return [text + (": " + "; ".join(reasons) if reasons else "") + f". {capital(WITHOUT_FAILED)}."]
+    text = f"{failures_text(model['failures'])} ({how})"
+    return [text + (": " + "; ".join(reasons) if reasons else "") + f". {capital(without_failed(contents.results))}."]

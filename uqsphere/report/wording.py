@@ -19,6 +19,7 @@ __all__ = [
     "call",
     "capital",
     "estimate_text",
+    "failures_text",
     "input_name",
     "law_name",
     "limit_name",
@@ -35,6 +36,7 @@ __all__ = [
     "symbol",
     "unit_text",
     "value_text",
+    "without_failed",
 ]
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
@@ -43,10 +45,14 @@ MOST_DIGITS: Final = 5
 Estimate = Mapping[str, Any]
 
 ABSENT: Final = "–"
-#: what an answer of a run in which evaluations failed is
-WITHOUT_FAILED: Final = (
+#: what an answer of a run in which evaluations failed is: without them, and by a surrogate
+_WITHOUT_FAILED: Final = (
     "mean, standard deviation and indices are those of the others, and another matter than the whole model's wherever "
     "failing has to do with the inputs"
+)
+_GOES_ON: Final = (
+    "mean, standard deviation and indices are those of a surrogate fitted to the others, which goes on where the model "
+    "has no answer"
 )
 #: a width of 0.1 is not to count as 0.0999999
 _ROUND: Final = 1e-9
@@ -331,6 +337,26 @@ def share_text(estimate: Estimate) -> str:
     if abs(value) < 0.005 * 10.0**-decimals:
         return "less than 0.1 %" if decimals else "less than 1 %"
     return number_text(f"{100.0 * value:.{decimals}f}") + " %"
+
+
+def failures_text(count: int) -> str:
+    """How many evaluations failed.
+
+    >>> failures_text(1), failures_text(1200)
+    ('1 evaluation failed', '1,200 evaluations failed')
+    """
+    return f"{count:,} evaluation{'' if count == 1 else 's'} failed"
+
+
+def without_failed(results: Mapping[str, Any]) -> str:
+    """What the answers of a run in which evaluations failed are."""
+    quantities = results["quantities"]
+    names = [name for name, entry in quantities.items() if entry["mean"]["method"].startswith("surrogate")]
+    if not names:
+        return _WITHOUT_FAILED
+    if len(names) == len(quantities):
+        return _GOES_ON
+    return f"of {listed([symbol(name) for name in names])} {_GOES_ON}; of the rest {_WITHOUT_FAILED}"
 
 
 def listed(words: list[str]) -> str:

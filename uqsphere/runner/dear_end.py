@@ -82,7 +82,8 @@ def refusal(end: End) -> str:
     if not end.trusted:
         return "no surrogate was fitted, since runs are too few or some have no answer"
     told = [f"{quantity}: {end.trusted[quantity].reason}" for quantity in end.rough]
-    return "the surrogate is too rough (" + "; ".join(told) + ")"
+    which = "the surrogate is" if len(told) == 1 else "surrogates are"
+    return f"{which} too rough ({'; '.join(told)})"
 
 
 def blocks_of_runs(design: Design) -> tuple[Draw, Sample]:
@@ -170,7 +171,7 @@ def conclude(end: End) -> Dear:
     told = replace(end, trusted={**end.trusted, **simpler}, found=replace(end.found, indices=indices))
     why = end.priced.way.why
     if end.rough:
-        why = f"{refusal(end)}: {'its' if len(end.rough) == 1 else 'their'} {design.count} runs are sampled"
+        why = f"{refusal(end)}: the {design.count} runs are sampled"
     if end.rough and end.found.descriptions:
         why += f"; surrogates answer {', '.join(end.found.descriptions)}"
     sampled = Sampled(

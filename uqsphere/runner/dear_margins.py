@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.limits import SEEN, state_of
-from uqsphere.runner.margins import MarginAnswer, asked_probabilities
+from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
 from uqsphere.runner.moved import moved_study, probabilities, strength_solved
 from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_points
 from uqsphere.study import Limit
@@ -62,12 +62,12 @@ def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) ->
     margins = work.study.margins
     if margins is None:
         return {}
-    solved = strength_solved(margins.solve)
+    solved, unmoved = strength_solved(margins.solve), unmoved_margins(work)
     wide: _Wide | None = None
     found = {}
     for limit in work.study.limits:
-        if solved is not None and solved != limit.name:
-            found[limit.name] = _nothing(work, f"the free strength is that of limit {solved}, which does not move this")
+        if limit.name in unmoved:
+            found[limit.name] = unmoved[limit.name]
             continue
         one = trusted.get(limit.quantity)
         if one is None or not one.usable:
@@ -217,6 +217,9 @@ def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int
         for rows in [[row, *rest]]
     ]
     missed = [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
+    family = work.study.margins.family
+    if family is not None:
+        missed.append(f"the curves over {family.path} are not drawn off a surrogate")
     return MarginAnswer(
         solve=work.study.margins.solve,
         values=values,

@@ -167,15 +167,23 @@ def with_surrogate_design(
         elif updated.design is not None:
             point = next(point for point in design.points if point.converged)
             normals = point.point[None, : len(work.drawn.names)]
-            updated = _confirmed(work, limit, at, updated, normals, demand, max(CONFIRMED * scatter, CLOSE * sd))
+            allowed = max(CONFIRMED * scatter, CLOSE * sd)
+            updated = _confirmed(work, limit, at, answer, updated, normals, demand, allowed)
         found[limit.name] = updated
     return found
 
 
 def _confirmed(
-    work: Work, limit: Limit, at: int, answer: LimitAnswer, normals: Array, demand: Demand, allowed: float
+    work: Work,
+    limit: Limit,
+    at: int,
+    before: LimitAnswer,
+    answer: LimitAnswer,
+    normals: Array,
+    demand: Demand,
+    allowed: float,
 ) -> LimitAnswer:
-    """The answer with its design point, normal scores (1, D), kept where one run of the model there agrees."""
+    """The answer with its design point, normal scores (1, D), where one run of the model agrees, else that before."""
     physical = physical_from_normal(work.drawn, normals)
     d = len(work.scene_names)
     try:
@@ -191,4 +199,4 @@ def _confirmed(
         return replace(answer, checks=(*answer.checks, text))
     gives = f"gives {true:.4g}" if np.isfinite(true) else "has no answer"
     reason = f"the model does not confirm the surrogate's design point: it {gives} there, the surrogate {told:.4g}"
-    return replace(answer, design=None, design_points=0, governing=None, design_reason=reason)
+    return replace(before, design_reason=reason)

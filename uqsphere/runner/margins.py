@@ -16,7 +16,7 @@ from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
-from uqsphere.runner.moved import moved_study
+from uqsphere.runner.moved import moved_study, strength_solved
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stepwise import Coarse, stepwise_curves
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
@@ -25,7 +25,15 @@ from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 
-__all__ = ["MarginAnswer", "asked_probabilities", "band_history", "find_margins", "limit_values", "member_values"]
+__all__ = [
+    "MarginAnswer",
+    "asked_probabilities",
+    "band_history",
+    "find_margins",
+    "limit_values",
+    "member_values",
+    "unmoved_margins",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -183,12 +191,26 @@ def against_table(found: EnergyCurve | None) -> dict[str, Any]:
     return {} if found is None else {"against": energy_table(found, lognormal_table(found.lognormal))}
 
 
+def unmoved_margins(work: Work) -> dict[str, MarginAnswer]:
+    """The answers of limits that a free strength of another leaves where they are."""
+    assert work.study.margins is not None
+    solve = work.study.margins.solve
+    own = strength_solved(solve)
+    said = f"the free strength is that of limit {own}, which does not move this"
+    return {
+        limit.name: MarginAnswer(solve=solve, values={}, curve=[], missed=[said], lognormal=said)
+        for limit in work.study.limits
+        if own is not None and own != limit.name
+    }
+
+
 def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
     """Fragility curves and margins of every limit; empty where the study asks for none."""
     margins = work.study.margins
     if margins is None or not work.study.limits:
         return {}
-    limits = work.study.limits
+    unmoved = unmoved_margins(work)
+    limits = [limit for limit in work.study.limits if limit.name not in unmoved]
     family = margins.family
     curves = 1 + (len(family.values) if family else 0)
     most = int(SHARE * work.study.analysis.budget.evaluations / curves)
@@ -198,7 +220,10 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
         found = dict.fromkeys((limit.name for limit in limits), _LATE)
     members = _members(work, limits, most)
     answers = {}
-    for limit in limits:
+    for limit in work.study.limits:
+        if limit.name in unmoved:
+            answers[limit.name] = unmoved[limit.name]
+            continue
         one = found[limit.name]
         if isinstance(one, str):
             answers[limit.name] = _unknown(work, limit, one)

@@ -178,7 +178,7 @@ def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities
             "values": {_share(p): estimate.as_dict() for p, estimate in found.values.items()},
             "curve": [list(point) for point in found.curve],
             "lognormal": lognormal_table(found.lognormal),
-            **({"family": {"path": family.path, "members": found.family}} if family is not None else {}),
+            **({"family": {"path": family.path, "members": found.family}} if family and found.family else {}),
             **against_table(found.against),
             **({} if found.band is None else {"band": found.band.table()}),
             **({} if found.coarse is None else {"steps": found.coarse.table()}),

@@ -23,7 +23,7 @@ from uqsphere.uq.chaos import Chaos, chaos_indices, validation_error
 from uqsphere.uq.chaos.bases import orthonormal_values
 from uqsphere.uq.chaos.surrogate import Piece
 from uqsphere.uq.chaos.truncation import products
-from uqsphere.uq.estimates import Description, Estimate, absent, student
+from uqsphere.uq.estimates import Description, Estimate, absent, none_of, student
 from uqsphere.uq.families import Array
 
 __all__ = [
@@ -224,7 +224,7 @@ def widened(trusted: Trusted, middle: Description, down: Description, up: Descri
     """The description of S + r with intervals that hold the surrogate's error.
 
     `down` and `up` describe the same values shifted by how far the law may be off: quantiles lie between.  Mean and
-    standard deviation know more: the mean residual of all runs, and that of (Y - m)² - (S - m)².
+    standard deviation know more: the mean residual of all runs, and that of (Y - m)² - (S - m)².  No run is censored.
     """
     n = len(trusted.residuals)
     quantiles = {p: joined(estimate, down.quantiles[p], up.quantiles[p], n) for p, estimate in middle.quantiles.items()}
@@ -239,7 +239,7 @@ def widened(trusted: Trusted, middle: Description, down: Description, up: Descri
         ratio = trusted.scatter / middle.scale / own if own > 0.0 else 0.0
         half = 0.5 * middle.scale * (_SPREAD * ratio * _scatter(change) / math.sqrt(n) + trusted.error)
         sd = _added(sd, half, n)
-    return replace(middle, mean=mean, sd=sd, quantiles=quantiles)
+    return replace(middle, mean=mean, sd=sd, quantiles=quantiles, censored_share=none_of(n))
 
 
 def _scatter(values: Array) -> float:
