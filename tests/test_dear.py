@@ -179,6 +179,7 @@ def test_a_rough_model_is_not_answered_by_a_smooth_lie(ask) -> None:
     assert 512 <= box.rows <= 600
     assert results["plan"]["way"] == "sampling"
     assert "too rough" in results["plan"]["why"]
+    assert "(a constant from " in results["plan"]["why"]
     assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
     assert holds(results["quantities"]["y"]["mean"], 4.0)
     assert not results["accuracy"]["met"]

@@ -88,7 +88,7 @@ class Trusted:
     @property
     def reason(self) -> str:
         """Why it may, or may not, be used."""
-        terms = f"{self.chaos.coefficients.size} terms of degree {self.chaos.degree} from {self.chaos.samples} runs"
+        terms = f"{self.chaos.size} from {self.chaos.samples} runs"
         if self.usable:
             return f"it leaves {self.error:.2g} of the variance ({terms})"
         return f"refused: it leaves {self.error:.2g} of the variance unexplained, more than {MOST:g} ({terms})"

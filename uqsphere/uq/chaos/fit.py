@@ -310,7 +310,7 @@ def judge(chaos: Chaos, error: float | None = None, most: float = 0.05) -> Verdi
     worst = chaos.cross_validation_error if error is None else error
     if not math.isfinite(worst):
         return Verdict(usable=False, error=1.0, reason="the error of the expansion is not finite")
-    terms = f"{chaos.coefficients.size} terms of degree {chaos.degree} from {chaos.samples} samples"
+    terms = f"{chaos.size} from {chaos.samples} samples"
     if worst > most:
         reason = f"refused: it leaves {worst:.2g} of the variance unexplained, more than {most:g} ({terms})"
         return Verdict(usable=False, error=min(worst, 1.0), reason=reason)

@@ -76,6 +76,11 @@ class Chaos:
         return self.border is None and self.pieces[0].transform is None
 
     @property
+    def size(self) -> str:
+        """How large it is, in words."""
+        return "a constant" if self.constant else f"{self.coefficients.size} terms of degree {self.degree}"
+
+    @property
     def constant(self) -> bool:
         """Whether nothing but a constant was found."""
         return self.border is None and not np.any(self.pieces[0].coefficients[1:])
