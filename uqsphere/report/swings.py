@@ -25,6 +25,7 @@ from uqsphere.report.wording import (
     rounded,
     short_input,
     symbol,
+    the_input,
     value_text,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
@@ -327,7 +328,8 @@ def waterfall_heading(contents: Contents, name: str) -> str:
     if not steps:
         return subject
     first, factor = steps[0]
-    return f"{subject}: {100.0 * math.log(factor) / math.log(end_at / begin_at):.0f} % to the {_step_name(first)}"
+    share = 100.0 * math.log(factor) / math.log(end_at / begin_at)
+    return f"{subject}: {share:.0f} % to {the_input(first) if first else 'all others'}"
 
 
 def waterfall_table(contents: Contents, name: str) -> Table | None:
