@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from uqsphere.runner.account import _slowest
+from uqsphere.runner.heavy_tails import _admitted
 from uqsphere.runner.sampling import speed_rows
+from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.stopping import indices_missed
 from uqsphere.uq.distribution import Law, ppf
 from uqsphere.uq.estimates import absent, describe, exact
 from uqsphere.uq.families import Array
@@ -131,3 +134,18 @@ def test_without_a_deviation_the_scale_is_the_range_that_it_is_called() -> None:
     assert found.sd.value is None
     assert found.scale_name == "half the 16-84 % range"
     assert found.scale == half_range(values) < held.scale
+
+
+@pytest.mark.parametrize(
+    ("half", "told"), [(0.33, "half-width 0.33, asked 0.01"), (0.28, "half-width 0.28, asked 0.01")]
+)
+def test_a_missed_accuracy_has_the_width_that_the_answer_has(half: float, told: str) -> None:
+    """Indices of a heavy tail are widened after what they missed was written down."""
+
+    def indices(width: float) -> Sensitivity:
+        row = {"a": replace(exact(0.5), low=0.5 - width, high=0.5 + width)}
+        return Sensitivity(first=row, total=row, surrogate={}, sampled={}, expanded={}, agree=None, text="",
+                           missed=[indices_missed("y", 0.28, 0.01)])  # fmt: skip
+
+    (missed,) = _admitted("y", indices(half), indices(0.28), 0.01).missed
+    assert told in missed.text

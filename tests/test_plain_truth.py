@@ -10,6 +10,7 @@ from report_folders import estimate, limit, write_folder
 
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.drivers import design_table, failure_finding
+from uqsphere.report.event import solved_name
 from uqsphere.report.figures import sensitivity_finding
 from uqsphere.report.glance import _measure, glances
 from uqsphere.report.headings import failure_heading
@@ -94,3 +95,9 @@ def test_what_to_measure_begins_with_the_name_as_it_is(name: str, start: str) ->
     rows = [{"input": name, "sway": estimate(0.5, 0.1), "share": 1.0, "tests": 9, "observations": None}]
     entry = {"of": "probability", "wanted": 0.1, "rows": rows, "probability": 0.01, "reason": "", "method": ""}
     assert _measure(entry).startswith(start)
+
+
+def test_a_free_scalar_of_the_user_keeps_its_letters() -> None:
+    assert solved_name({"inputs": {}}, "v") == "v"
+    assert solved_name({"inputs": {"v": {}}}, "v") == "Mean v"
+    assert solved_name({"inputs": {}}, "striker.speed") == "Speed of the striker"
