@@ -10,10 +10,23 @@ import numpy as np
 import pytest
 
 from uqsphere.runner.account import _slowest
+from uqsphere.runner.heavy_tails import _admitted
 from uqsphere.runner.sampling import speed_rows
+from uqsphere.runner.sensitivity import Sensitivity
+from uqsphere.runner.stopping import indices_missed
+from uqsphere.uq.distribution import Law, ppf
 from uqsphere.uq.estimates import absent, describe, exact
 from uqsphere.uq.families import Array
-from uqsphere.uq.heavy_tails import MEAN, VARIANCE, HeavyTail, half_range, widened_share, without_moments
+from uqsphere.uq.heavy_tails import (
+    MEAN,
+    VARIANCE,
+    HeavyTail,
+    half_range,
+    heavy_tail,
+    widened_share,
+    without_moments,
+)
+from uqsphere.uq.laws import make_law
 from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
 from uqsphere.uq.released import stretched
 
@@ -40,6 +53,33 @@ def test_only_what_the_growth_rules_out_is_said_not_to_exist(
     reason = tail(law_order, growth, doubt).reason(moment)
     assert reason.startswith(words)
     assert ("or up to" in reason) == (words == NOT_KNOWN)
+
+
+def squares(law: Law, rows: int, shift: float) -> HeavyTail:
+    """The tail of (shift + x/2)^2, which comes back to its median far below that of x."""
+    rng = np.random.default_rng(7)
+    x = ppf(law, (rng.permutation(rows) + rng.uniform(size=rows)) / rows)
+    found = heavy_tail({"a": law}, x[:, None], (shift + 0.5 * x) ** 2 + rng.uniform(size=rows))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("rows", "shift"), [(2048, 1.0), (8192, 0.5), (8192, 1.0), (32768, 1.4)])
+def test_a_mean_that_exists_is_not_denied_where_the_output_turns_within_the_tail(rows: int, shift: float) -> None:
+    """Moments below order 2.5 leave a square its mean, though it looks steep on leaving its turning point."""
+    law = make_law("student_t", {"dof": 2.5, "location": 0.0, "scale": 1.0})
+    found = squares(law, rows, shift)
+    assert found.growth > 2.5
+    assert found.reason(MEAN).startswith(NOT_KNOWN)
+    assert "but not steadily" in found.reason(MEAN)
+
+
+@pytest.mark.parametrize("dof", [1.0, 0.8])
+def test_a_mean_that_does_not_exist_is_denied_still(dof: float) -> None:
+    law = make_law("student_t", {"dof": dof, "location": 0.0, "scale": 1.0})
+    found = squares(law, 8192, 0.0)
+    assert found.reason(MEAN).startswith(NO_MOMENT)
+    assert found.reason(VARIANCE).startswith(NO_MOMENT)
 
 
 def pareto(order: float, seed: int) -> Array:
@@ -94,3 +134,18 @@ def test_without_a_deviation_the_scale_is_the_range_that_it_is_called() -> None:
     assert found.sd.value is None
     assert found.scale_name == "half the 16-84 % range"
     assert found.scale == half_range(values) < held.scale
+
+
+@pytest.mark.parametrize(
+    ("half", "told"), [(0.33, "half-width 0.33, asked 0.01"), (0.28, "half-width 0.28, asked 0.01")]
+)
+def test_a_missed_accuracy_has_the_width_that_the_answer_has(half: float, told: str) -> None:
+    """Indices of a heavy tail are widened after what they missed was written down."""
+
+    def indices(width: float) -> Sensitivity:
+        row = {"a": replace(exact(0.5), low=0.5 - width, high=0.5 + width)}
+        return Sensitivity(first=row, total=row, surrogate={}, sampled={}, expanded={}, agree=None, text="",
+                           missed=[indices_missed("y", 0.28, 0.01)])  # fmt: skip
+
+    (missed,) = _admitted("y", indices(half), indices(0.28), 0.01).missed
+    assert told in missed.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -85,11 +86,12 @@ def test_names_in_a_legend_are_whole() -> None:
 
 
 def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
-    for low, high in ((1.5, 2.2), (3.1, 3.7), (0.0, 5.0), (2.0, 3.0)):
+    narrow = [(0.01 * k, 0.01 * k + width) for k in range(-100, 100, 3) for width in (0.1, 0.15, 0.2, 0.25)]
+    for low, high in ((1.5, 2.2), (3.1, 3.7), (0.0, 5.0), (2.0, 3.0), *narrow):
         ticks = progress._ticks(low, high)
         assert 3 <= len(ticks) <= 8
         assert all(10.0**low <= tick <= 10.0**high * (1.0 + 1e-9) for tick in ticks)
-        assert all(b / a > 1.0 + 0.1 * (high - low) for a, b in pairwise(ticks))
+        assert all(math.log10(b / a) > 0.04 * (high - low) for a, b in pairwise(ticks))
 
 
 def test_a_heading_has_one_colon(tmp_path: Path) -> None:

@@ -196,7 +196,9 @@ def _governing(results: dict[str, Any], width: int) -> list[str]:
     advice = []
     for name, limit in results["limits"].items():
         shares = limit.get("governing_inputs") or {}
-        rows += [f"limit {name}"] if shares else []
+        ways = limit.get("design_points") or 1
+        one = f", the likeliest of {ways} ways" if ways > 1 else ""
+        rows += [f"limit {name}{one}"] if shares else []
         for key in sorted(shares, key=lambda key: -shares[key])[:_MOST]:
             rows.append((key, f"{shares[key]:6.1%}".replace("%", " %"), bar(shares[key])))
         measured = limit.get("measure_first") or {}

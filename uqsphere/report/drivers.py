@@ -17,6 +17,7 @@ from uqsphere.report.wording import (
     number_text,
     powers,
     symbol,
+    two_digits,
     value_text,
 )
 
@@ -121,6 +122,11 @@ def failure_table(contents: Contents, name: str) -> Table | None:
     return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
 
 
+def told_from_none(estimate: Mapping[str, Any]) -> bool:
+    """Whether an index is above zero by more than its interval."""
+    return estimate["low"] is None or float(estimate["low"]) > 0.0
+
+
 def failure_finding(contents: Contents, name: str) -> str:
     """Which input drives failure, or why that is not known."""
     entry = contents.results["limits"][name].get("drivers") or {}
@@ -133,12 +139,14 @@ def failure_finding(contents: Contents, name: str) -> str:
     largest = f"{input_name(names[0])} ({kind} {index_cell(table[names[0]])})"
     whole = entry["of"] == "missing the aim"
     text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
+    if not told_from_none(table[names[0]]):
+        text = f"No input is told from one that does nothing; the largest index is that of {largest}."
     explained = (entry.get("explained") or {}).get("value")
     if explained is None or explained >= 0.9999:
         return text
-    share = number_text(f"{100.0 * explained:.2g}")
     who = "The model’s inputs" if whole else "All of them"
-    return f"{text} {who} together decide {share} % of whether the aim is missed, the rest is left to the strength."
+    share = two_digits(explained)
+    return f"{text} {who} together decide {share} of whether the aim is missed, the rest is left to the strength."
 
 
 def given_failure_table(contents: Contents, name: str) -> Table | None:
@@ -212,7 +220,7 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
                 (
                     input_name(row["input"]),
                     cell(_scaled(row["sway"], 10.0**-power)),
-                    number_text(f"{100.0 * row['share']:.2g}") + " %",
+                    two_digits(row["share"]),
                     tests,
                 )
             )
@@ -291,7 +299,7 @@ def design_table(contents: Contents, name: str) -> Table | None:
     shares = limit.get("governing_inputs") or {}
     rows = []
     for key in sorted(point, key=lambda k: -float(shares.get(k, 0.0))):
-        share = number_text(f"{100.0 * float(shares[key]):.2g}") + " %" if key in shares else ABSENT
+        share = two_digits(float(shares[key])) if key in shares else ABSENT
         mean = contents.results["inputs"].get(key, {}).get("mean")
         subject = contents.subject(key)
         usual = ABSENT if mean is None else value_text(mean, subject)

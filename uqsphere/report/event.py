@@ -9,7 +9,7 @@ from typing import Any
 
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents
-from uqsphere.report.wording import capital, input_name, limit_name, rounded
+from uqsphere.report.wording import begin, input_name, limit_name, rounded
 
 __all__ = ["answer_text", "at_most", "breaks", "event", "missing", "of_limit", "safe_side", "solved_name"]
 
@@ -57,7 +57,7 @@ def of_limit(results: Mapping[str, Any], name: str) -> str:
 
 def solved_name(results: Mapping[str, Any], solve: str) -> str:
     """The free scalar in words, with a capital letter; of one that scatters it is the mean that is solved for."""
-    return capital(f"mean {input_name(solve)}" if solve in results["inputs"] else input_name(solve))
+    return f"Mean {input_name(solve)}" if solve in results["inputs"] else begin(solve, input_name(solve))
 
 
 def safe_side(estimate: Mapping[str, Any], name: str, *, at_most: bool, digits: int = 4) -> str:

@@ -350,7 +350,11 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
     if len(parts) > 1:
         text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
-    return text + ("." if acting else ". Interactions are not seen above the intervals.")
+    if acting:
+        return f"{text}."
+    if any(_exceeds(entry, n) for n in rows):
+        return f"{text}. Interactions that are seen add at most 1 % to an input."
+    return f"{text}. Interactions are not seen above the intervals."
 
 
 def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
@@ -370,9 +374,13 @@ def _seen(estimate: Mapping[str, Any]) -> bool:
 def _interacts(entry: Mapping[str, Any], name: str) -> bool:
     """Whether the total index is larger than the first by more than the intervals and by what matters."""
     first, total = entry["first"][name], entry["total"][name]
-    if first["high"] is None or total["low"] is None:
-        return False
-    return bool(total["low"] > first["high"] and total["value"] - first["value"] > 0.01)
+    return _exceeds(entry, name) and bool(total["value"] - first["value"] > 0.01)
+
+
+def _exceeds(entry: Mapping[str, Any], name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals."""
+    first, total = entry["first"][name], entry["total"][name]
+    return first["high"] is not None and total["low"] is not None and bool(total["low"] > first["high"])
 
 
 def _driver(entry: Mapping[str, Any], name: str, acting: bool) -> tuple[str, str]:

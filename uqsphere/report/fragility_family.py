@@ -15,7 +15,7 @@ from uqsphere.report.decision import lognormal_scores, probability_axis, score, 
 from uqsphere.report.figures import slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import (
-    capital,
+    begin,
     estimate_text,
     input_name,
     limit_name,
@@ -156,6 +156,7 @@ def family_table(contents: Contents, name: str) -> Table:
     fitted = [(member.get("lognormal") or {}).get("dispersion") for member in members]
     rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
     name_of = canvas.shorten(family_name(contents, name), 40)
-    caption = f"{capital(input_name(entry['solve']))} at which {limit_name(name)} is exceeded, by {name_of}"
+    solved = begin(entry["solve"], input_name(entry["solve"]))
+    caption = f"{solved} at which {limit_name(name)} is exceeded, by {name_of}"
     header = ("probability", *map(number_text, member_values(family["path"], [m["value"] for m in members])))
     return Table(caption=caption, header=header, rows=tuple(rows))

@@ -20,6 +20,7 @@ from uqsphere.report.wording import (
     limit_name,
     listed,
     plain_percent,
+    the_input,
     value_text,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
@@ -120,7 +121,9 @@ def _driver(contents: Contents, quantity: str) -> str:
             first = max(shares, key=lambda n: float(shares[n]))
             several = limit.get("governing_inputs_method") == BY_INFORMATION
             share = f"{100.0 * float(shares[first]):.0f} %"
-            whole = f"{share} of what its failures tell" if several else f"importance factor {share}"
+            ways = int(limit.get("design_points") or 1)
+            ways_text = f" in the likeliest of {ways} ways" if ways > 1 else ""
+            whole = f"{share} of what its failures tell" if several else f"importance factor {share}{ways_text}"
             parts.append(f"Of the probability of {limit_name(name)}, which decides: {input_name(first)} ({whole}).")
     load = sensitivity_finding(contents, quantity)
     if not (contents.results["sensitivity"].get(quantity) or {}).get("shapley"):
@@ -134,7 +137,9 @@ def _measure(entry: Mapping[str, Any] | None) -> str:
     rows = (entry or {}).get("rows") or []
     if not rows or entry is None:
         return ""
-    return capital(measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1))
+    text, first = measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1), first_to_measure(entry)
+    own = first is not None and not the_input(first["input"]).startswith("the ")
+    return text if own else capital(text)
 
 
 def _measure_limit(contents: Contents, name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from uqsphere.report import event
 from uqsphere.report.contents import Contents
-from uqsphere.report.drivers import first_to_measure
+from uqsphere.report.drivers import first_to_measure, told_from_none
 from uqsphere.report.figures import ranked
 from uqsphere.report.granted import turns
 from uqsphere.report.wording import (
@@ -21,6 +21,7 @@ from uqsphere.report.wording import (
     share_text,
     short_input,
     symbol,
+    the_input,
 )
 
 __all__ = [
@@ -85,7 +86,7 @@ def parts_heading(contents: Contents, name: str) -> str:
     """What takes the largest part of a margin at the answer."""
     shares = (contents.results["margins"][name].get("lost_to") or {}).get("shares") or {}
     largest = max(shares, key=lambda key: shares[key], default=None)
-    finding = "" if largest is None else f"{100.0 * shares[largest]:.0f} % by the {input_name(largest)}"
+    finding = "" if largest is None else f"{100.0 * shares[largest]:.0f} % by {the_input(largest)}"
     return _told(f"What the margin of {limit_name(name)} is made of", finding)
 
 
@@ -114,7 +115,7 @@ def failure_heading(contents: Contents, name: str) -> str:
     table = entry.get("shapley") or entry.get("total") or {}
     known = {key: e["value"] for key, e in table.items() if e["value"] is not None}
     largest = max(known, key=lambda key: known[key], default=None)
-    who = "" if largest is None else f"most by the {input_name(largest)}"
+    who = "" if largest is None or not told_from_none(table[largest]) else f"most by {the_input(largest)}"
     if who and entry.get("of") != "missing the aim":
         who += ", of the model’s inputs"
     return _told(f"Missing the aim of {limit_name(name)}", who)

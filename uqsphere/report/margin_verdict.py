@@ -13,7 +13,16 @@ from uqsphere.report import canvas, event, reach
 from uqsphere.report.contents import Contents
 from uqsphere.report.event import at_most
 from uqsphere.report.verdict import Verdict
-from uqsphere.report.wording import capital, input_name, limit_name, listed, number_text, plain_percent, value_text
+from uqsphere.report.wording import (
+    capital,
+    input_name,
+    limit_name,
+    listed,
+    number_text,
+    plain_percent,
+    two_digits,
+    value_text,
+)
 
 __all__ = [
     "at_most",
@@ -204,11 +213,11 @@ def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]
     split = entry.get("split") or {}
     if split.get("scatter") is not None:
         text += (
-            f"From specimen to specimen the {what} that breaks it scatters by {100.0 * split['scatter']:.2g} %: that "
+            f"From specimen to specimen the {what} that breaks it scatters by {two_digits(split['scatter'])}: that "
             f"is in the {chance} already, and no error of the answer. "
         )
     if split.get("ignorance") is not None:
-        text += f"Few tests leave the answer uncertain by {100.0 * split['ignorance']:.2g} % (standard deviation)"
+        text += f"Few tests leave the answer uncertain by {two_digits(split['ignorance'])} (standard deviation)"
         if split.get("numerical") is not None:
             text += f", the computation by {100.0 * split['numerical']:.1g} %"
         text += ". "

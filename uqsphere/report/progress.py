@@ -187,11 +187,19 @@ def _ticks(low: float, high: float) -> list[float]:
     [20.0, 50.0, 100.0]
     >>> _ticks(3.2, 3.7)
     [2000.0, 3000.0, 4000.0, 5000.0]
+    >>> _ticks(-0.05, 0.2)
+    [1.0, 1.2, 1.4]
     """
     decades = range(math.floor(low), math.ceil(high) + 1)
     found: list[float] = []
     for steps in ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)):
         found = [step * 10.0**k for k in decades for step in steps if low <= math.log10(step) + k <= high]
+        if len(found) >= 3:
+            return found
+    # too narrow for that: equal steps
+    power = 10.0 ** math.floor(math.log10(10.0**high - 10.0**low))
+    for step in (5.0 * power, 2.0 * power, power, 0.5 * power, 0.2 * power):
+        found = [round(n * step, 12) for n in range(math.ceil(10.0**low / step), math.floor(10.0**high / step) + 1)]
         if len(found) >= 3:
             break
     return found

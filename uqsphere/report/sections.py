@@ -11,7 +11,7 @@ from uqsphere.report.figures import ranked
 from uqsphere.report.tables import Table, cell, index_cell
 from uqsphere.report.wording import (
     ABSENT,
-    capital,
+    begin,
     input_name,
     limit_name,
     plain_percent,
@@ -126,7 +126,7 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
             row.append(ABSENT if share is None else reach.cases_text(share))
         rows.append(tuple(row))
     return Table(
-        caption=f"{capital(input_name(solve))} at which {what} with a given probability",
+        caption=f"{begin(solve, input_name(solve))} at which {what} with a given probability",
         header=tuple(header),
         rows=tuple(rows),
     )

@@ -25,6 +25,7 @@ from uqsphere.report.wording import (
     rounded,
     short_input,
     symbol,
+    the_input,
     value_text,
 )
 from uqsphere.uq.failure_shares import BY_INFORMATION
@@ -152,6 +153,8 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str)
         )  # fmt: skip
         axes.plot([low * factor, high * factor], [row, row], color=INK, linewidth=1.1, marker="|", markersize=5)
     ends = sorted((swing.at_low, swing.at_high))
+    # with both ends on one side of the middle the nearer one's number stands on the other bar
+    over = (ends[0][0] * factor - middle) * (ends[1][0] * factor - middle) > 0.0
     for (value, low, high), side in zip(ends, ("right", "left"), strict=True):
         axes.annotate(
             rounded({"value": value, "low": low, "high": high}, quantity).rsplit(" ", 1)[0],
@@ -160,6 +163,7 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str)
             ha=side,
             va="center",
             textcoords="offset points",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6} if over else None,
             fontsize=8.0,
         )
 
@@ -327,7 +331,8 @@ def waterfall_heading(contents: Contents, name: str) -> str:
     if not steps:
         return subject
     first, factor = steps[0]
-    return f"{subject}: {100.0 * math.log(factor) / math.log(end_at / begin_at):.0f} % to the {_step_name(first)}"
+    share = 100.0 * math.log(factor) / math.log(end_at / begin_at)
+    return f"{subject}: {share:.0f} % to {the_input(first) if first else 'all others'}"
 
 
 def waterfall_table(contents: Contents, name: str) -> Table | None:

@@ -34,7 +34,7 @@ from uqsphere.report.wording import (
     value_text,
     without_failed,
 )
-from uqsphere.uq.failure_shares import BY_INFORMATION
+from uqsphere.uq.failure_shares import BY_DIRECTION, BY_INFORMATION
 
 __all__ = ["Verdict", "cautions", "ignorance_text", "verdicts"]
 
@@ -241,9 +241,13 @@ def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
         text += listed([f"{input_name(n)} ({100.0 * governing[n]:.0f} %)" for n in kept])
         if limit.get("governing_inputs_method") == BY_INFORMATION:
             text += ", by how much a failure tells of each; failures lie in several directions. "
+        elif limit.get("governing_inputs_method") == BY_DIRECTION:
+            text += ", by the direction from the middle of all cases to that of the failures. "
         else:
-            likeliest = "success" if mostly_missed(limit) else "failure"
-            text += f", by their importance factors in the likeliest {likeliest}. "
+            likeliest, whole = ("success", "keep") if mostly_missed(limit) else ("failure", "miss")
+            text += f", by their importance factors in the likeliest {likeliest}"
+            ways = int(limit.get("design_points") or 1)
+            text += f", of {ways} ways to {whole} the aim; the others may hang on other inputs. " if ways > 1 else ". "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
     return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()

@@ -34,6 +34,8 @@ __all__ = [
     "share_text",
     "short_input",
     "symbol",
+    "the_input",
+    "two_digits",
     "unit_text",
     "value_text",
     "without_failed",
@@ -135,6 +137,12 @@ def short_input(name: str) -> str:
     """The same, without what one knows anyway, for bars and lists."""
     words = input_name(name)
     return re.sub(r"^(.*) \(.*\)$", r"\1", words)
+
+
+def the_input(name: str) -> str:
+    """The same within a sentence; a name of the user's own has no article."""
+    words = input_name(name)
+    return words if words == shorten(name, 80) else f"the {words}"
 
 
 def powers(text: str) -> str:
@@ -315,6 +323,19 @@ def rounded(estimate: Estimate, name: str = "", digits: int = 4) -> str:
     else:
         text = f"{scaled:#.{digits}g}".removesuffix(".").replace(".e", "e")
     return number_text(f"{text} {unit}".rstrip())
+
+
+def two_digits(value: float) -> str:
+    """A share in per cent with two digits, and as many more as tell it from the whole.
+
+    >>> two_digits(0.0123), two_digits(0.9979), two_digits(1.52)
+    ('1.2 %', '99.8 %', '152 %')
+    """
+    percent = 100.0 * value
+    if percent < 99.5:
+        return number_text(f"{percent:.2g}") + " %"
+    decimals = 1 if percent < 99.95 else 2 if percent < 99.995 else 0
+    return f"{percent:.{decimals}f} %"
 
 
 def share_text(estimate: Estimate) -> str:

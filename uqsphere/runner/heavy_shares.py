@@ -68,18 +68,23 @@ def shares_with_tails(
             indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
         elif pairs is not None and not indices.expanded and (count := _carriers(pairs, k)) < FEW_CARRIERS:
             indices = _each(indices, lambda e, half=NONE_SEEN / count: _no_narrower(e, half))  # type: ignore[misc]
-        answers[quantity] = _admitted(quantity, indices, asked)
+        answers[quantity] = _admitted(quantity, indices, found[quantity], asked)
     return answers
 
 
-def _admitted(quantity: str, indices: Sensitivity, asked: float) -> Sensitivity:
-    """Indices whose intervals were widened beyond what was asked, with that said."""
-    rows = (indices.first, indices.total, indices.shapley)
-    width = max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
-    if indices.missed or width <= asked:
+def _admitted(quantity: str, indices: Sensitivity, before: Sensitivity, asked: float) -> Sensitivity:
+    """Indices whose intervals were widened beyond what was asked, with that said, of the width that they have now."""
+    width = _width(indices)
+    if width <= asked or (indices.missed and width <= _width(before)):
         return indices
     why = " (so few samples carry the variance: how many evaluations would reach it is not known)"
     return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
+
+
+def _width(indices: Sensitivity) -> float:
+    """The largest half-width of the indices that there are."""
+    rows = (indices.first, indices.total, indices.shapley)
+    return max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
 
 
 def _why_none(outputs: Array, sd: Estimate) -> str:

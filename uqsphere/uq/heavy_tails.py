@@ -51,7 +51,8 @@ class HeavyTail:
     """The input whose tail an output inherits, the order from which on the law has no moments, and the growth.
 
     `order` is that of the output, at the growth that the rows leave possible: `growth` and `doubt` more.  A growth of
-    nan is one that too few `rows` leave open.
+    nan is one that too few `rows` leave open.  Beyond the rows it may be smaller by `bend`, where it falls off among
+    them already.
     """
 
     name: str
@@ -60,6 +61,7 @@ class HeavyTail:
     order: float
     rows: int = 0
     doubt: float = 0.0
+    bend: float = 0.0
 
     def reason(self, moment: float) -> str:
         """Why a moment of this order is not given: it does not exist, or the rows leave open whether it does.
@@ -71,12 +73,14 @@ class HeavyTail:
                 f"{NOT_KNOWN}{self.name} has no moments from order {self.law_order:.3g} on, and {self.rows} runs are "
                 f"too few to show how this grows with it: at least {UNREADABLE}, or truncate the law where it ends"
             )
-        whole = round(self.growth) if abs(self.growth - round(self.growth)) <= self.doubt else 0
-        open_ = self.law_order > moment * max(self.growth, whole)
+        least = self.growth - self.bend
+        whole = round(least) if abs(least - round(least)) <= self.doubt else 0
+        open_ = self.law_order > moment * max(least, whole)
+        further = f", or up to {self.growth + self.doubt:.2g}" + (", but not steadily" if self.bend > 0.0 else "")
         return (
             f"{NOT_KNOWN if open_ else NO_MOMENT}{self.name} has no moments from order {self.law_order:.3g} on, and "
             f"this grows like its power {self.growth:.2g}"
-            + (f", or up to {self.growth + self.doubt:.2g}" if open_ else "")
+            + (further if open_ else "")
             + ": truncate the law where it ends"
         )
 
@@ -112,23 +116,39 @@ def heavy_tail(
         x, name = inputs[kept, j], list(laws)[j]
         out = side * (x - np.median(x))
         middle = np.median(outputs[kept]) if centred is None or name not in centred else centred[name][kept]
-        growth, error = _growth(out, np.abs(outputs[kept] - middle))
+        growth, error, bend = _growth(out, outputs[kept] - middle)
         if growth > SEEN * error and growth > 0.0:
             doubt = DOUBT * error
             order = law_order / (growth + doubt)
-            tail = HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count, doubt=doubt)
-            found.append(tail)
+            found.append(HeavyTail(name=name, law_order=law_order, growth=growth, order=order, rows=count,
+                                   doubt=doubt, bend=bend))  # fmt: skip
     return min(found, key=lambda tail: tail.order, default=None)
 
 
-def _growth(out: Array, away: Array) -> tuple[float, float]:
-    """Exponent of `away` (n,) against the largest of `out` (n,), and its standard error."""
+def _growth(out: Array, change: Array) -> tuple[float, float, float]:
+    """Exponent of |change| (n,) against the largest of `out` (n,), its standard error, and how far it may fall off.
+
+    A power law has one sign and one exponent.  Where most of the inner half of the rows has another sign than most of
+    the outer, `change` passes through zero among them, and nothing is known of its growth; where the outer half grows
+    more slowly than all of them do, the exponent may fall by twice as much again.
+    """
     count = _far(out.size)
     far = np.argpartition(out, out.size - count)[out.size - count :]
-    far = far[(away[far] > 0.0) & (out[far] > 0.0)]
+    far = far[(change[far] != 0.0) & (out[far] > 0.0)]
     if far.size < count // 2:
-        return 0.0, math.inf
-    x, y = np.log(out[far]), np.log(away[far])
+        return 0.0, math.inf, 0.0
+    far = far[np.argsort(out[far], kind="stable")]
+    slope, error = _slope(out[far], np.abs(change[far]))
+    outer, noise = _slope(out[far[far.size // 2 :]], np.abs(change[far[far.size // 2 :]]))
+    inside, outside = (float(np.median(np.sign(half))) for half in np.array_split(change[far], 2))
+    if inside * outside < 0.0:
+        return slope, error, max(slope, 0.0)
+    return slope, error, max(3.0 * (slope - outer), 0.0) if slope - outer > DOUBT * math.hypot(error, noise) else 0.0
+
+
+def _slope(out: Array, away: Array) -> tuple[float, float]:
+    """Exponent of `away` (n,) against `out` (n,), and its standard error."""
+    x, y = np.log(out), np.log(away)
     x, y = x - x.mean(), y - y.mean()
     squares = float(x @ x)
     if squares == 0.0:
@@ -137,7 +157,7 @@ def _growth(out: Array, away: Array) -> tuple[float, float]:
     # to the last bits of a power the order is that of the law
     slope = round(slope) if abs(slope - round(slope)) < 1e-9 else slope
     rest = y - slope * x
-    return slope, math.sqrt(float(rest @ rest) / max(far.size - 2, 1) / squares) if abs(rest).max() > 1e-9 else 0.0
+    return slope, math.sqrt(float(rest @ rest) / max(out.size - 2, 1) / squares) if abs(rest).max() > 1e-9 else 0.0
 
 
 def _far(rows: int) -> int:
