@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from uqsphere.runner.account import _slowest
-from uqsphere.runner.heavy_tails import _admitted
+from uqsphere.runner.heavy_shares import _admitted
 from uqsphere.runner.sampling import speed_rows
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import indices_missed
