@@ -42,8 +42,17 @@ UNREADABLE, FEW = 32, 1000
 DOMINANT: Final = 0.4
 #: standard errors by which a growth must differ from none, and by which it may be larger than it looks
 SEEN, DOUBT = 4.0, 2.0
+#: rows beyond the one that tells how frequent large values are, at least
+_FEWEST_MET: Final = 4
 #: a Hill estimate below this is no mean: that of a Cauchy law from as many rows as are taken here
 CAUCHY: Final = 1.2
+
+
+#: index of a stable law of mean zero and scale 1, skewed to the right, and minus its 2.5 % point (scipy's levy_stable)
+_STABLE: Final = (
+    (1.02, 33.277), (1.05, 14.197), (1.1, 7.863), (1.15, 5.772), (1.2, 4.742), (1.3, 3.744), (1.4, 3.277), (1.6, 2.88),
+    (1.8, 2.762), (1.95, 2.76),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +202,9 @@ def without_moments(
         mean = _gone(mean, tail.reason(MEAN)) if tail.order <= MEAN else mean
         sd = _gone(sd, tail.reason(VARIANCE))
         return replace(described, mean=mean, sd=sd, scale=half_range(outputs))
+    if tail is not None and sd.value is not None and tail.order <= 2.0 * VARIANCE:
+        sd = _with_rarest(sd, outputs, tail.order)
+        described = replace(described, sd=sd)
     if sd.value is not None and outputs.size < FEW and (text := _dominated(outputs)):
         described = replace(described, sd=_gone(sd, text), scale=half_range(outputs))
         return replace(described, mean=_gone(mean, text)) if min(law_order, hill(outputs)) <= CAUCHY else described
@@ -202,6 +214,31 @@ def without_moments(
         text = f"large values are as frequent as in a law without moments from order {order:.2g} on"
         return replace(described, mean=_gone(mean, (NO_MOMENT if surely else UNTOLD) + text))
     return described
+
+
+def _with_rarest(sd: Estimate, outputs: Array, order: float) -> Estimate:
+    """A standard deviation whose interval holds what the rarest values add, of which few or none may have been met.
+
+    Without fourth moments the mean of n squares has about the variance a stable law of index a = order/2, skewed to the
+    right (B. V. Gnedenko, A. N. Kolmogorov, Limit distributions for sums of independent random variables, 1954): most
+    means are too small.  Its scale follows from how frequent large squares are, C t^-a of them above t.
+    """
+    kept = outputs[np.isfinite(outputs)]
+    count = _far(kept.size)
+    if sd.value is None or sd.high is None or kept.size <= count or not sd.value > 0.0:
+        return sd
+    index = min(max(0.5 * order, _STABLE[0][0]), _STABLE[-1][0])
+    squares = np.sort(((kept - kept.mean()) / sd.value) ** 2)
+    # squares of a heavy input are rarer than in its own tail until far out: the largest of what all rows there say
+    ranks = np.arange(_FEWEST_MET, count + 1)
+    frequent = float(np.max(ranks / kept.size * squares[-ranks - 1] ** index))
+    constant = (1.0 - index) / (math.gamma(2.0 - index) * math.cos(0.5 * math.pi * index))
+    scale = (frequent / constant) ** (1.0 / index) * kept.size ** (1.0 / index - 1.0)
+    point = float(np.interp(index, [one for one, _ in _STABLE], [one for _, one in _STABLE]))
+    high = sd.value * math.sqrt(1.0 + point * scale)
+    if high <= sd.high or not math.isfinite(high):
+        return sd
+    return replace(sd, high=high, std_error=0.25 * (high - (sd.low or 0.0)))
 
 
 def half_range(outputs: Array) -> float:
