@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from uqsphere.mechanics import as_printed, dynamics
+from uqsphere.mechanics import as_printed
 from uqsphere.mechanics.closed_form import loading_time, relaxing_approach, solve_closed
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
 SCENE = Scene(

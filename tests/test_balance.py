@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqsphere.mechanics import contact, dynamics
+from uqsphere.mechanics import contact
 from uqsphere.mechanics.history import states_at, waves_at
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
 BASE = {

@@ -17,8 +17,8 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import StudyError
 from uqsphere.mechanics.field import field_at
-from uqsphere.mechanics.field_view import view_field
 from uqsphere.mechanics.gauges import gauge_strain
+from uqsphere.mechanics.history import view_field
 from uqsphere.report import bar_figures, canvas
 from uqsphere.report.field_figure import draw_field
 from uqsphere.runner.deterministic import history_summary

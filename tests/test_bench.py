@@ -17,8 +17,8 @@ from uqsphere.bench.scenes import bench_scenes, scattered_scene
 from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
 from uqsphere.cli import main
 from uqsphere.errors import FolderError
-from uqsphere.mechanics.dynamics import integrate
-from uqsphere.mechanics.layout import ANSWER_CONTACT, ANSWER_X_MAX
+from uqsphere.mechanics.integrator.solve import integrate
+from uqsphere.mechanics.integrator.tracked import ANSWER_CONTACT, ANSWER_X_MAX
 from uqsphere.report.canvas import render, style
 
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from uqsphere.mechanics import dynamics
 from uqsphere.mechanics.closed_form import (
     closed_form_applies,
     linear_approaches,
@@ -22,6 +21,7 @@ from uqsphere.mechanics.closed_form import (
     relaxing_time,
     solve_closed,
 )
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
 BASE = {

@@ -13,7 +13,7 @@ from uqsphere import load_study
 from uqsphere.cli import main
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
-from uqsphere.mechanics.stress.weakest_link import hoop_field
+from uqsphere.mechanics.stress.make_tables import hoop_field
 from uqsphere.model import evaluate
 from uqsphere.quantities import OUTPUTS, UNITS
 from uqsphere.study import shipped_studies

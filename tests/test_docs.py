@@ -19,9 +19,10 @@ from test_floors import FLOORS
 
 from uqsphere import errors
 from uqsphere.cli import MISSED, build_parser
-from uqsphere.mechanics import as_printed, dynamics
+from uqsphere.mechanics import as_printed
 from uqsphere.mechanics.closed_form import linear_approaches, loading_time, massless_approach, relaxing_approach
 from uqsphere.mechanics.contact import centre_tension
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
@@ -348,8 +349,8 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
         f"up to {sensitivity.FIT_POINTS} points of each of {sensitivity.FITS} scramblings",
     ):
         assert text in flat, text
-    from uqsphere.mechanics.kernel import WAVE
-    from uqsphere.mechanics.series import ORDER
+    from uqsphere.mechanics.integrator.kernel import WAVE
+    from uqsphere.mechanics.integrator.step import ORDER
 
     assert f"Taylor series of order {ORDER}" in flat
     assert f"at {WAVE} Chebyshev points" in flat

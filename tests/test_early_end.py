@@ -11,7 +11,7 @@ import pytest
 
 import uqsphere
 from uqsphere.console import Progress, bar
-from uqsphere.mechanics.field_view import FieldView
+from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
 from uqsphere.study import Study
 from uqsphere.summary import summary_of

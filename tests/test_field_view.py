@@ -13,7 +13,7 @@ import pytest
 
 import uqsphere
 from uqsphere.mechanics.field import field_grid
-from uqsphere.mechanics.field_view import FieldView, view_field
+from uqsphere.mechanics.history import FieldView, view_field
 
 GRANITE = Path(__file__).resolve().parent.parent / "studies" / "granite.toml"
 

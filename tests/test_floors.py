@@ -119,8 +119,8 @@ def test_a_wrong_import_is_found(module: str, line: str) -> None:
 
 
 def test_files_stay_readable() -> None:
-    long = {name: lines for name, path in MODULES.items() if (lines := path.read_text("utf-8").count("\n")) > 430}
-    assert long.keys() <= {"uqsphere.mechanics.kernel"}  # one compiled loop, which numba wants in one piece
+    long = {name: lines for name, path in MODULES.items() if (lines := path.read_text("utf-8").count("\n")) > 800}
+    assert not long
 
 
 def test_the_top_level_is_as_agreed() -> None:

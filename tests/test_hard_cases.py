@@ -7,8 +7,8 @@ import pytest
 from test_kernel import scaled_scene
 
 from uqsphere.bench.scenes import scattered_scene
-from uqsphere.mechanics.dynamics import integrate, solve
-from uqsphere.mechanics.layout import ANSWER_X_MAX
+from uqsphere.mechanics.integrator.solve import integrate, solve
+from uqsphere.mechanics.integrator.tracked import ANSWER_X_MAX
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 
 #: granite between steel bars; what a test varies is put in its place

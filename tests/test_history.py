@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from uqsphere.mechanics import contact, dynamics
+from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
 from uqsphere.mechanics.history import find_changes, states_at, trace, waves_at
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
 BASE = {

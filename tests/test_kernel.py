@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from uqsphere.mechanics import dynamics
-from uqsphere.mechanics.dynamics import Answers, motion, solve
+from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.integrator.solve import Answers, motion, solve
 from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
 
 SOLVER = 5.0
@@ -324,7 +324,7 @@ def test_swapping_identical_bars() -> None:
     """Mirrored, x_1 and x_2 change places and u its sign, if the wave that ran towards A runs towards B."""
     from numba import njit
 
-    from uqsphere.mechanics.series import LANES, PAIR, TERMS, expand
+    from uqsphere.mechanics.integrator.step import LANES, PAIR, TERMS, expand
 
     @njit
     def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 import uqsphere
 from uqsphere.errors import AccessError, UqsphereError, UsageError
-from uqsphere.mechanics import dynamics
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.model import STATUS_NOT_FINITE, answer, evaluate, load_black_box, model_digest, scene_of, status_text
 from uqsphere.quantities import OUTPUTS

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.mechanics import closed_form, dynamics
-from uqsphere.mechanics.fallback import Fallback, fit_error_law
+from uqsphere.mechanics import closed_form
+from uqsphere.mechanics.fidelity import Fallback, fit_error_law
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.model import ROUTE_ASKED, ROUTE_BOTH, ROUTE_FULL, answer, is_answered, scene_of
 from uqsphere.runner import pilot

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from test_kernel import SOLVER, random_scene, scaled_scene
 
-from uqsphere.mechanics import layout
-from uqsphere.mechanics.dynamics import integrate
+from uqsphere.mechanics.integrator import tracked as layout
+from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.plain import integrate_plain
 from uqsphere.mechanics.scene import Scene
 
@@ -96,7 +96,7 @@ def test_it_takes_over_where_there_is_no_compiler() -> None:
         "importlib.util.find_spec = lambda name, *rest: None if name == 'numba' else known(name, *rest)\n"
         "import numpy as np\n"
         "from uqsphere.mechanics.scene import Scene\n"
-        "from uqsphere.mechanics.dynamics import solve\n"
+        "from uqsphere.mechanics.integrator.solve import solve\n"
         "numbers = {'sphere.E': 52e9, 'sphere.nu': 0.25, 'sphere.radius': 0.01, 'sphere.density': 2650.0,\n"
         "           'bars.E': 210e9, 'bars.nu': 0.3, 'bars.density': 7850.0, 'bars.diameter': 0.04,\n"
         "           'striker.speed': 1.0, 'striker.length': 0.4}\n"

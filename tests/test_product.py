@@ -10,8 +10,7 @@ import pytest
 
 import uqsphere
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.mechanics.criteria import CRITERIA
-from uqsphere.mechanics.product import product_fineness
+from uqsphere.mechanics.criteria import CRITERIA, product_fineness
 from uqsphere.model import evaluate
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report import build_report

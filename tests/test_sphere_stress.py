@@ -9,10 +9,15 @@ import numpy.typing as npt
 import pytest
 
 from uqsphere.mechanics.contact import centre_tension
-from uqsphere.mechanics.stress.axis import axis_series, largest_hoop, load_on_axis
-from uqsphere.mechanics.stress.series import Load, load_coefficients, series_stress
-from uqsphere.mechanics.stress.surface import pressure_on_surface, surface_stress
-from uqsphere.mechanics.stress.weakest_link import hoop_field, surface_integrals, volume_integrals
+from uqsphere.mechanics.stress.make_tables import (
+    axis_series,
+    hoop_field,
+    largest_hoop,
+    load_on_axis,
+    surface_integrals,
+    volume_integrals,
+)
+from uqsphere.mechanics.stress.series import Load, load_coefficients, pressure_on_surface, series_stress, surface_stress
 
 Array = npt.NDArray[np.float64]
 

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from uqsphere.mechanics.stress import tables
-from uqsphere.mechanics.stress.axis import axis_series, load_on_axis
-from uqsphere.mechanics.stress.make_tables import SHAPES, exact, pack
-from uqsphere.mechanics.stress.rim import rim_tension
-from uqsphere.mechanics.stress.weakest_link import hoop_field, surface_integrals, volume_integrals
+from uqsphere.mechanics.stress.make_tables import (
+    SHAPES,
+    axis_series,
+    exact,
+    hoop_field,
+    load_on_axis,
+    pack,
+    rim_tension,
+    surface_integrals,
+    volume_integrals,
+)
 
 #: the error that the tables state
 STATED = 1e-6

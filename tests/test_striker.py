@@ -7,7 +7,8 @@ import pytest
 
 import uqsphere
 from uqsphere.errors import StudyError
-from uqsphere.mechanics import bars, dynamics
+from uqsphere.mechanics import bars
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.pulses import PRESETS, build_pulse, pulse_value, striker_steps
 from uqsphere.mechanics.scene import Scene
 from uqsphere.quantities import INPUTS

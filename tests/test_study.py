@@ -18,7 +18,7 @@ import pytest
 from test_broken_studies import BASE, BLACK_BOX, CASES
 
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.mechanics.measured import noise_names
+from uqsphere.mechanics.pulses import noise_names
 from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
 from uqsphere.study.schema import BarsTable, ProductTable, PulseTable, SphereTable, StrikerTable

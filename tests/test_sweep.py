@@ -10,7 +10,7 @@ import pytest
 from uqsphere.bench import sweep
 from uqsphere.bench.hard_scenes import RANGES, STRATA, as_inputs, design, rows_of, take
 from uqsphere.bench.sweep import ALLOWED, against_itself, against_reference, join, table
-from uqsphere.mechanics.dynamics import Answers, solve
+from uqsphere.mechanics.integrator.solve import Answers, solve
 from uqsphere.mechanics.scene import Scene, answered
 
 #: what both integrators answer in milliseconds

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqsphere.mechanics import dynamics
 from uqsphere.mechanics.closed_form import solve_closed
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES, Check, check_validity, grades
 

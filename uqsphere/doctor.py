@@ -17,7 +17,7 @@ _LEAST_ROOM: Final = 1 << 30
 
 def examine() -> dict[str, Any]:
     """Versions, the machine, and checks: each with `check`, `ok` and what was found as `text`."""
-    from uqsphere.mechanics.compiled import cache_folder
+    from uqsphere.mechanics.integrator.compiled import cache_folder
     from uqsphere.runner.results import versions
 
     found = versions()
@@ -87,8 +87,8 @@ def _room() -> tuple[bool, str]:
 
 def _integration() -> tuple[bool, str]:
     """The compiled integrator against the second one, in numpy, on the granite scene."""
-    from uqsphere.mechanics.dynamics import integrate
-    from uqsphere.mechanics.layout import ANSWER_X_MAX
+    from uqsphere.mechanics.integrator.solve import integrate
+    from uqsphere.mechanics.integrator.tracked import ANSWER_X_MAX
     from uqsphere.mechanics.plain import integrate_plain
     from uqsphere.model import scene_of
     from uqsphere.study import load_study, shipped_studies

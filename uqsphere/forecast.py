@@ -193,7 +193,7 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
 
 def _fracture(study: Study, budget: float) -> tuple[float, float]:
     """Evaluations for the moment of fracture, the first loading, and the curve of all limits that break the sphere."""
-    from uqsphere.mechanics.loading import path_of
+    from uqsphere.mechanics.criteria import path_of
 
     limits = [limit for limit in study.limits if limit.fracture is not False]
     limits = [limit for limit in limits if path_of(limit.quantity, study.demands) is not None]

@@ -17,8 +17,8 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.mechanics.dynamics import Answers
-    from uqsphere.mechanics.fallback import Fallback
+    from uqsphere.mechanics.fidelity import Fallback
+    from uqsphere.mechanics.integrator.solve import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = [
@@ -142,7 +142,8 @@ def solve_scene(
     scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
 ) -> Answers:
     """Answers of one fidelity for all rows of a scene: in closed form where there is one, else integrated."""
-    from uqsphere.mechanics import closed_form, dynamics
+    from uqsphere.mechanics import closed_form
+    from uqsphere.mechanics.integrator import solve as dynamics
 
     if closed_form.closed_form_applies(scene, fidelity):
         return closed_form.solve_closed(scene, fidelity, quantities)
@@ -275,7 +276,7 @@ def answer(
     names : d dotted paths (black box: bare names) that the columns of `rows` belong to.
     rows : (n, d) array, SI.
     quantities : q names of `uqsphere.quantities.OUTPUTS`, or the black box's outputs.
-    fidelity, tolerance, threads : see `uqsphere.mechanics.dynamics.solve`.
+    fidelity, tolerance, threads : see `uqsphere.mechanics.integrator.solve.solve`.
     black_box : the user's model, for a black-box study.
     fallback : which rows a cheaper fidelity leaves to `full`; none if None.
     needed : the outputs without which a black box's row has failed, all if None; numbers of a failed row are then

@@ -9,7 +9,7 @@ __all__ = ["MUTANTS"]
 
 CONTACT, BARS, PULSES = "mechanics/contact.py", "mechanics/bars.py", "mechanics/pulses.py"
 CLOSED, SCENE, CRITERIA = "mechanics/closed_form.py", "mechanics/scene.py", "mechanics/criteria.py"
-VALIDITY, DYNAMICS = "mechanics/validity.py", "mechanics/dynamics.py"
+VALIDITY, DYNAMICS = "mechanics/validity.py", "mechanics/integrator/solve.py"
 ESTIMATORS, TOLERANCE, ESTIMATES = "uq/estimators.py", "uq/tolerance.py", "uq/estimates.py"
 RELIABILITY, LAWS, FAMILIES = "uq/reliability.py", "uq/distribution.py", "uq/families.py"
 COPULAS, MOMENTS, CONTROL, MARGINS = "uq/copulas.py", "uq/moments.py", "uq/control.py", "uq/margins.py"

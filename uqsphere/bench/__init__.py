@@ -25,9 +25,9 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
     """
     from uqsphere.bench.machine import describe_machine, massless_rate, memory_of, peak_rate, ready_seconds
     from uqsphere.bench.measure import cost_tables, measure_scene, reference_gap
+    from uqsphere.bench.peak import STEP_WORK
     from uqsphere.bench.scenes import bench_scenes
     from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
-    from uqsphere.mechanics.peak import STEP_WORK
     from uqsphere.report.canvas import render, style
 
     if folder.exists() and any(folder.iterdir()) and not (folder / "bench.json").is_file():

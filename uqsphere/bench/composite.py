@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.bench.scenes import scattered_scene
 from uqsphere.mechanics.closed_form import loading_approach
-from uqsphere.mechanics.dynamics import integrate
+from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["composite_peak", "peak_errors"]

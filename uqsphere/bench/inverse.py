@@ -22,8 +22,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.dynamics import Motion, motion
 from uqsphere.mechanics.history import waves_at
+from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
 from uqsphere.records.faces import Faces, Rig, at_faces
 from uqsphere.records.inverse import Inverse, invert

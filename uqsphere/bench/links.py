@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.criteria import ring_crack_force
-from uqsphere.mechanics.stress.series import Load, series_stress
-from uqsphere.mechanics.stress.surface import surface_stress
+from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 
 __all__ = ["Comparison", "compare_links", "principal_field"]
 

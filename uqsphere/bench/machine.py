@@ -17,7 +17,7 @@ __all__ = ["describe_machine", "massless_rate", "memory_of", "peak_rate", "ready
 
 def describe_machine() -> dict[str, Any]:
     """Processor, processors this process may use, Python and packages; nothing that names a machine or a user."""
-    from uqsphere.mechanics.dynamics import thread_count
+    from uqsphere.mechanics.integrator.solve import thread_count
 
     model = platform.processor() or platform.machine()
     cpu = Path("/proc/cpuinfo")
@@ -44,7 +44,7 @@ def describe_machine() -> dict[str, Any]:
 _READY = """
 import time; begin = time.perf_counter()
 from uqsphere.bench.scenes import scattered_scene
-from uqsphere.mechanics.dynamics import integrate
+from uqsphere.mechanics.integrator.solve import integrate
 integrate(scattered_scene(16), quantities=("p_max",))
 print(time.perf_counter() - begin)
 """
@@ -53,7 +53,7 @@ import sys, resource
 from pathlib import Path
 import numpy as np
 from uqsphere.bench.scenes import scattered_scene
-from uqsphere.mechanics.dynamics import solve
+from uqsphere.mechanics.integrator.solve import solve
 rows, chunk, done = int(sys.argv[1]), 65536, 0
 best = 0.0
 while done < rows:
@@ -103,7 +103,7 @@ def peak_rate() -> float | None:
 
     if find_spec("numba") is None:
         return None
-    from uqsphere.mechanics.peak import vector_work
+    from uqsphere.bench.peak import vector_work
 
     vector_work(10)
     rounds, best = 20_000, np.inf

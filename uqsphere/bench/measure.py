@@ -16,7 +16,9 @@ import numpy.typing as npt
 
 from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
 from uqsphere.bench.scenes import BenchScene, scattered_scene
-from uqsphere.mechanics import closed_form, dynamics, layout
+from uqsphere.mechanics import closed_form
+from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.integrator import tracked as layout
 from uqsphere.mechanics.plain import integrate_plain
 from uqsphere.mechanics.scene import Scene
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.dynamics import scaled_arguments
+from uqsphere.mechanics.integrator.solve import scaled_arguments
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["METHODS", "Compiled", "heyoka_present", "solve_heyoka", "solve_scipy"]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.bench.hard_scenes import Design, as_inputs, rows_of
-from uqsphere.mechanics.dynamics import Answers, solve
+from uqsphere.mechanics.integrator.solve import Answers, solve
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
 

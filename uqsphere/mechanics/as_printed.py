@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
-from uqsphere.mechanics.dynamics import motion, solve
 from uqsphere.mechanics.history import states_at
+from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 
 __all__ = [

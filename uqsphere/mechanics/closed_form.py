@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.dynamics import Answers, to_si
+from uqsphere.mechanics.integrator.solve import Answers, to_si
 from uqsphere.mechanics.scene import Scene
 
 __all__ = [

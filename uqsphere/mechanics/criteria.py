@@ -18,34 +18,89 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.product import fineness_of
 from uqsphere.mechanics.stress import tables
-
-Array = npt.NDArray[np.float64]
-Columns = Mapping[str, Any]
-Parameters = Mapping[str, float]
-#: further quantities: name -> criterion and its parameters
-Demands = Mapping[str, tuple[str, Parameters]]
 
 __all__ = [
     "CRITERIA",
+    "DIAMETERS",
+    "ENERGIES",
     "PARAMETERS",
+    "PATHS",
     "QUANTITIES",
     "Criterion",
     "Parameter",
+    "Path",
     "columns_behind",
     "demand",
     "dynamic_increase",
     "equivalent_tension",
     "field_quantities",
+    "fineness_of",
     "fracture_energy",
     "hiramatsu_oka_tension",
     "in_range",
+    "path_of",
+    "product_fineness",
     "ring_crack_force",
     "ring_crack_toughness",
     "size_factor",
     "truncated_energy",
 ]
+
+# --- The product of crushing: how fine a sphere becomes that breaks, from the energy that it was given, theory (31).
+
+Array = npt.NDArray[np.float64]
+
+#: specific energies [J/kg] and sizes [m] of the drop-weight test that A and b are fitted to: 0.1 to 2.5 kWh/t,
+#: 13.2 to 63 mm (Napier-Munn and others 1996, from memory)
+ENERGIES: Final = (0.1 * 3600.0, 2.5 * 3600.0)
+DIAMETERS: Final = (0.0132, 0.063)
+
+
+def product_fineness(specific_energy: Any, A: Any, b: Any) -> Array:
+    """t10 = A (1 - exp(-b Ecs)): share of the product's mass that is finer than a tenth of the particle, theory (31).
+
+    Parameters
+    ----------
+    specific_energy : array
+        Ecs, the energy given to the particle over its mass [J/kg], from 0.
+    A : array
+        The largest t10, a share in (0, 1].
+    b : array
+        [kg/J]; A b is the slope at small energies.
+
+    Returns
+    -------
+    array
+        Of the shape that the arguments broadcast to, from 0 to A.
+
+    Valid for 0.1 to 2.5 kWh/t and particles of 13 to 63 mm, which the check ``range_of_t10`` looks at.  T. J.
+    Napier-Munn, S. Morrell, R. D. Morrison, T. Kojovic, Mineral Comminution Circuits, JKMRC, 1996.
+
+    >>> round(float(product_fineness(3600.0, 0.55, 0.8 / 3600.0)), 4)
+    0.3029
+    """
+    return np.asarray(-np.asarray(A) * np.expm1(-np.asarray(b) * np.asarray(specific_energy)), dtype=float)
+
+
+def fineness_of(columns: Mapping[str, Any]) -> Array:
+    """t10 of n rows, from the columns `specific_energy`, `product.A` and `product.b`.
+
+    Raises
+    ------
+    ValueError
+        Where the scene has no A and b.
+    """
+    if "product.A" not in columns or "product.b" not in columns:
+        raise ValueError("t10 needs product.A and product.b: add a table [product] with A and b")
+    return product_fineness(columns["specific_energy"], columns["product.A"], columns["product.b"])
+
+
+Columns = Mapping[str, Any]
+Parameters = Mapping[str, float]
+#: further quantities: name -> criterion and its parameters
+Demands = Mapping[str, tuple[str, Parameters]]
+
 
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
 AUERBACH: Final = 8.6e3
@@ -419,3 +474,54 @@ QUANTITIES: Final[dict[str, str]] = {
     if entry.quantity in ("core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear",
                           "ring_crack_toughness")
 }  # fmt: skip
+
+
+# --- How the quantities that a sphere can break by follow its loading: with the force or with the energy so far.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Path:
+    """How a quantity follows the loading.
+
+    Attributes
+    ----------
+    over : str
+        `force` or `energy`: the quantity rises with the largest one so far.
+    criterion : str or None
+        Key of `CRITERIA` whose formula it is; None for the force or energy itself.
+    parameters : mapping of str to float
+        Those of the criterion without `rate_0`, whose factor is one number per sample.
+    early : bool
+        Only what comes before the first reflected wave counts.
+    """
+
+    over: str
+    criterion: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    early: bool = False
+
+
+#: quantities of interest whose exceedance can mean fracture
+PATHS: Final[dict[str, Path]] = {
+    "P_max": Path(over="force"),
+    "first_peak": Path(over="force", criterion="contact_pressure", early=True),
+    "energy": Path(over="energy"),
+    **{
+        entry.quantity: Path(over="energy" if name == "specific_energy" else "force", criterion=name)
+        for name, entry in CRITERIA.items()
+        if entry.quantity is not None
+    },
+}
+
+
+def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
+    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
+
+    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_time")
+    ('force', 'energy', None)
+    """
+    if quantity not in demands:
+        return PATHS.get(quantity)
+    name, parameters = demands[quantity]
+    kept = {key: value for key, value in parameters.items() if key != "rate_0"}
+    return Path(over="energy" if name == "specific_energy" else "force", criterion=name, parameters=kept)

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.dynamics import Motion
+from uqsphere.mechanics.field import Solution, arriving, leaving
+from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.scene import STATUS, Scene
-from uqsphere.mechanics.waves import Solution, arriving, leaving
 
 __all__ = ["Damper", "damper_from_impedance", "reflected_wave", "solve_with_damper"]
 

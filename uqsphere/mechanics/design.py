@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import bars, contact, dynamics
-from uqsphere.mechanics.criteria import Demands
+from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.criteria import Demands, Path
 from uqsphere.mechanics.fracture import first_fractures
-from uqsphere.mechanics.loading import Path
+from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.validity import RULES
@@ -175,13 +175,13 @@ def break_on_ramp(
     quantities : L names
         What each limit holds against its strength.
     paths : L of Path
-        How it follows the loading, `uqsphere.mechanics.loading.path_of`.
+        How it follows the loading, `uqsphere.mechanics.criteria.path_of`.
     strengths : (m, L) array
         SI, over the model factor.  A criterion with an effect of rate takes the rate of the whole rise.
     fidelity : str
         `full` or `massless`.
     tolerance, threads
-        See `uqsphere.mechanics.dynamics.solve`.
+        See `uqsphere.mechanics.integrator.solve.solve`.
     """
     n, m = len(scene), len(strengths)
     found = dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)

@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.dynamics import MODES, march_rows, scaled_arguments, thread_count
-from uqsphere.mechanics.layout import ANSWER_END, WANT_ENERGY, empty_answers
-from uqsphere.mechanics.loading import Path
+from uqsphere.mechanics.criteria import CRITERIA, Path, demand
+from uqsphere.mechanics.integrator.solve import MODES, march_rows, scaled_arguments, thread_count
+from uqsphere.mechanics.integrator.tracked import ANSWER_END, WANT_ENERGY, empty_answers
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Fractures", "first_fractures"]

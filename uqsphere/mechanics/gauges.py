@@ -12,9 +12,18 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import check_position, field_at, last_time
+from uqsphere.mechanics.field import (
+    BARS,
+    Solution,
+    arriving,
+    check_position,
+    field_at,
+    force_at,
+    last_time,
+    leaving,
+    states_at,
+)
 from uqsphere.mechanics.history import History, largest
-from uqsphere.mechanics.waves import BARS, Solution, arriving, force_at, leaving, states_at
 
 __all__ = [
     "BarForces",

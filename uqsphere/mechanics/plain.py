@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import layout
+from uqsphere.mechanics.integrator import tracked as layout
 from uqsphere.mechanics.plain_series import DEGREE, THETAS, TO_INTEGRALS, TO_TERMS, apply, crossing, tops, value_at
 from uqsphere.mechanics.plain_waves import Waves, incoming
 from uqsphere.mechanics.scene import Scene
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.dynamics import Scaled
+    from uqsphere.mechanics.integrator.solve import Scaled
 
 __all__ = ["integrate_plain", "march_plain"]
 
@@ -323,11 +323,11 @@ def integrate_plain(
     threads: int | None = None,
     quantities: Collection[str] | None = None,
 ) -> Scaled:
-    """The same as `uqsphere.mechanics.dynamics.integrate`, by collocation; contacts left undecided have no status.
+    """The same as `integrate` of the compiled integrator, by collocation; contacts left undecided have no status.
 
     threads is accepted and not used.
     """
-    from uqsphere.mechanics.dynamics import MODES, Scaled, scaled_arguments, wishes
+    from uqsphere.mechanics.integrator.solve import MODES, Scaled, scaled_arguments, wishes
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)

@@ -41,7 +41,7 @@ class Waves:
 
     @classmethod
     def begin(cls, arguments: dict[str, Any]) -> Waves:
-        """No wave has left yet; `arguments` as of `uqsphere.mechanics.dynamics`."""
+        """No wave has left yet; `arguments` as of `uqsphere.mechanics.integrator.solve`."""
         trips, horizon = arguments["round_trips"], arguments["horizon"]
         n = len(horizon)
         stops, crowded = _all_stops(arguments["breaks"], trips, horizon)

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.measured import MeasuredPulse
-from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, Pulse, build_pulse
+from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
 from uqsphere.quantities import INPUTS
 
 __all__ = ["STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]

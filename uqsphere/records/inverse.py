@@ -19,10 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.dynamics import Motion, motion
 from uqsphere.mechanics.history import waves_at
-from uqsphere.mechanics.measured import NOISE_MODES, MeasuredPulse, noise_names
-from uqsphere.mechanics.pulses import pulse_value
+from uqsphere.mechanics.integrator.solve import Motion, motion
+from uqsphere.mechanics.pulses import NOISE_MODES, MeasuredPulse, noise_names, pulse_value
 from uqsphere.mechanics.scene import Scene
 from uqsphere.records.faces import Faces
 from uqsphere.records.pulse import fit_pulse

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.dispersion import correct, first_mode
-from uqsphere.mechanics.measured import MeasuredPulse
+from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.records.mending import Record, Wiring, find_onset, make_record, set_baseline, turn_sign
 from uqsphere.records.reading import RecordError, read_table
 

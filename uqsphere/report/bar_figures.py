@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import last_time
-from uqsphere.mechanics.field_view import shown_time
+from uqsphere.mechanics.field import BARS, force_at, last_time, states_at
 from uqsphere.mechanics.gauges import BarForces, bar_forces, equilibrium, force_imbalance, gauge_strain
-from uqsphere.mechanics.waves import BARS, force_at, states_at
+from uqsphere.mechanics.history import shown_time
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, Picture

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.mechanics.field_view import view_field
+from uqsphere.mechanics.history import view_field
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.quantities import reading_units, unit_that_reads
 from uqsphere.report import bar_figures, canvas

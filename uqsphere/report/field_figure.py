@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import field_grid
-from uqsphere.mechanics.field_view import FieldView, extent
-from uqsphere.mechanics.waves import BARS
+from uqsphere.mechanics.field import BARS, field_grid
+from uqsphere.mechanics.history import FieldView, extent
 from uqsphere.quantities import display_unit, reading_units, unit_that_reads
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, LIGHT, ON_LIGHT, PAPER, RED, Picture

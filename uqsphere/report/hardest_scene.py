@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.mechanics.field_view import FieldView
+from uqsphere.mechanics.history import FieldView
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents

@@ -14,7 +14,7 @@ from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from uqsphere.mechanics.measured import MeasuredPulse
+    from uqsphere.mechanics.pulses import MeasuredPulse
     from uqsphere.records.faces import Faces
     from uqsphere.records.inverse import Inverse
     from uqsphere.records.mending import Record

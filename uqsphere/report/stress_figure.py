@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.stress.series import Load, series_stress
-from uqsphere.mechanics.stress.surface import surface_stress
+from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
 from uqsphere.quantities import format_value
 from uqsphere.report import canvas

@@ -24,7 +24,7 @@ from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Limit
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.integrator.solve import Answers
 
 __all__ = ["judge_answers"]
 

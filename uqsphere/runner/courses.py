@@ -41,10 +41,9 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
         `time` (m) [s]; `force_a`, `force_b`: level -> (m) [N]; `hardest`: the hardest scene of all samples by a
         quantity that the run computed, else the one of those followed with the largest force: `by` what and `among`
         how many, its `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0
-        [Pa], at the largest pressure) and its `bars` (`uqsphere.mechanics.field_view`); `scenes`, `fidelity`.
+        [Pa], at the largest pressure) and its `bars` (`uqsphere.mechanics.history`); `scenes`, `fidelity`.
     """
-    from uqsphere.mechanics.field_view import view_field
-    from uqsphere.mechanics.history import force_courses, trace
+    from uqsphere.mechanics.history import force_courses, trace, view_field
     from uqsphere.model import scene_of
 
     names = work.scene_names

@@ -105,9 +105,8 @@ def history_summary(found: History) -> dict[str, Any]:
 
 def _bars(found: History) -> dict[str, Any]:
     """What the bars see: equilibrium of the forces, first tension, and waves that overlap at a gauge."""
-    from uqsphere.mechanics.field import first_tension, tension_level
+    from uqsphere.mechanics.field import BARS, first_tension, tension_level
     from uqsphere.mechanics.gauges import equilibrium
-    from uqsphere.mechanics.waves import BARS
 
     balance = equilibrium(found)
     level = f"{100.0 * balance.level:.0f} %"

@@ -140,8 +140,8 @@ def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Arra
 
 def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[str, Any]:
     """Shares, order and quantiles over the specimens drawn."""
+    from uqsphere.mechanics.criteria import path_of
     from uqsphere.mechanics.fracture import first_fractures
-    from uqsphere.mechanics.loading import path_of
     from uqsphere.mechanics.validity import check_at_fracture
 
     work, shape = pool.work, drawn.rows.shape

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.fallback import Fallback, fit_error_law
+from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.runner.remember import remembered
 from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.integrator.solve import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look", "pilot_points"]
@@ -354,8 +354,7 @@ def _why(
 
 def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> list[dict[str, Any]]:
     """Every validity check of a batch as plain JSON."""
-    from uqsphere.mechanics.criterion_ranges import check_ranges
-    from uqsphere.mechanics.validity import check_validity
+    from uqsphere.mechanics.validity import check_ranges, check_validity
 
     return [_check(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
 

@@ -15,8 +15,8 @@ from uqsphere.runner.chunks import fingerprint
 from uqsphere.store import Store
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.dynamics import Answers
     from uqsphere.mechanics.fracture import Fractures
+    from uqsphere.mechanics.integrator.solve import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = ["remembered", "remembered_fractures"]
@@ -96,7 +96,7 @@ def _packed(answers: Answers) -> Table:
 
 
 def _unpacked(table: Table) -> Answers | None:
-    from uqsphere.mechanics.dynamics import Answers
+    from uqsphere.mechanics.integrator.solve import Answers
 
     names = table.dtype.names or ()
     if not {"status", "record", "steps"} <= set(names):

@@ -38,7 +38,7 @@ NEGLIGIBLE: Final = 1e-6
 
 def fracture_limits(study: Study) -> tuple[Limit, ...]:
     """The limits of a study whose exceedance breaks the sphere."""
-    from uqsphere.mechanics.loading import path_of
+    from uqsphere.mechanics.criteria import path_of
 
     if study.black_box:
         return ()

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import TooManyFailures
-from uqsphere.mechanics.fallback import Fallback
+from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import (
     ROUTE_ASKED,
     ROUTE_FULL,

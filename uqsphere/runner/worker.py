@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 import uqsphere
 from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError
-from uqsphere.mechanics.fallback import Fallback
+from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import (
     STATUS_RAISED,
     Answered,

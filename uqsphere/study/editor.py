@@ -11,8 +11,7 @@ from typing import Any, Final, get_args
 
 from uqsphere.materials import material_names
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.measured import noise_names
-from uqsphere.mechanics.pulses import PRESETS
+from uqsphere.mechanics.pulses import PRESETS, noise_names
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, Quantity, units_of
 from uqsphere.records.mending import SIGNAL_UNITS
 from uqsphere.study.gauges import GAUGE_BARS, MOST_GAUGES

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.mechanics.measured import MeasuredPulse
+from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
 
 if TYPE_CHECKING:

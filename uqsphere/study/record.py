@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.mechanics.measured import MeasuredPulse, noise_names
+from uqsphere.mechanics.pulses import MeasuredPulse, noise_names
 from uqsphere.quantities import UnitError, parse_value
 from uqsphere.study.columns import inside_folder
 from uqsphere.study.findings import Findings, Place, shown

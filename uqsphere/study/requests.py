@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.mechanics.loading import PATHS
+from uqsphere.mechanics.criteria import PATHS
 from uqsphere.quantities import OUTPUTS, Quantity, lookup
 from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, with_modulus_of
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.materials import KINDS, library
-from uqsphere.mechanics.measured import MeasuredPulse
-from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
+from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.nouns import Source

@@ -1,7 +1,7 @@
 """The reference: one scene at a time, by a method of its own, to about 1e-15.
 
 It solves theory (9) for the full model, with every pulse and every end of the bars, and answers all quantities
-that `uqsphere.mechanics.dynamics` answers.  It is slow (a tenth of a second to ten seconds a scene) and it
+that `uqsphere.mechanics.integrator.solve` answers.  It is slow (a tenth of a second to ten seconds a scene) and it
 says so when a scene would take more steps than it may: no answer rather than a doubtful one.
 
 Steps are those of `uqsphere.bench.reference.steps`.  A step ends where the pulse, or a reflection of it, jumps or

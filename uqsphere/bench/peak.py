@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.series import ORDER, PAIR, TERMS
-from uqsphere.mechanics.vectors import products, row
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.step import ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.vectors import products, row
 
 __all__ = ["STEP_WORK", "vector_work"]
 

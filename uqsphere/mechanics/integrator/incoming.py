@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
-from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.series import INNER, LANES, ORDER, PAIR, TERMS
-from uqsphere.mechanics.vectors import apart, elementwise, mix, row, values_at, where
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.step import INNER, LANES, ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, values_at, where
 
 __all__ = ["QUEUE", "WAVE", "add_echo", "echo_steps", "enter_piece", "incident", "next_break", "reflect_break"]
 

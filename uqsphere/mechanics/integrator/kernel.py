@@ -14,10 +14,11 @@ import math
 
 import numpy as np
 
-from uqsphere.mechanics import events, layout
-from uqsphere.mechanics.compiled import compiled
-from uqsphere.mechanics.glide import GLIDE_ROOM, SMALL_MU, calm_after, glide
-from uqsphere.mechanics.incoming import (
+from uqsphere.mechanics.integrator import events
+from uqsphere.mechanics.integrator import tracked as layout
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.events import finish, look, settled
+from uqsphere.mechanics.integrator.incoming import (
     QUEUE,
     WAVE,
     add_echo,
@@ -27,11 +28,23 @@ from uqsphere.mechanics.incoming import (
     next_break,
     reflect_break,
 )
-from uqsphere.mechanics.lookout import look, settled
-from uqsphere.mechanics.record import finish
-from uqsphere.mechanics.series import LANES, ORDER, PAIR, TERMS, evaluate, expand, longest, touch_off, unlike_root
-from uqsphere.mechanics.vectors import bare
-from uqsphere.mechanics.vectors import row as row_of
+from uqsphere.mechanics.integrator.step import (
+    GLIDE_ROOM,
+    LANES,
+    ORDER,
+    PAIR,
+    SMALL_MU,
+    TERMS,
+    calm_after,
+    evaluate,
+    expand,
+    glide,
+    longest,
+    touch_off,
+    unlike_root,
+)
+from uqsphere.mechanics.integrator.vectors import bare
+from uqsphere.mechanics.integrator.vectors import row as row_of
 
 __all__ = ["march"]
 

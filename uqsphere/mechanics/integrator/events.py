@@ -1,0 +1,624 @@
+"""What happens inside the steps of a row: loss of contact, touch, threshold crossings, the end of the record.
+
+`look` says for all lanes in which steps anything can happen; only those are searched by `after_step`, on the series of
+the step, so that an event is located far better than the steps are long.  `finish` sums up a row whose record has
+ended.  A piece is the part of a step's series that belongs to one lane, (2, TERMS), powers of theta; all quantities are
+the scaled ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.step import INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.integrator.tracked import (
+    ANSWER_CONTACT,
+    ANSWER_CONTACT_CENSORED,
+    ANSWER_DEPTH,
+    ANSWER_DIFFERENCE,
+    ANSWER_END,
+    ANSWER_ENERGY,
+    ANSWER_LOSS_RATE,
+    ANSWER_NEAREST,
+    ANSWER_RISE,
+    ANSWER_RISES,
+    ANSWER_WIDTH,
+    ANSWER_WIDTH_CENSORED,
+    ANSWER_WIDTHS,
+    ANSWER_X_FIRST,
+    ANSWER_X_MAX,
+    DEPTH,
+    DIFFERENCE,
+    ENDED,
+    ENERGY,
+    FACE_A,
+    FACE_B,
+    KINDS,
+    LOSS_RATE,
+    LOST,
+    NEAREST,
+    POINTS,
+    SOMETHING,
+    TOUCHED_A,
+    TOUCHED_B,
+    TRACKS,
+    WANT_CONTACT,
+    WANT_DIFFERENCE,
+    WANT_ENERGY,
+    WANT_RISE,
+    WANT_WIDTH,
+    X_FIRST,
+)
+from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
+
+__all__ = [
+    "after_step",
+    "begin",
+    "combine",
+    "finish",
+    "look",
+    "passage",
+    "reach",
+    "settled",
+]
+
+
+@compiled(**INNER)
+def value(piece, face, theta):
+    """Approach of a face inside a step."""
+    total = piece[face, ORDER]
+    for k in range(ORDER - 1, -1, -1):
+        total = total * theta + piece[face, k]
+    return total
+
+
+@compiled(**INNER)
+def both(piece, face, theta):
+    """Approach of a face inside a step and its derivative by theta."""
+    total, rate = piece[face, ORDER], 0.0
+    for k in range(ORDER - 1, -1, -1):
+        rate = rate * theta + total
+        total = total * theta + piece[face, k]
+    return total, rate
+
+
+@compiled(**INNER)
+def combine(kind, mode, x1, x2, d1, d2):
+    """Value and derivative of a searched function from the approaches and their derivatives."""
+    if kind == FACE_A:
+        return x1, d1
+    if kind == FACE_B:
+        return x2, d2
+    if x1 <= 0.0:
+        x1, d1 = 0.0, 0.0
+    if x2 <= 0.0:
+        x2, d2 = 0.0, 0.0
+    if mode == 1:
+        if kind == DIFFERENCE:
+            return x1 - x2, d1 - d2
+        return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
+    root1, root2 = math.sqrt(x1), math.sqrt(x2)
+    if kind == DIFFERENCE:
+        return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
+    return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
+
+
+@compiled(**INNER)
+def _measure(kind, mode, piece, theta):
+    """Value and derivative of one of the searched functions inside a step."""
+    if kind <= FACE_B:
+        return both(piece, kind, theta)
+    x1, d1 = both(piece, 0, theta)
+    x2, d2 = both(piece, 1, theta)
+    return combine(kind, mode, x1, x2, d1, d2)
+
+
+@compiled(**INNER)
+def reach(left, left_slope, right, right_slope):
+    """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
+    top = max(left, right)
+    if left_slope > 0.0 and right_slope < 0.0:
+        top += 1.2 * left_slope * right_slope / (right_slope - left_slope)
+    return top
+
+
+@compiled(**INNER)
+def _root(piece, face, level, a, b):
+    """Where a face passes `level` between a and b, which bracket it; regula falsi with the Illinois rule."""
+    apart()
+    at_a, at_b = value(piece, face, a) - level, value(piece, face, b) - level
+    # an end may be the root itself, to the last bit: there is then nothing left to bracket
+    if at_a == 0.0:
+        return a
+    if at_b == 0.0 or (at_a < 0.0) == (at_b < 0.0):
+        return b
+    for _ in range(100):
+        if abs(b - a) < 1e-14 or at_b == at_a:
+            break
+        c = b - at_b * (b - a) / (at_b - at_a)
+        if c == b:
+            return b
+        if not min(a, b) < c < max(a, b):
+            c = 0.5 * (a + b)
+        at_c = value(piece, face, c) - level
+        if abs(c - b) < 1e-15 or at_c == 0.0:
+            return c
+        if (at_c < 0.0) != (at_b < 0.0):
+            a, at_a = b, at_b
+        else:
+            at_a *= 0.5
+        b, at_b = c, at_c
+    return b
+
+
+@compiled(**INNER)
+def _extremum(kind, mode, piece, a, b, slope_a, slope_b):
+    """theta between a and b at which the slope of a searched function changes sign, as it does at the ends."""
+    apart()
+    for _ in range(40):
+        c = b - slope_b * (b - a) / (slope_b - slope_a)
+        if not min(a, b) < c < max(a, b):
+            c = 0.5 * (a + b)
+        _, slope_c = _measure(kind, mode, piece, c)
+        if abs(c - b) < 1e-6 or slope_c == 0.0:
+            return c
+        if (slope_c < 0.0) != (slope_b < 0.0):
+            a, slope_a = b, slope_b
+        else:
+            slope_a *= 0.5
+        b, slope_b = c, slope_c
+    return b
+
+
+@compiled(**INNER)
+def passage(piece, face, level, sign, begin, end):
+    """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
+    apart()
+    width = (end - begin) / POINTS
+    a = begin
+    at_a, slope_a = both(piece, face, a)
+    at_a, slope_a = sign * (at_a - level), sign * slope_a
+    if at_a >= 0.0:
+        return begin
+    for k in range(1, POINTS + 1):
+        b = begin + k * width if k < POINTS else end
+        at_b, slope_b = both(piece, face, b)
+        at_b, slope_b = sign * (at_b - level), sign * slope_b
+        if at_b >= 0.0:
+            return _root(piece, face, level, a, b)
+        if slope_a * width > 0.0 > slope_b * width and reach(at_a, slope_a * width, at_b, slope_b * width) >= 0.0:
+            # the search measures the slopes themselves, without the sign; at a face no mode matters
+            peak = _extremum(face, face, piece, a, b, sign * slope_a, sign * slope_b)
+            if sign * (value(piece, face, peak) - level) >= 0.0:
+                return _root(piece, face, level, a, peak)
+        a, at_a, slope_a = b, at_b, slope_b
+    return math.nan
+
+
+@compiled(**INNER)
+def _survey(piece, end, grid):
+    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, POINTS + 1)."""
+    apart()
+    for face in range(2):
+        for i in range(POINTS + 1):
+            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / POINTS)
+
+
+@compiled(**INNER)
+def _largest(kind, mode, piece, end, grid, known):
+    """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
+    apart()
+    width = end / POINTS
+    left, left_slope = combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
+    known = max(known, abs(left))
+    for i in range(1, POINTS + 1):
+        right, right_slope = combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
+        known = max(known, abs(right))
+        sign = 1.0 if left + right >= 0.0 else -1.0
+        top = reach(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+        if top > max(known, max(abs(left), abs(right))):
+            peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope)
+            at_peak, _ = _measure(kind, mode, piece, peak)
+            known = max(known, abs(at_peak))
+        left, left_slope = right, right_slope
+    return known
+
+
+@compiled(**INNER)
+def _may_pass(grid, face, sign, width, level):
+    """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
+    apart()
+    for i in range(POINTS):
+        left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
+        right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
+        if reach(left, left_slope, right, right_slope) >= -level:
+            return True
+    return False
+
+
+@compiled(**INNER)
+def begin(track, lane):
+    """Reset the trackers of a lane."""
+    apart()
+    for k in range(TRACKS):
+        track[k, lane] = 0.0
+    track[LOST, lane] = math.nan
+    track[ENDED, lane] = math.nan
+    track[DEPTH, lane] = math.inf
+    track[NEAREST, lane] = math.inf
+
+
+@compiled(**INNER)
+def _both_below(piece, level, theta):
+    """First theta in [0, theta] at which both approaches lie below `level`, or NaN."""
+    apart()
+    at = 0.0
+    for _ in range(8 * POINTS):
+        found = at
+        for face in range(2):
+            found = passage(piece, face, level, -1.0, found, theta)
+            if math.isnan(found):
+                return found
+        if found == at:
+            return found
+        at = found
+    return math.nan
+
+
+@compiled(**INNER)
+def _lowest(piece, face, end, grid):
+    """Smallest local minimum of a pressed face's approach in [0, end] and its theta, or infinity."""
+    apart()
+    width = end / POINTS
+    least, place = math.inf, 0.0
+    for i in range(POINTS):
+        left, right = grid[face, 1, i], grid[face, 1, i + 1]
+        if left < 0.0 < right:
+            found = _extremum(face, face, piece, i * width, (i + 1) * width, left, right)
+            at = value(piece, face, found)
+            if 0.0 < at < least:
+                least, place = at, found
+    return least, place
+
+
+@compiled(**INNER)
+def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
+    """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
+
+    A pressed face whose approach lingers below `hover` is as near to leaving as one that turns there.
+    graze > 0: an approach that falls below it counts as a loss; graze < 0: an excursion that stays shallower than
+    -graze does not.  The third result says whether a loss was counted, -1 no, else the face.
+    """
+    apart()
+    ends, why, lost = theta, 0, -1
+    for face in range(2):
+        pressed = piece[face, 0] > 0.0
+        if pressed and track[TOUCHED_A + face, lane] == 0.0:
+            continue
+        if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
+            continue
+        level = near if pressed else 0.0
+        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS, level):
+            continue
+        # a face that left at the start of this step is clear of zero a little later
+        clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
+        found = passage(piece, face, 0.0, -1.0 if pressed else 1.0, clear, ends)
+        if not math.isnan(found):
+            ends, why = found, 2 + face
+            continue
+        if pressed and near > 0.0:
+            least, place = _lowest(piece, face, theta, grid)
+            if least < near and place < ends:
+                track[NEAREST, lane] = min(track[NEAREST, lane], least)
+                if least < graze:
+                    ends, why, lost = place, 1, face
+            elif max(piece[face, 0], grid[face, 0, POINTS]) < hover:
+                track[NEAREST, lane] = min(track[NEAREST, lane], grid[face, 0, POINTS])
+                found = passage(piece, face, graze, -1.0, 0.0, ends) if graze > 0.0 else math.nan
+                if not math.isnan(found):
+                    ends, why, lost = found, 1, face
+    if why > 1 and piece[why - 2, 0] > 0.0:
+        face = why - 2
+        _, rate = both(piece, face, ends)
+        # the face now moves freely: it turns after a depth of rate²/(2 acceleration)
+        bend = 0.0
+        for k in range(ORDER, 1, -1):
+            bend = bend * ends + k * (k - 1.0) * piece[face, k]
+        depth = 0.5 * rate * rate / bend if bend > 0.0 else math.inf
+        if depth >= -graze:
+            lost = face
+            if math.isnan(track[LOST, lane]):
+                track[DEPTH, lane] = depth
+    if lost >= 0 and math.isnan(track[LOST, lane]):
+        track[LOST, lane] = before + ends * h
+        _, rate = both(piece, lost, ends)
+        track[LOSS_RATE, lane] = abs(rate) / h
+    return ends, why, lost
+
+
+@compiled(**INNER)
+def after_step(
+    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
+):  # fmt: skip
+    """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
+
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
+    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
+    `low` > 0 the share of the largest approach below which the record ends; for the others see `_faces`.
+    grid (face, 2, POINTS + 1): values and slopes over [0, theta].
+    """
+    apart()
+    ends, why = theta, 0
+    if flags & SOMETHING:
+        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
+        if lost >= 0 and stop_at_loss:
+            why = 1
+        elif why == 1:
+            ends, why = theta, 0
+    if ends < theta:
+        _survey(piece, ends, grid)
+    known = track[FACE_A, lane]
+    if flags & (1 << FACE_A):
+        for face in range(2):
+            known = _largest(face, mode, piece, ends, grid, known)
+        track[FACE_A, lane] = known
+    for kind in range(DIFFERENCE, KINDS):
+        if flags & (1 << kind):
+            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane])
+    for face in range(2):
+        if grid[face, 0, POINTS] > max(50.0 * tiny, 2.0 * hover):
+            track[TOUCHED_A + face, lane] = 1.0
+    if before < echo * (1.0 - 1e-12):
+        track[X_FIRST, lane] = known
+    if low > 0.0:
+        found = _both_below(piece, low * known, ends)
+        if not math.isnan(found):
+            ends, why = found, 1
+            if track[LOST, lane] > before + ends * h:  # a loss after the record's end is none
+                track[LOST, lane], track[DEPTH, lane] = math.nan, math.inf
+    if why == 1:
+        track[ENDED, lane] = before + ends * h
+    return ends, why
+
+
+# --- What all lanes can have met in a step: the largest approach, and a warning where a search has to follow.
+# Values and slopes at a few points of the step bound what the approaches reach between them.  The top of a bend is
+# refined by Newton's iteration on the series, for all lanes together.  An energy argument (`settled`) says when
+# nothing that is wanted can change any more.
+
+
+def _bounds(left, right, left_slope, right_slope, width, begin, best, top, second, place, bent, floor):
+    """One part of a step: what the approach can reach above and below, where, and by a bend or at an end."""
+    left_slope, right_slope = width * left_slope, width * right_slope
+    # where the slope, taken as a straight line, passes zero
+    share = left_slope / (left_slope - right_slope)
+    rises = (left_slope > 0.0) & (right_slope < 0.0)
+    falls = (left_slope < 0.0) & (right_slope > 0.0)
+    edge, below = larger(left, right), smaller(left, right)
+    bound = where(rises, edge - 1.2 * share * right_slope, edge)
+    better = bound > top
+    return (
+        larger(best, edge),
+        where(better, bound, top),
+        larger(second, where(better, top, bound)),
+        where(better, (begin + where(rises, share, 0.0)) * width, place),
+        where(better, where(rises, 1.0 + begin, 0.0), bent),
+        smaller(floor, where(falls, below - 1.2 * share * right_slope, below)),
+    )
+
+
+def _closer(place, slope, bend, bent, width):
+    """Newton's step towards the top of a bend, within the part of the step in which it lies."""
+    low = (bent - 1.0) * width
+    kept = larger(smaller(place - 0.5 * slope / bend, low + width), low)
+    return where((bent > 0.0) & (bend < 0.0), kept, place)
+
+
+def _crowned(known, best, bound, second, at, slope, bend, bent):
+    """Largest approach so far, with the top of a face's bend; 1 if the search has to settle it."""
+    sharp = (bend < 0.0) & (size_of(0.5 * slope / bend) <= 1e-4)
+    top = where((bent > 0.0) & sharp, at - 0.25 * slope * slope / bend, best)
+    found = larger(larger(known, best), top)
+    blunt = where(bent > 0.0, where(sharp, 0.0 * best, 1.0), 0.0)
+    return found, where(bound > found, where(second > found, 1.0, blunt), 0.0)
+
+
+def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b):
+    """What the larger approach can reach; 1 where contact may be lost or found, or the record may end."""
+    something = (
+        ((a > 0.0) & (floor_a <= near))
+        | ((b > 0.0) & (floor_b <= near))
+        | ((a <= 0.0) & (top_a > 0.0))
+        | ((b <= 0.0) & (top_b > 0.0))
+        | (larger(floor_a, floor_b) < low)
+        | (touched_a + touched_b < 2.0)
+    )
+    return larger(top_a, top_b), where(something, 1.0, 0.0 * a)
+
+
+_begin = elementwise(PAIR, 6, lambda at: (at, at - math.inf, at - math.inf, 0.0 * at, 0.0 * at, at))
+_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
+_bound = elementwise(PAIR, 6, _bounds)
+_refine = elementwise(PAIR, 1, _closer)
+_crown = elementwise(LANES, 2, _crowned)
+_sign = elementwise(LANES, 2, _signs)
+
+
+@compiled(**INNER)
+def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room):
+    """What may have happened in each lane's step, as flags, and the largest approach up to its end.
+
+    at, rate (POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
+    low, near (LANES,): the record may end below the first; a contact may be lost below the second.  live
+    (LANES,): rows in the lanes, -1 where there is none.  known, crest (LANES,): largest approach so far, and what
+    it may have been in this step.  room (11, PAIR): working space.
+    """
+    apart()
+    best, top, second, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 3, 0)
+    bent, floor, width, value = row(room, 4, 0), row(room, 5, 0), row(room, 6, 0), row(room, 7, 0)
+    slope, bend, alarm, doubt = row(room, 8, 0), row(room, 9, 0), row(room, 10, 0), row(room, 10, LANES)
+    _begin(best, top, second, place, bent, floor, row(at, 0, 0))
+    for c in range(0, PAIR, LANES):
+        _part(row(room, 6, c), theta)
+    for i in range(POINTS):
+        _bound(best, top, second, place, bent, floor, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
+               row(rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
+    _sign(crest, alarm, top, row(room, 1, LANES), floor, row(room, 5, LANES), row(at, 0, 0), row(at, 0, LANES), low,
+          near, row(track, TOUCHED_A, 0), row(track, TOUCHED_B, 0))  # fmt: skip
+    higher = False
+    for j in range(LANES):
+        flags[j] = SOMETHING | 1 << FACE_A if room[10, j] > 0.0 else 0
+        known[j] = track[FACE_A, j]
+        higher |= live[j] >= 0 and crest[j] > known[j]
+    if higher:
+        for k in range(3):
+            for c in range(0, PAIR, LANES):
+                curves_at(x, ORDER, PAIR, c, place, value, slope, bend)
+            if k < 2:
+                _refine(place, place, slope, bend, bent, width)
+        for c in range(0, PAIR, LANES):
+            _crown(known, doubt, known, row(room, 0, c), row(room, 1, c), row(room, 2, c), row(room, 7, c),
+                   row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
+            for j in range(LANES):
+                if room[10, LANES + j] > 0.0:
+                    flags[j] |= 1 << FACE_A
+    if wanted & (WANT_DIFFERENCE | WANT_ENERGY):
+        _look_further(mode, wanted, at, rate, track, theta, flags)
+
+
+@compiled(**INNER)
+def _look_further(mode, wanted, at, rate, track, theta, flags):
+    """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
+    apart()
+    for kind in range(DIFFERENCE, KINDS):
+        if (kind == DIFFERENCE and wanted & WANT_DIFFERENCE) or (kind == ENERGY and wanted & WANT_ENERGY):
+            for i in range(POINTS):
+                for j in range(LANES):
+                    k = LANES + j
+                    width = theta[j] / POINTS
+                    left, left_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+                    right, right_slope = combine(
+                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
+                    )
+                    above = reach(left, left_slope, right, right_slope)
+                    below = reach(-left, -left_slope, -right, -right_slope)
+                    if max(above, below) > track[kind, j]:
+                        flags[j] |= 1 << kind
+
+
+@compiled(**INNER)
+def settled(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
+    """Whether nothing that is wanted can change any more while the incoming wave stays at `level`.
+
+    With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall, where
+    phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) - level)².  No approach
+    above the one at rest can be exceeded whose phi is not below V.
+    """
+    apart()
+    if wanted & WANT_CONTACT or (level > 0.0 and wanted & (WANT_DIFFERENCE | WANT_ENERGY | WANT_WIDTH)):
+        return False
+    a, b = max(a, 0.0), max(b, 0.0)
+    known = track[FACE_A, lane]
+    if mode == 1:
+        rest = level
+        stored = 0.5 * ((a - rest) ** 2 + (b - rest) ** 2) + 0.5 * mu * (w - level) ** 2
+        reach = rest + math.sqrt(2.0 * stored)
+        force, width = reach - rest, 0.5 * known
+        energy = 0.5 * (a * a + b * b) + 0.5 * mu * w * w
+    else:
+        energy = 0.4 * (a * a * math.sqrt(a) + b * b * math.sqrt(b)) + 0.5 * mu * w * w
+        if level > 0.0:
+            rest = level ** (2.0 / 3.0)
+            stored = energy - level * (a + b) + 1.2 * level * rest + 0.5 * mu * (level * level - 2.0 * level * w)
+            top = known * (1.0 + 0.1 * tolerance)
+            return known >= rest and 0.4 * top**2.5 - level * top + 0.6 * level * rest >= stored
+        reach = (2.5 * energy) ** 0.4
+        force, width = reach * math.sqrt(reach), 0.5 ** (2.0 / 3.0) * known
+    if reach > known * (1.0 + 0.1 * tolerance):
+        return False
+    if wanted & WANT_DIFFERENCE and force > track[DIFFERENCE, lane] * (1.0 + 0.1 * tolerance):
+        return False
+    if wanted & WANT_ENERGY and energy > track[ENERGY, lane] * (1.0 + 0.1 * tolerance):
+        return False
+    return not (wanted & WANT_WIDTH and reach > width)
+
+
+# --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.
+
+
+@compiled(**INNER)
+def _outermost(path, scale, start, length, crest, count, ended, level, backward):
+    """Time at which the larger approach first reaches `level`, or last on the way back; arrays of one lane."""
+    apart()
+    for i in range(count):
+        n = count - 1 - i if backward else i
+        if crest[n] < level:
+            continue
+        end = min(length[n], ended - start[n]) / scale[n]
+        a, b = (end, 0.0) if backward else (0.0, end)
+        best = math.nan
+        for face in range(2):
+            found = passage(path[n], face, level, 1.0, a, b)
+            if math.isnan(best) or (found > best if backward else found < best):
+                best = found
+        if not math.isnan(best):
+            return start[n] + best * scale[n]
+    return math.nan
+
+
+@compiled(**INNER)
+def _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift):
+    """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted."""
+    apart()
+    power = 1.0 if mode == 1 else 2.0 / 3.0
+    width, censored, rise = math.nan, 0.0, math.nan
+    if wanted & WANT_WIDTH:
+        half = largest * 0.5**power * shift
+        above = _outermost(path, scale, start, length, crest, count, ended, half, False)
+        below = _outermost(path, scale, start, length, crest, count, ended, half, True)
+        # the last crossing is the record's end itself where the force is still above
+        width, censored = below - above, 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
+    if wanted & WANT_RISE:
+        tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power * shift, False)
+        nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power * shift, False)
+        rise = nine - tenth
+    return width, censored, rise
+
+
+@compiled(**INNER)
+def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out):
+    """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane.
+
+    unsure: share by which a threshold may be off.
+    """
+    apart()
+    ended = track[ENDED, lane]
+    if math.isnan(ended):
+        newest = (count - 1) % len(start)
+        ended = start[newest] + length[newest]
+    largest = track[FACE_A, lane]
+    out[ANSWER_X_MAX] = largest
+    out[ANSWER_X_FIRST] = track[X_FIRST, lane]
+    out[ANSWER_END] = ended
+    lost = not math.isnan(track[LOST, lane])
+    out[ANSWER_CONTACT] = track[LOST, lane] if lost else ended
+    out[ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
+    out[ANSWER_LOSS_RATE] = track[LOSS_RATE, lane] if lost else math.nan
+    if wanted & WANT_DIFFERENCE:
+        out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
+    if wanted & WANT_ENERGY:
+        out[ANSWER_ENERGY] = track[ENERGY, lane]
+    out[ANSWER_DEPTH], out[ANSWER_NEAREST] = track[DEPTH, lane], track[NEAREST, lane]
+    if wanted & (WANT_WIDTH | WANT_RISE) == 0:
+        return
+    for k in range(3):
+        # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
+        # later, the answer is a jump
+        shift = 1.0 + (k - 1.0) * unsure
+        width, censored, rise = _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift)
+        if k == 1:
+            out[ANSWER_WIDTH], out[ANSWER_WIDTH_CENSORED], out[ANSWER_RISE] = width, censored, rise
+        else:
+            side = k // 2
+            out[ANSWER_WIDTHS + side], out[ANSWER_RISES + side] = width, rise
