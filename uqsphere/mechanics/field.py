@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.history import History
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.pulses import pulse_value
 from uqsphere.mechanics.scene import Scene
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.history import History
 
 __all__ = [
     "BARS",
