@@ -27,17 +27,17 @@ from uqsphere.runner.dear_answers import Answers
 from uqsphere.runner.dear_end import Dear, blocks_of_runs
 from uqsphere.runner.dear_kept import keep_answers, keep_indices
 from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.price import Design
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Cost, cost_of, indices_missed
-from uqsphere.runner.work import Draw, Ledger, Sample, Work
+from uqsphere.runner.work import Ledger, Work
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.estimates import Estimate, describe
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.ways import CHEAP, choose_way
 
@@ -254,9 +254,7 @@ def test_intervals_by_the_runs_of_a_rough_output_cover(runs: int) -> None:
     for seed in range(300):
         u = sobol_points(dimension=3, count=runs, seed=seed, task="dear", replicate=0)[None]
         values = (np.sin(300.0 * u[..., 0]) * np.sin(270.0 * u[..., 1]) + u[..., 2])[..., None]
-        sample = Sample(values=values, censored=values > 9.0, status=np.zeros(values.shape[:2], dtype=np.int64))
-        _, blocks = blocks_of_runs(Design(points=Draw(normals=u, physical=u), sample=sample))
-        found = describe(blocks.values[:, :, 0])
+        found = describe(blocks_of_runs(Sample.at("abc", u, u).with_answers("y", values)).answer("y"))
         for name, truth in truths.items():
             estimate = getattr(found, name)
             hits[name] += estimate.low <= truth <= estimate.high
@@ -316,9 +314,8 @@ def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_know
 
     def kept(one: LimitAnswer, other: LimitAnswer) -> Sampled:
         nothing = np.zeros((2, 1, 1))
-        points, values = Draw(normals=nothing, physical=nothing), np.zeros((2, 1), dtype=np.int64)
-        sample = Sample(values=nothing, censored=nothing > 0.0, status=values)
-        sampled = Sampled(points=points, sample=sample, descriptions={}, limits={"high": one}, missed=[],
+        sample = Sample.at("x", nothing, nothing).with_answers("y", nothing)
+        sampled = Sampled(sample=sample, descriptions={}, limits={"high": one}, missed=[],
                           stopped="", history=[], seconds=[])  # fmt: skip
         dear = Dear(why="", surrogate=False, found=Answers(limits={"high": other}), believed=("y",))
         return keep_answers(work, sampled, dear)

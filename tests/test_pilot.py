@@ -39,7 +39,7 @@ def work_of(study: Study, **more: Any) -> Work:
 
 def rows_of(study: Study, count: int, task: str = "other") -> np.ndarray[Any, np.dtype[np.float64]]:
     work = work_of(study)
-    rows = draw(work.drawn, seed=study.seed, task=task, start=0, count=count, replicates=1).physical[0]
+    rows = draw(work.drawn, seed=study.seed, task=task, start=0, count=count, replicates=1).inputs[0]
     return rows[:, : len(work.scene_names)]
 
 

@@ -199,11 +199,11 @@ def test_the_contact_time_jumps_and_the_engine_sees_it(tmp_path: Path) -> None:
     assert below < rough.LEVEL * 1e-6 < above
     points = draw(sub_inputs(study.inputs(), ("striker.speed", "striker.length")), seed=5, task="test", start=0,
                   count=192, replicates=1)  # fmt: skip
-    times = rough._times(study, points.physical[0])
+    times = rough._times(study, points.inputs[0])
     true = float((times > rough.LEVEL * 1e-6).mean())
-    found, _ = rough._answers_of(rough.plain_chaos(points.normals[0], times, 4))
+    found, _ = rough._answers_of(rough.plain_chaos(points.scores[0], times, 4))
     assert abs(found["probability"] / true - 1.0) > 0.1
-    assert not judge(fit_chaos(points.normals[0], times, ("normal", "normal"))).usable
+    assert not judge(fit_chaos(points.scores[0], times, ("normal", "normal"))).usable
 
 
 # --- studies --------------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     import uqsphere
     from uqsphere.runner.design import pick_and_freeze
     from uqsphere.runner.index_control import width
-    from uqsphere.runner.work import Ledger, Work, draw, evaluate_draw
+    from uqsphere.runner.work import Ledger, Work, draw, evaluate_sample
     from uqsphere.uq.control import controlled_indices, describe_controlled
     from uqsphere.uq.estimates import describe
     from uqsphere.uq.sensitivity import sobol_indices
@@ -122,7 +122,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     full = Work(study=study, store=None, ledger=Ledger(), fidelity="full", threads=1)
     cheap = replace(full, fidelity="massless", spare=True)
     rows = [draw(full.drawn, seed=study.seed, task="sampling", start=0, count=points * k) for k in (1, 8)]
-    dear, many = (evaluate_draw(work, "gains", each).values for work, each in zip((full, cheap), rows, strict=True))
+    dear, many = (evaluate_sample(work, "gains", each).answers for work, each in zip((full, cheap), rows, strict=True))
     designs = [pick_and_freeze(work, "gains", 0, n)[0] for work, n in ((full, index_points), (cheap, 4 * index_points))]
     found = {}
     for k, name in enumerate(full.quantities):

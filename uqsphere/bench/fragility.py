@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner import check_range
-from uqsphere.runner.curve_rows import CurveRows, half_width, joined
+from uqsphere.runner.curve_rows import CurveRows, half_width
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import limit_values
@@ -66,7 +66,7 @@ def _work(study: Study) -> Work:
 
 def _straight(work: Work, limit: Limit, value: float, rows: int) -> npt.NDArray[np.float64]:
     """Probability (R,) by so many rows of each replicate at the value itself."""
-    return probabilities(state_of(work, limit, *evaluate_at(work, value, start=0, count=rows)))
+    return probabilities(state_of(work, limit, evaluate_at(work, value, start=0, count=rows)))
 
 
 def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tuple[int, float]:
@@ -74,8 +74,8 @@ def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tup
     work = _work(study)
     begun = time.perf_counter()
     rows = evaluate_at(work, value, start=0, count=STEP)
-    while half_width(probabilities(state_of(work, limit, *rows))[None, :], 0.0) > accuracy:
-        rows = joined(rows, evaluate_at(work, value, start=rows[0].normals.shape[1], count=STEP))
+    while half_width(probabilities(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
+        rows = rows.join(evaluate_at(work, value, start=rows.count, count=STEP))
     return work.ledger.total, time.perf_counter() - begun
 
 

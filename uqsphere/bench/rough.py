@@ -179,8 +179,8 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
         inputs = sub_inputs(study.inputs(), _INPUTS)
         points = draw(inputs, seed=1, task="rough: fit", start=0, count=POINTS, replicates=1)
         held = draw(inputs, seed=1, task="rough: held out", start=0, count=POINTS * 4, replicates=1)
-        germs, unseen = points.normals[0], held.normals[0]
-        fitted, checked = _times(study, points.physical[0]), _times(study, held.physical[0])
+        germs, unseen = points.scores[0], held.scores[0]
+        fitted, checked = _times(study, points.inputs[0]), _times(study, held.inputs[0])
         plain = {degree: plain_chaos(germs, fitted, degree) for degree in _DEGREES}
         errors = {degree: validation_error(chaos, unseen, checked) for degree, chaos in plain.items()}
         degree = min(errors, key=lambda k: errors[k])

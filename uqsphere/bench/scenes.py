@@ -60,7 +60,7 @@ def _granite(count: int) -> Scene:
     study = load_study(shipped_studies()["granite"])
     names = tuple(name for name in study.random if not name.startswith("limits."))
     points = draw(sub_inputs(study.inputs(), names), seed=1, task="bench", start=0, count=count, replicates=1)
-    return scene_of(study, {name: points.physical[0, :, k] for k, name in enumerate(names)}, count)
+    return scene_of(study, {name: points.inputs[0, :, k] for k, name in enumerate(names)}, count)
 
 
 def bench_scenes(count: int) -> list[BenchScene]:

@@ -39,10 +39,10 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
 
     def drawn(task: str, seed: int, count: int) -> tuple[Any, Any]:
         points = draw(inputs, seed=seed, task=f"surrogate: {task}", start=0, count=count, replicates=1)
-        found = answer(study, names, points.physical[0], (QUANTITY,), tolerance=1e-8)
+        found = answer(study, names, points.inputs[0], (QUANTITY,), tolerance=1e-8)
         if (found.status != 0).any():
             notice(f"granite: {int((found.status != 0).sum())} of {count} rows have a status")
-        return germ_points(points.normals[0], germs), found.values[:, 0]
+        return germ_points(points.scores[0], germs), found.values[:, 0]
 
     unseen, checked = drawn("held out", 0, HELD_OUT)
     fits = []

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from uqsphere.model import answer
 from uqsphere.runner.pilot import first_look
-from uqsphere.runner.work import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_draw
+from uqsphere.runner.work import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_sample
 from uqsphere.store import open_store
 from uqsphere.study import Study, load_study
 
@@ -75,7 +75,7 @@ def measure(study: Study, evaluations: int, folder: Path, *, threads: int | None
 
         def bare() -> tuple[float, float]:
             """Seconds of an evaluation, by the clock and of the processor."""
-            rows = draw(work.drawn, seed=study.seed, task="sampling", start=0, count=count).physical
+            rows = draw(work.drawn, seed=study.seed, task="sampling", start=0, count=count).inputs
             rows = rows[:, :, : len(work.scene_names)].reshape(REPLICATES * count, -1)
             began, used = time.perf_counter(), time.process_time()
             for first in range(0, len(rows), CHUNK):  # its best use: what a call works on fits into the cache
@@ -94,7 +94,7 @@ def measure(study: Study, evaluations: int, folder: Path, *, threads: int | None
             points = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=some)
             drawing += time.perf_counter() - drew
             drawing_used += time.process_time() - drew_used
-            evaluate_draw(work, f"sampling.{start}", points)
+            evaluate_sample(work, f"sampling.{start}", points)
             start += some
             if 8 * start * REPLICATES >= len(peaks) * evaluations:
                 peaks.append(peak_memory())

@@ -69,7 +69,7 @@ def _checks_at(work: Work, limit: Limit, value: float) -> list[dict[str, Any]] |
         sub_inputs(moved.all_inputs, moved.scene_names),
         seed=moved.study.seed, task="pilot", start=0, count=count, replicates=1,
     )  # fmt: skip
-    rows = {name: points.physical[0, :, k] for k, name in enumerate(moved.scene_names)}
+    rows = {name: points.input(name)[0] for name in moved.scene_names}
     try:
         scene = scene_of(moved.study, rows, count)
     except UqsphereError:

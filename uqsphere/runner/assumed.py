@@ -53,7 +53,7 @@ def find_assumed(work: Work, sampled: Sampled) -> dict[str, dict[str, Any]]:
         answer = sampled.limits.get(limit.name)
         if not isinstance(limit.strength, Law) or answer is None or answer.miss.value is None:
             continue
-        state = state_of(work, limit, sampled.points, sampled.sample)
+        state = state_of(work, limit, sampled.sample)
         rows = [*_independence(work, limit, answer, state), *_shapes(limit, limit.strength, answer, state)]
         found[limit.name] = {"assumed": rows}
         settled = _tests_to_settle(work, limit, limit.strength, few_rows(state))

@@ -49,10 +49,8 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     names = work.scene_names
     if work.study.black_box or not names:
         return None
-    replicates, _, _ = sampled.points.physical.shape
-    each = max(1, SCENES // replicates)
-    good = ~sampled.sample.failed[:, :each].reshape(-1)
-    rows = sampled.points.physical[:, :each, : len(names)].reshape(-1, len(names))[good]
+    sample = sampled.sample.head(max(1, SCENES // sampled.sample.replicates))
+    rows = sample.inputs[:, :, : len(names)].reshape(-1, len(names))[~sample.failed.reshape(-1)]
     if len(rows) < 16:
         return None
     scene = scene_of(work.study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
@@ -106,9 +104,9 @@ def _hardest_of_all(work: Work, sampled: Sampled) -> tuple[Array, int, str] | No
     by = next((name for name in _HARDNESS if name in names), None)
     if by is None:
         return None
-    values = np.where(sampled.sample.failed, -np.inf, sampled.sample.values[:, :, names.index(by)]).reshape(-1)
-    inputs = sampled.points.physical[:, : sampled.sample.values.shape[1]]
-    rows = inputs.reshape(-1, inputs.shape[-1])[:, : len(work.scene_names)]
+    sample = sampled.sample
+    values = np.where(sample.failed, -np.inf, sample.answer(by)).reshape(-1)
+    rows = sample.inputs.reshape(-1, sample.inputs.shape[-1])[:, : len(work.scene_names)]
     k = int(np.argmax(values))
     return (rows[k], int(np.isfinite(values).sum()), by) if np.isfinite(values[k]) else None
 

@@ -17,18 +17,18 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.moved import draw_points, evaluate_at, limit_state, probabilities
-from uqsphere.runner.work import Draw, Sample, Work
+from uqsphere.runner.work import Work
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import student
 from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.row_fit import RowBasis, RowFit, fit_rows
+from uqsphere.uq.sample import Sample
 
-__all__ = ["MANY", "CurveRows", "Judge", "Rows", "half_width", "half_widths", "judge_of"]
+__all__ = ["MANY", "CurveRows", "Judge", "half_width", "half_widths", "judge_of"]
 
 Array = npt.NDArray[np.float64]
-Rows: TypeAlias = tuple[Draw, Sample]
 #: points, demands (R, n) and a value of the scalar: the state of what is asked there
-Judge: TypeAlias = Callable[[Draw, Array, float], LimitState]
+Judge: TypeAlias = Callable[[Sample, Array, float], LimitState]
 
 #: points of each replicate that the polynomial answers for
 MANY: Final = 512
@@ -45,16 +45,6 @@ def judge_of(work: Work, limit: Limit) -> Judge:
     return lambda points, demands, value: limit_state(work, limit, points, demands, value)
 
 
-def joined(first: Rows, second: Rows) -> Rows:
-    """Rows and those that continue them."""
-    (a, one), (b, two) = first, second
-    points = Draw(
-        normals=np.concatenate([a.normals, b.normals], axis=1),
-        physical=np.concatenate([a.physical, b.physical], axis=1),
-    )
-    return points, one.join(two)
-
-
 @dataclass(kw_only=True)
 class CurveRows:
     """Rows at the increasing values `grid`, each with points of its own.
@@ -66,7 +56,7 @@ class CurveRows:
     tag: str
     grid: list[float]
     still: bool = False
-    rows: dict[float, Rows] = field(default_factory=dict)
+    rows: dict[float, Sample] = field(default_factory=dict)
     #: points of each replicate that are used up
     used: int = 0
     _fits: dict[str, tuple[RowFit, RowBasis]] = field(default_factory=dict)
@@ -74,14 +64,14 @@ class CurveRows:
     _scatter: dict[str, Array] = field(default_factory=dict)
 
     @cached_property
-    def points(self) -> Draw:
+    def points(self) -> Sample:
         """The many points, (R, MANY)."""
         return draw_points(self.work, start=0, count=MANY)
 
     @property
     def counts(self) -> dict[float, int]:
         """Points of each replicate at each value that has rows."""
-        return {value: int(sample.status.shape[1]) for value, (_, sample) in self.rows.items()}
+        return {value: sample.count for value, sample in self.rows.items()}
 
     @property
     def samples(self) -> int:
@@ -106,30 +96,28 @@ class CurveRows:
         found, start = dict(self.rows), self.used
         for value, count in more.items():
             own = evaluate_at(self.work, value, start=start, count=count, tag=self.tag)
-            found[value] = joined(found[value], own) if value in found else own
+            found[value] = found[value].join(own) if value in found else own
             start += count
         self.rows, self.used = found, start
         self._fits.clear()
         self._curves.clear()
 
-    def at(self, value: float) -> Rows:
+    def at(self, value: float) -> Sample:
         """The rows at a value of the grid."""
         return self.rows[self.grid[0] if self.still else value]
 
     def knows(self, quantity: str) -> bool:
         """Whether a quantity has a plain number in every row."""
-        k = self.work.quantities.index(quantity)
-        return all(known(sample, k) for _, sample in self.rows.values())
+        return all(sample.knows(quantity) for sample in self.rows.values())
 
     def _fit(self, quantity: str) -> tuple[RowFit, RowBasis]:
         if quantity not in self._fits:
-            k = self.work.quantities.index(quantity)
             fit = fit_rows(
                 list(self.rows),
-                [points.normals for points, _ in self.rows.values()],
-                [sample.values[:, :, k] for _, sample in self.rows.values()],
+                [sample.scores for sample in self.rows.values()],
+                [sample.answer(quantity) for sample in self.rows.values()],
             )
-            self._fits[quantity] = fit, fit.basis(self.points.normals)
+            self._fits[quantity] = fit, fit.basis(self.points.scores)
         return self._fits[quantity]
 
     def demands(self, quantity: str, value: float) -> Array:
@@ -137,7 +125,7 @@ class CurveRows:
         fit, basis = self._fit(quantity)
         return fit.predict(value, basis)
 
-    def expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
+    def expected(self, fit: RowFit, judge: Judge, points: Sample, demands: Array, value: float) -> tuple[Array, float]:
         """Probabilities (R, n) if rows scatter about the polynomial as those not seen do; the variance of a row's."""
         first, second = np.zeros(demands.shape), np.zeros(demands.shape)
         for score, weight in SCATTER:
@@ -148,7 +136,7 @@ class CurveRows:
             second += weight * own**2
         return first, float(np.maximum(second - first**2, 0.0).mean())
 
-    def _expected(self, fit: RowFit, judge: Judge, points: Draw, demands: Array, value: float) -> tuple[Array, float]:
+    def _expected(self, fit: RowFit, judge: Judge, points: Sample, demands: Array, value: float) -> tuple[Array, float]:
         """The same of the replicates, (R,)."""
         found, variance = self.expected(fit, judge, points, demands, value)
         return found.mean(axis=1), variance
@@ -157,13 +145,12 @@ class CurveRows:
         """Probability (R,) by the polynomial alone, and the variance of a row about it that is to be expected."""
         return self._expected(self._fit(quantity)[0], judge, self.points, self.demands(quantity, value), value)
 
-    def missed(self, quantity: str, value: float, judge: Judge, rows: Rows) -> Array:
+    def missed(self, quantity: str, value: float, judge: Judge, rows: Sample) -> Array:
         """What the polynomial alone is off by (R,), by rows evaluated at the value."""
         fit, _ = self._fit(quantity)
-        points, sample = rows
-        true = sample.values[:, :, self.work.quantities.index(quantity)]
-        ours = fit.predict(value, fit.basis(points.normals))
-        return probabilities(judge(points, true, value)) - self._expected(fit, judge, points, ours, value)[0]
+        ours = fit.predict(value, fit.basis(rows.scores))
+        true = probabilities(judge(rows, rows.answer(quantity), value))
+        return true - self._expected(fit, judge, rows, ours, value)[0]
 
     def table(self, quantity: str, judge: Judge) -> Array:
         """Probabilities (J, R) at the values of the grid, every replicate by itself."""
@@ -186,7 +173,7 @@ class CurveRows:
         """Probability of exceeding a limit (J, R) at the values of the grid."""
         if limit.name not in self._curves:
             found, missed, scatter = self._parts(limit.quantity, judge_of(self.work, limit))
-            counts = np.array([self.at(value)[1].status.shape[1] for value in self.grid])
+            counts = np.array([self.at(value).count for value in self.grid])
             seen = missed.var(axis=1, ddof=1) * counts
             self._scatter[limit.name] = seen / np.where(scatter > 0.0, scatter, np.inf)
             self._curves[limit.name] = self._together(found, missed)
@@ -205,7 +192,7 @@ class CurveRows:
 
     def states(self, limit: Limit, values: Sequence[float], count: int) -> list[LimitState]:
         """States of a limit at any values within the grid, on the first `count` of the many points."""
-        points = Draw(normals=self.points.normals[:, :count], physical=self.points.physical[:, :count])
+        points = self.points.head(count)
         return [
             limit_state(self.work, limit, points, self.demands(limit.quantity, value)[:, :count], value)
             for value in values
@@ -248,12 +235,6 @@ def _lines(counts: tuple[int, ...], reach: int) -> Array:
     total, first, second = near.sum(axis=1), (near * away).sum(axis=1), (near * away**2).sum(axis=1)
     spread = (total * second - first**2)[:, None]
     return np.asarray(near * (second[:, None] - first[:, None] * away) / spread)
-
-
-def known(sample: Sample, k: int) -> bool:
-    """Whether column k is a plain number in every row."""
-    values = sample.values[:, :, k]
-    return not (sample.failed.any() or sample.censored[:, :, k].any()) and bool(np.isfinite(values).all())
 
 
 def half_widths(curve: Array) -> tuple[Array, Array]:

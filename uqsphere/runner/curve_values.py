@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.curve_rows import CurveRows, Judge, Rows, joined, judge_of
+from uqsphere.runner.curve_rows import CurveRows, Judge, judge_of
 from uqsphere.runner.moved import evaluate_at
 from uqsphere.runner.work import REPLICATES, OutOfBudget
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate, student
+from uqsphere.uq.sample import Sample
 
 __all__ = ["refined_values"]
 
@@ -37,7 +38,7 @@ _METHOD = "rows at the value, beside a polynomial of the rows of all values"
 
 
 def refined_values(
-    rows: CurveRows, limit: Limit, answered: Mapping[float, Estimate], *, most: int, taken: dict[float, Rows]
+    rows: CurveRows, limit: Limit, answered: Mapping[float, Estimate], *, most: int, taken: dict[float, Sample]
 ) -> dict[float, Estimate]:
     """Values at the probabilities by rows of their own, the curve's own where the evaluations do not reach for them.
 
@@ -58,7 +59,7 @@ def refined_values(
 
 
 def _refined(
-    rows: CurveRows, limit: Limit, probability: float, estimate: Estimate, most: int, taken: dict[float, Rows]
+    rows: CurveRows, limit: Limit, probability: float, estimate: Estimate, most: int, taken: dict[float, Sample]
 ) -> Estimate:
     assert estimate.value is not None
     ledger, value, judge = rows.work.ledger, estimate.value, judge_of(rows.work, limit)
@@ -80,26 +81,24 @@ def _refined(
 
 
 def _placed(
-    rows: CurveRows, limit: Limit, judge: Judge, probability: float, value: float, most: int, taken: dict[float, Rows]
+    rows: CurveRows, limit: Limit, judge: Judge, probability: float, value: float, most: int, taken: dict[float, Sample]
 ) -> tuple[Estimate, float] | None:
     """The value by rows at one that is near, and how many half-widths it has moved; None where none can be taken."""
     from scipy.special import ndtri
 
-    quantity, work = limit.quantity, rows.work
-    k = work.quantities.index(quantity)
+    quantity = limit.quantity
     forward, backward = _scale(rows.grid)
     fitted, scatter = rows.fitted(quantity, value, judge)
     while True:
         if rows.still:
-            own: Rows | None = rows.at(value)
+            own: Sample | None = rows.at(value)
         else:
             own = taken.get(value)
             if own is None and (own := _more(rows, value, None, most)) is not None:
                 taken[value] = own
         if own is None:
             return None
-        _, sample = own
-        if sample.failed.any() or sample.censored[:, :, k].any() or not np.isfinite(sample.values[:, :, k]).all():
+        if not own.knows(quantity):
             return None
         p = fitted + rows.missed(quantity, value, judge, own)
         centre = float(p.mean())
@@ -108,10 +107,10 @@ def _placed(
             return None
         error = float(p.std(ddof=1)) / math.sqrt(p.size)
         if not rows.still:
-            error = max(error, rows.usual_error(limit, value, scatter, sample.status.shape[1]))
+            error = max(error, rows.usual_error(limit, value, scatter, own.count))
         if not isinstance(limit.strength, Law):
             # of a fixed strength a row tells only on which side it lies
-            error = max(error, 1.0 / sample.status.size)
+            error = max(error, 1.0 / own.size)
         if rows.still or student(p.size) * error <= ACCURACY * side:
             break
         more = _more(rows, value, own, most)
@@ -136,20 +135,20 @@ def _placed(
     answer = backward(place + step)
     found = Estimate(
         value=answer, low=min(low, answer), high=max(high, answer), std_error=0.5 * (high - low) / student(p.size),
-        method=_METHOD, evaluations=REPLICATES * rows.samples + sample.status.size,
+        method=_METHOD, evaluations=REPLICATES * rows.samples + own.size,
     )  # fmt: skip
     return found, abs(step) / max(0.5 * (between[1] - between[0]), 1e-300)
 
 
-def _more(rows: CurveRows, value: float, own: Rows | None, most: int) -> Rows | None:
+def _more(rows: CurveRows, value: float, own: Sample | None, most: int) -> Sample | None:
     """Twice as many rows at a value, or the first of them; None where no more may be taken."""
     work = rows.work
-    have = 0 if own is None else int(own[1].status.shape[1])
+    have = 0 if own is None else own.count
     count = have or POINTS
     if have + count > MOST_POINTS or work.ledger.total + REPLICATES * count > most:
         return None
     further = evaluate_at(work, value, start=have, count=count, tag=f"{rows.tag}-value")
-    return further if own is None else joined(own, further)
+    return further if own is None else own.join(further)
 
 
 def _scale(grid: Sequence[float]) -> tuple[Callable[[float], float], Callable[[float], float]]:

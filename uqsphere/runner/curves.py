@@ -16,15 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.band import Band, Stage, stage_of
-from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths, known
+from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
 from uqsphere.runner.moved import evaluate_at, limit_state, probabilities, strength_solved
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.fragility import interpolate_rows
 from uqsphere.uq.ignorance import is_fitted, possible_laws
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Found", "Look", "find_rows", "law_curves", "shortage"]
@@ -55,7 +56,6 @@ class Look:
     """The same few points at values from one end of the range to the other."""
 
     work: Work
-    points: Draw
     samples: dict[float, Sample]
 
     @property
@@ -64,15 +64,15 @@ class Look:
 
     def fits(self, limit: Limit) -> bool:
         """Whether the demands of a limit are known in full."""
-        return all(known(s, self.work.quantities.index(limit.quantity)) for s in self.samples.values())
+        return all(sample.knows(limit.quantity) for sample in self.samples.values())
 
     def states(self, limit: Limit, values: Array) -> list[LimitState]:
         """States of a limit at some values, every row's demand interpolated."""
-        k = self.work.quantities.index(limit.quantity)
-        stack = np.stack([self.samples[value].values[:, :, k] for value in self.grid])
+        stack = np.stack([self.samples[value].answer(limit.quantity) for value in self.grid])
         demands = interpolate_rows(self.grid, stack, values)
+        points = self.samples[self.grid[0]]
         return [
-            limit_state(self.work, limit, self.points, rows, float(value))
+            limit_state(self.work, limit, points, rows, float(value))
             for rows, value in zip(demands, values, strict=True)
         ]
 
@@ -120,7 +120,7 @@ def find_rows(
     if cost > left:
         return Found(reason=shortage(work, cost))
     found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in _spaced(low, high, SCAN_VALUES)}
-    look = Look(work=work, points=found[low][0], samples={v: s for v, (_, s) in found.items()})
+    look = Look(work=work, samples=found)
     limits = [limit for limit in limits if look.fits(limit)]
     if not limits:
         return Found(look=look)
@@ -154,10 +154,10 @@ def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: st
     limits = [limit for limit in limits if rows.knows(limit.quantity)]
     if not limits:
         return Found()
-    points, sample = rows.at(low)
-    look = Look(work=work, points=points, samples={low: sample, high: sample})
+    sample = rows.at(low)
+    look = Look(work=work, samples={low: sample, high: sample})
     grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
-    rows = CurveRows(work=work, tag=tag, grid=grid, still=True, rows={grid[0]: (points, sample)}, used=STILL_POINTS)
+    rows = CurveRows(work=work, tag=tag, grid=grid, still=True, rows={grid[0]: sample}, used=STILL_POINTS)
     bands, note = _grow(rows, limits, least, most, accuracy)
     return Found(look=look, rows=rows, bands=bands, note=note)
 
@@ -239,7 +239,7 @@ def _grow(
     courses: dict[str, list[Stage]] = {limit.name: [] for limit in limits}
     begun = work.ledger.total - REPLICATES * rows.samples
     while True:
-        counts = REPLICATES * np.array([rows.at(value)[1].status.shape[1] for value in rows.grid])
+        counts = REPLICATES * np.array([rows.at(value).count for value in rows.grid])
         for limit in limits:
             seen = stage_of(rows.curve(limit), counts, 2.0 * least, REPLICATES * rows.samples, work.ledger.elapsed)
             # one value's rows serve all where the scalar is a strength

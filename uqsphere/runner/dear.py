@@ -68,7 +68,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
                 raise
             stopped = "time"
             break
-        if design.sample.failed.all():
+        if design.failed.all():
             raise none_answered(work)
         trusted, fits = fit_design(work, design, fits)
         for quantity, one in trusted.items():

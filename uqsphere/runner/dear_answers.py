@@ -13,7 +13,7 @@ from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import SEEN, LimitAnswer, carriers, judge_limits, state_of, told_by_runs, unseen
 from uqsphere.runner.sampling import excess_of
 from uqsphere.runner.sensitivity import dependent_names
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, draw
+from uqsphere.runner.work import REPLICATES, Work, draw
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
@@ -21,6 +21,7 @@ from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.estimates import Description, Estimate, absent
 from uqsphere.uq.reasons import OUT_OF_REACH
 from uqsphere.uq.released import Believed, believed, held, shifted
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Answers", "answers_of", "dear_sets", "demands_of", "limits_of_runs", "widest"]
@@ -123,7 +124,7 @@ def _described(
 
     d, quantiles = len(work.scene_names), work.study.analysis.quantiles
     large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)
-    points, shape = germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs), large.normals.shape[:2]
+    points, shape = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs), large.scores.shape[:2]
     found = {
         quantity: believed(
             usable[quantity],
@@ -135,12 +136,13 @@ def _described(
         for k, quantity in enumerate(work.quantities)
         if quantity in usable
     }
-    samples = [_sample(work, {q: one.values + side * one.reach for q, one in found.items()}) for side in (0, -1, 1)]
-    samples.append(_sample(work, {q: one.values if one.within is None else one.within for q, one in found.items()}))
-    judged = [judge_limits(work, large, sample, usable) for sample in samples]
+    moved = [{q: one.values + side * one.reach for q, one in found.items()} for side in (0, -1, 1)]
+    moved.append({q: one.values if one.within is None else one.within for q, one in found.items()})
+    samples = [_sample(work, large, values) for values in moved]
+    judged = [judge_limits(work, sample, usable) for sample in samples]
     limits = {}
     for limit in _limits(work, usable):
-        carried = carriers(state_of(work, limit, large, samples[0]), limit.aim, runs)
+        carried = carriers(state_of(work, limit, samples[0]), limit.aim, runs)
         limits[limit.name] = _limit([answers[limit.name] for answers in judged], runs, carried)
     # a design whose own half-widths take more than half of what is asked leaves too little for the surrogate
     halved = replace(
@@ -152,11 +154,11 @@ def _described(
     return found, limits, bool(excess_of(strict, plain, judged[0]))
 
 
-def _sample(work: Work, found: Mapping[str, Any]) -> Sample:
-    """Values (R, n) by quantity as a sample; those of the other quantities are nan."""
+def _sample(work: Work, points: Sample, found: Mapping[str, Any]) -> Sample:
+    """The points with values (R, n) by quantity as their answers; those of the other quantities are nan."""
     shape = next(iter(found.values())).shape
     values = np.stack([found.get(quantity, np.full(shape, np.nan)) for quantity in work.quantities], axis=-1)
-    return Sample(values=values, censored=np.zeros(values.shape, dtype=bool), status=np.zeros(shape, dtype=np.int64))
+    return points.with_answers(work.quantities, values)
 
 
 def widest(found: Mapping[str, list[Estimate]]) -> float | None:
@@ -164,12 +166,12 @@ def widest(found: Mapping[str, list[Estimate]]) -> float | None:
     return max(widths) if widths else None
 
 
-def limits_of_runs(work: Work, points: Draw, sample: Sample, quantities: Container[str]) -> dict[str, LimitAnswer]:
+def limits_of_runs(work: Work, sample: Sample, quantities: Container[str]) -> dict[str, LimitAnswer]:
     """Limits of some quantities by the runs themselves, without a surrogate."""
-    answers = judge_limits(work, points, sample, quantities)
+    answers = judge_limits(work, sample, quantities)
     for limit in work.study.limits:
         if limit.name in answers:
-            state, one = state_of(work, limit, points, sample), answers[limit.name]
+            state, one = state_of(work, limit, sample), answers[limit.name]
             told = [told_by_runs(getattr(one, which), state, which, limit.aim) for which in ("exceedance", "miss")]
             answers[limit.name] = one.with_probabilities(*told)
     return answers

@@ -14,14 +14,15 @@ from uqsphere.runner.dear_tails import dear_tails
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.price import Design, Priced, enlarge
+from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.sampling import METHOD, Sampled, find_missed
 from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
 from uqsphere.runner.stopping import WORTHLESS, Cost, Missed, indices_missed
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe
+from uqsphere.uq.sample import Sample
 
 __all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
 
@@ -54,7 +55,7 @@ class End:
 
     work: Work
     priced: Priced
-    design: Design
+    design: Sample
     trusted: Mapping[str, Trusted]
     fits: dict[int, Chaos]
     found: Answers
@@ -63,7 +64,7 @@ class End:
     stopped: str
 
 
-def _with_all_runs(end: End, design: Design) -> End:
+def _with_all_runs(end: End, design: Sample) -> End:
     """The end with surrogates of a larger design, where all that were believed still are."""
     trusted, fits = fit_design(end.work, design, end.fits)
     usable = {quantity: one for quantity, one in trusted.items() if one.usable}
@@ -86,7 +87,7 @@ def refusal(end: End) -> str:
     return f"{which} too rough ({'; '.join(told)})"
 
 
-def blocks_of_runs(design: Design) -> tuple[Draw, Sample]:
+def blocks_of_runs(design: Sample) -> Sample:
     """The runs in consecutive blocks, which serve as replicates: each is spread as evenly as a design of its size.
 
     Blocks of one sequence fill each other's gaps, so that intervals from their spread are too wide rather than narrow.
@@ -95,15 +96,7 @@ def blocks_of_runs(design: Design) -> tuple[Draw, Sample]:
     each = max(4 if design.count >= 16 else 2, design.count // REPLICATES)
     blocks = design.count // each
     kept = blocks * each
-
-    def cut(values: Any) -> Any:
-        return values[0, :kept].reshape(blocks, each, *values.shape[2:])
-
-    points, sample = design.points, design.sample
-    return (
-        Draw(normals=cut(points.normals), physical=cut(points.physical)),
-        Sample(values=cut(sample.values), censored=cut(sample.censored), status=cut(sample.status)),
-    )
+    return design.head(kept).blocks(blocks)
 
 
 def _believable(estimate: Estimate) -> Estimate:
@@ -136,8 +129,8 @@ def conclude(end: End) -> Dear:
     """
     work, course, design, stopped = end.work, end.course, end.design, end.stopped
     affordable = end.priced.way.affordable
-    points, sample = blocks_of_runs(design)
-    alone = _from_runs(end, points, sample)
+    sample = blocks_of_runs(design)
+    alone = _from_runs(end, sample)
     limits, learned = end.found.limits | alone.limits, Learned(limits={})
     if stopped != "time":
         learned = learn_limits(work, limits, affordable)
@@ -156,8 +149,8 @@ def conclude(end: End) -> Dear:
             stopped = "time"
         if end.found.excess and design.count > end.design.count:
             end = _with_all_runs(end, design)
-        points, sample = blocks_of_runs(design)
-        alone = _from_runs(end, points, sample)
+        sample = blocks_of_runs(design)
+        alone = _from_runs(end, sample)
         after = end.found.limits | alone.limits
         limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
     course.end(work, design.count, alone)
@@ -175,7 +168,6 @@ def conclude(end: End) -> Dear:
     if end.rough and end.found.descriptions:
         why += f"; surrogates answer {', '.join(end.found.descriptions)}"
     sampled = Sampled(
-        points=points,
         sample=sample,
         descriptions=descriptions,
         limits=limits,
@@ -207,21 +199,21 @@ def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> L
     return replace(more, checks=answer.checks, design_reason=answer.design_reason)
 
 
-def _from_runs(end: End, points: Draw, sample: Sample) -> Answers:
+def _from_runs(end: End, sample: Sample) -> Answers:
     """Answers of the runs alone, for quantities without a surrogate."""
     work, analysis = end.work, end.work.study.analysis
     descriptions = {
         name: describe(
-            sample.values[:, :, k],
+            sample.answer(name),
             failed=sample.failed,
             on_failure=analysis.on_failure,
             quantiles=analysis.quantiles,
             method=METHOD,
         )
-        for k, name in enumerate(work.quantities)
+        for name in work.quantities
         if name in end.rough
     }
-    return Answers(descriptions=descriptions, limits=limits_of_runs(work, points, sample, end.rough))
+    return Answers(descriptions=descriptions, limits=limits_of_runs(work, sample, end.rough))
 
 
 def _refused(quantity: str, one: Trusted | None, simpler: Trusted | None) -> Missed:

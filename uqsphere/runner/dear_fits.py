@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from uqsphere.runner.price import FIRST_RUNS, Design
+from uqsphere.runner.price import FIRST_RUNS
 from uqsphere.runner.sensitivity import dependent_names
 from uqsphere.runner.work import Work
 from uqsphere.uq.augmented import MOST, Trusted, trust
 
 if TYPE_CHECKING:
     from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.sample import Sample
 
 __all__ = ["fit_design", "simpler_fits"]
 
 
 def fit_design(
-    work: Work, design: Design, before: dict[int, Chaos], most: float = 1.0
+    work: Work, design: Sample, before: dict[int, Chaos], most: float = 1.0
 ) -> tuple[dict[str, Trusted], dict[int, Chaos]]:
     """Surrogates of all quantities, each checked by runs that the fit before had not seen; the fits by number.
 
@@ -26,11 +27,11 @@ def fit_design(
     from uqsphere.uq.chaos import fit_outputs, germ_points
 
     d, germs = len(work.scene_names), work.germs
-    whole = ~design.sample.failed[0]
+    whole = ~design.failed[0]
     if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
         return {}, {}
-    points = germ_points(design.points.normals[0, :, :d], germs)[whole]
-    outputs = design.sample.values[0][whole]
+    points = germ_points(design.scores[0, :, :d], germs)[whole]
+    outputs = design.answers[0][whole]
     if len(outputs) < FIRST_RUNS // 2:
         return {}, {}
     if not before:
@@ -43,7 +44,7 @@ def fit_design(
     return checked, fits
 
 
-def simpler_fits(work: Work, design: Design, rough: Collection[str]) -> dict[str, Trusted]:
+def simpler_fits(work: Work, design: Sample, rough: Collection[str]) -> dict[str, Trusted]:
     """Surrogates that may be used of quantities that are too rough for the best: their indices are all they tell.
 
     None where inputs depend on each other.

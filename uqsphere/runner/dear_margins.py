@@ -18,7 +18,7 @@ import numpy.typing as npt
 from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
 from uqsphere.runner.moved import moved_study, probabilities, strength_solved
-from uqsphere.runner.work import Draw, OutOfBudget, Sample, Work, draw, evaluate_points
+from uqsphere.runner.work import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
@@ -28,6 +28,7 @@ from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.margins import Fragility, fragility
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["dear_margins"]
@@ -99,9 +100,9 @@ def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    values = predict(one.chaos, germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs))
+    values = predict(one.chaos, germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs))
     rng = random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}")
-    centre, reach = with_residuals(one, values.reshape(large.normals.shape[:2]), rng)
+    centre, reach = with_residuals(one, values.reshape(large.scores.shape[:2]), rng)
     nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
     return lambda value: (centre * (nominal / value), reach * (nominal / value))
 
@@ -112,11 +113,11 @@ def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    points = germ_points(large.normals[:, :, :d].reshape(-1, d), work.germs)
+    points = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs)
 
     def demands(value: float) -> tuple[Array, Array]:
         rows = np.column_stack([points, np.full(len(points), _germ(work, value))])
-        values = predict(one.chaos, rows).reshape(large.normals.shape[:2])
+        values = predict(one.chaos, rows).reshape(large.scores.shape[:2])
         return with_residuals(one, values, random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}"))
 
     return demands
@@ -245,14 +246,12 @@ def _value(p: float, middle: Estimate, down: Estimate, up: Estimate, runs: int) 
     return joined(middle, down, up, runs)
 
 
-def _exceeding(work: Work, limit: Limit, large: Draw, centre: Array, reach: Array) -> Array:
+def _exceeding(work: Work, limit: Limit, large: Sample, centre: Array, reach: Array) -> Array:
     """Probabilities of exceeding (3, R): by the demands, and with the law shifted down and up."""
     k = work.quantities.index(limit.quantity)
     values = np.zeros((*centre.shape, len(work.quantities)))
     found = []
     for side in (0.0, -1.0, 1.0):
         values[:, :, k] = centre + side * reach
-        shape = values.shape
-        sample = Sample(values=values, censored=np.zeros(shape, dtype=bool), status=np.zeros(shape[:2], dtype=np.int64))
-        found.append(probabilities(state_of(work, limit, large, sample)))
+        found.append(probabilities(state_of(work, limit, large.with_answers(work.quantities, values))))
     return np.array(found)

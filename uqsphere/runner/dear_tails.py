@@ -7,10 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from uqsphere.runner.heavy_shares import shares_with_tails
-from uqsphere.runner.heavy_tails import outputs_of
 from uqsphere.runner.sampling import Sampled, find_missed
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Missed
@@ -21,13 +18,13 @@ from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.reasons import NOT_KNOWN, OUT_OF_REACH
 
 if TYPE_CHECKING:
-    from uqsphere.runner.price import Design
     from uqsphere.uq.augmented import Trusted
+    from uqsphere.uq.sample import Sample
 
 __all__ = ["dear_tails", "settle_heavy"]
 
 
-def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> dict[str, HeavyTail | None]:
+def dear_tails(work: Work, design: Sample, trusted: Mapping[str, Trusted]) -> dict[str, HeavyTail | None]:
     """The tail that each quantity of a dear model inherits, off its runs.
 
     A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
@@ -35,12 +32,12 @@ def dear_tails(work: Work, design: Design, trusted: Mapping[str, Trusted]) -> di
     from uqsphere.uq.chaos import germ_points, predict
 
     d = len(work.scene_names)
-    normals, physical = design.points.normals[0, :, :d], design.points.physical[0, :, :d]
+    normals, physical = design.scores[0, :, :d], design.inputs[0, :, :d]
     laws = {name: work.study.random[name] for name in work.scene_names}
     heavy = [j for j, law in enumerate(laws.values()) if min(tail_orders(law)) < math.inf]
     answers = {}
-    for k, quantity in enumerate(work.quantities):
-        outputs = np.where(design.sample.failed[0], np.nan, design.sample.values[0, :, k])
+    for quantity in work.quantities:
+        outputs = design.outputs(quantity)
         centred = {}
         if quantity in trusted and trusted[quantity].usable:
             for j in heavy:
@@ -64,8 +61,8 @@ def settle_heavy(
     """
     descriptions = {}
     order = min((min(tail_orders(work.study.random[name])) for name in work.scene_names), default=math.inf)
-    for k, (name, described) in enumerate(sampled.descriptions.items()):
-        tail, outputs = tails.get(name), outputs_of(work, sampled.sample, k)
+    for name, described in sampled.descriptions.items():
+        tail, outputs = tails.get(name), sampled.sample.outputs(name)
         # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
         kept = name in believed and tail is None
         descriptions[name] = described if kept else without_moments(described, tail, outputs, order)

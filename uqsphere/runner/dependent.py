@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.design import clean
 from uqsphere.runner.sensitivity import Pairs, Sensitivity, note
 from uqsphere.runner.stopping import INDEX_KIND, Cost, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.sample import without
 from uqsphere.uq.shapley import (
     MOST_EXACT,
     SubsetDesign,
@@ -169,7 +169,7 @@ def _joined(one: Pairs, other: Pairs) -> Pairs:
 
 
 def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict[str, list[Estimate]]]:
-    whole = clean(pairs.values, pairs.failed)
+    whole = without(pairs.values, pairs.failed)
     orders = orders_at(work, design, pairs.failed.shape[1])
     if orders is not None and pairs.failed.any():
         least = whole.shape[1]

@@ -12,7 +12,7 @@ from uqsphere.model import is_answered
 from uqsphere.runner.work import MOST_DROPPED, REPLICATES, Work, evaluate_points, sub_inputs
 from uqsphere.uq.blocks import Blocks, uniform_halves
 
-__all__ = ["blocks_of", "clean", "helpers_of", "lost_designs", "pick_and_freeze", "surrogate_outputs"]
+__all__ = ["blocks_of", "helpers_of", "lost_designs", "pick_and_freeze", "surrogate_outputs"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -94,14 +94,6 @@ def lost_designs(failed: Flags) -> str:
         f"{100.0 * failed.mean():.2g} % of the evaluations failed, and indices of the others would be those of other "
         f"laws; they are given up to {100.0 * MOST_DROPPED:g} %: narrow the inputs to where the model answers"
     )
-
-
-def clean(values: Array, failed: Flags) -> Array:
-    """The same number of base points without a failure from every replicate, (R, N', blocks, q)."""
-    if not failed.any():
-        return values
-    least = int((~failed).sum(axis=1).min())
-    return np.stack([row[~bad][:least] for row, bad in zip(values, failed, strict=True)])
 
 
 if TYPE_CHECKING:

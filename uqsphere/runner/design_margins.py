@@ -22,7 +22,7 @@ from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import moved_study, strength_solved
 from uqsphere.runner.rare import find_design
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import Draw, OutOfBudget, Work
+from uqsphere.runner.work import OutOfBudget, Work
 from uqsphere.study import ENERGY, Limit
 from uqsphere.uq.distribution import Law, median, nominal_mean, ppf
 from uqsphere.uq.estimates import Estimate
@@ -31,6 +31,7 @@ from uqsphere.uq.ignorance import count_tests, is_fitted, laws_of_more_tests, po
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
@@ -109,7 +110,7 @@ def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> dict[str, Any]
 
     To survive: 5 % of the strength over 95 % of the demand, above 1 where it is safe; to break: 95 % over 5 %, below 1.
     """
-    state = state_of(work, limit, sampled.points, sampled.sample)
+    state = state_of(work, limit, sampled.sample)
     demands = state.demands[~state.broken & ~state.late]
     if demands.size < 20:
         return {"reason": "too few demands are known"}
@@ -271,7 +272,7 @@ def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignor
     limit = where.limit
     if limit.target is None:
         return found
-    few = few_rows(state_of(work, limit, sampled.points, sampled.sample))
+    few = few_rows(state_of(work, limit, sampled.sample))
 
     def decided(laws: Sequence[Law]) -> bool:
         return is_decided(law_curves([few], laws)[:, 0], limit)
@@ -329,8 +330,8 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     names = work.drawn.names
     random = "bars.yield_strength" in names
 
-    def yields(points: Draw, pressures: Array, value: float) -> LimitState:
-        own = points.physical[:, :, names.index("bars.yield_strength")] if random else strength
+    def yields(points: Sample, pressures: Array, value: float) -> LimitState:
+        own = points.input("bars.yield_strength") if random else strength
         return LimitState(demands=pressures / own, strength=YIELD_FACTOR)
 
     values, share = np.array(rows.grid), rows.table("p_max", yields)

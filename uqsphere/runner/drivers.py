@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.dependent import TASK, Shared, orders_at
-from uqsphere.runner.design import clean
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Pairs, Sensitivity
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, sub_inputs
+from uqsphere.runner.work import REPLICATES, Work, sub_inputs
 from uqsphere.study import Limit
 from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.distribution import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
@@ -25,6 +24,7 @@ from uqsphere.uq.ignorance import count_tests
 from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.inputs import normal_scores, tied_names
 from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
+from uqsphere.uq.sample import Sample, without
 from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.target import (
     explained_share,
@@ -79,46 +79,30 @@ def find_drivers(
     names = work.scene_names
     if not names:
         return Drivers(quantities={}, limits={})
-    points, sample = _whole(sampled)
+    sample = sampled.sample.head(POINTS).whole()
     quantities = {
         quantity: {
-            **_distances(work, points, sample, k),
+            **_distances(work, sample, quantity),
             "measure_first": _measure_variance(work, sensitivity[quantity]),
         }
-        for k, quantity in enumerate(work.quantities)
+        for quantity in work.quantities
     }
     limits = {}
     for limit in work.study.limits:
-        if points.normals.shape[1] < 2:
+        if sample.count < 2:
             continue
-        limits[limit.name] = _of_limit(work, limit, points, sample, paired, shared)
+        limits[limit.name] = _of_limit(work, limit, sample, paired, shared)
     return Drivers(quantities=quantities, limits=limits)
-
-
-def _whole(sampled: Sampled) -> tuple[Draw, Sample]:
-    """The first points of every replicate, without those that failed."""
-    n = min(POINTS, sampled.sample.status.shape[1])
-    failed = sampled.sample.failed[:, :n]
-    points = Draw(
-        normals=clean(sampled.points.normals[:, :n], failed),
-        physical=clean(sampled.points.physical[:, :n], failed),
-    )
-    sample = Sample(
-        values=clean(sampled.sample.values[:, :n], failed),
-        censored=np.asarray(clean(sampled.sample.censored[:, :n].astype(float), failed) > 0.0),
-        status=np.asarray(clean(sampled.sample.status[:, :n].astype(float), failed)).astype(np.int64),
-    )
-    return points, sample
 
 
 def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> dict[str, Any]:
     return {name: estimate.as_dict() for name, estimate in zip(names, estimates, strict=True)}
 
 
-def _distances(work: Work, points: Draw, sample: Sample, k: int) -> dict[str, Any]:
-    """Delta and PAWN of every input for quantity k; censored values count as the end of the record."""
+def _distances(work: Work, sample: Sample, quantity: str) -> dict[str, Any]:
+    """Delta and PAWN of every input for a quantity; censored values count as the end of the record."""
     names = work.scene_names
-    x, y = points.physical[:, :, : len(names)], sample.values[:, :, k]
+    x, y = sample.inputs[:, :, : len(names)], sample.answer(quantity)
     delta = delta_estimates(x[:, :DELTA_POINTS], y[:, :DELTA_POINTS])
     pawn = pawn_estimates(x[:, :PAWN_POINTS], y[:, :PAWN_POINTS], seed=work.study.seed)
     threshold = pawn.threshold if math.isfinite(pawn.threshold) else None
@@ -156,16 +140,14 @@ def _missing(limit: Limit, state: LimitState) -> Array:
     return above if limit.aim == "break" else below
 
 
-def _of_limit(
-    work: Work, limit: Limit, points: Draw, sample: Sample, paired: Pairs | None, shared: Shared | None
-) -> dict[str, Any]:
-    state = state_of(work, limit, points, sample)
+def _of_limit(work: Work, limit: Limit, sample: Sample, paired: Pairs | None, shared: Shared | None) -> dict[str, Any]:
+    state = state_of(work, limit, sample)
     chance = _missing(limit, state)
     p = float(chance.mean())
     driving: dict[str, Any] = {"probability": p, **_indices(work, limit, paired, shared)}
     driving["explained"] = explained_share(chance).as_dict()
-    driving["given_failure"] = _given_failure(work, limit, points, state, chance)
-    return {"drivers": driving, "measure_first": _measure_probability(work, limit, points, state, chance)}
+    driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
+    return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
 
 
 def _strength_name(limit: Limit) -> str:
@@ -206,15 +188,15 @@ def _indices(work: Work, limit: Limit, paired: Pairs | None, shared: Shared | No
     values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
     count = failed.shape[1]
     tied = isinstance(limit.strength, Law) and _depends(work, _strength_name(limit))
-    scores = clean(_scores(work, shared, count), failed) if tied else None
-    chance = _chances(work, limit, clean(values, failed), scores)
+    scores = without(_scores(work, shared, count), failed) if tied else None
+    chance = _chances(work, limit, without(values, failed), scores)
     about = "the probability of missing the aim given the inputs"
     if design is not None:
         from uqsphere.uq.shapley import shapley_estimates
 
         orders = orders_at(work, design, count)
         if orders is not None:
-            orders = np.asarray(clean(orders.astype(float), failed)).astype(np.int64)
+            orders = np.asarray(without(orders.astype(float), failed)).astype(np.int64)
         found = shapley_estimates(design, chance, orders)
         refused = _no_indices(names, "inputs depend on each other: read the Shapley effects", method)
         return {
@@ -262,10 +244,10 @@ def _scores(work: Work, shared: Shared | None, count: int) -> Array:
 # --- what the inputs look like where the aim is missed ----------------------------------------------------
 
 
-def _given_failure(work: Work, limit: Limit, points: Draw, state: LimitState, chance: Array) -> dict[str, Any]:
+def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> dict[str, Any]:
     """Mean, sd and 5, 50, 95 % quantiles of every input given that the aim is missed, beside those of its law."""
     laws = dict(zip(work.drawn.names, work.drawn.laws, strict=True))
-    columns = {name: points.physical[:, :, k] for k, name in enumerate(work.drawn.names)}
+    columns = {name: sample.inputs[:, :, k] for k, name in enumerate(work.drawn.names)}
     if isinstance(limit.strength, Law):
         laws[_strength_name(limit)] = limit.strength
         columns[_strength_name(limit)] = _strengths(work, limit, limit.strength, state, chance)
@@ -316,15 +298,15 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def _measure_probability(work: Work, limit: Limit, points: Draw, state: LimitState, chance: Array) -> dict[str, Any]:
+def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> dict[str, Any]:
     """Variables by what their means' uncertainty does to the probability, with the tests that make it small."""
     p = float(chance.mean())
     about: dict[str, Any] = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
     if not 0.0 < p < 1.0:
         return {**about, "reason": "no sample decides: all miss the aim, or none"}
     names = work.drawn.names
-    scores = normal_scores(work.drawn, points.normals.reshape(-1, len(names)))
-    gradients = score_gradients(work.drawn, scores).reshape(points.normals.shape)
+    scores = normal_scores(work.drawn, sample.scores.reshape(-1, len(names)))
+    gradients = score_gradients(work.drawn, scores).reshape(sample.scores.shape)
     sways = dict(zip(names, sway_estimates(chance, gradients, _tied_moves(limit, state, len(names))), strict=True))
     laws: dict[str, Law | float] = dict(zip(names, work.drawn.laws, strict=True))
     if isinstance(limit.strength, Law) and not is_steps(limit.strength):

@@ -108,12 +108,11 @@ class _Energies:
     @classmethod
     def of(cls, rows: CurveRows, limit: Limit, quantity: str) -> _Energies | str:
         """The rows of a curve in this order, or why they do not go."""
-        names = rows.work.quantities
-        own = [sample.values[:, :, names.index(quantity)] for _, sample in rows.rows.values()]
-        demands = [sample.values[:, :, names.index(limit.quantity)] for _, sample in rows.rows.values()]
+        own = [sample.answer(quantity) for sample in rows.rows.values()]
+        demands = [sample.answer(limit.quantity) for sample in rows.rows.values()]
         if not all(bool((energies > 0.0).all()) for energies in own):
             return f"{quantity} is zero in some rows"
-        fit = fit_rows(own, [points.normals for points, _ in rows.rows.values()], demands)
+        fit = fit_rows(own, [sample.scores for sample in rows.rows.values()], demands)
         return cls(rows=rows, limit=limit, energies=own, demands=demands, fit=fit)
 
     def grid(self) -> Array | None:
@@ -125,7 +124,7 @@ class _Energies:
     def table(self, grid: Array) -> Array:
         """Probabilities (J, R) at the energies, every replicate by itself."""
         rows, judge = self.rows, judge_of(self.rows.work, self.limit)
-        basis = self.fit.basis(rows.points.normals)
+        basis = self.fit.basis(rows.points.scores)
         fitted = np.array(
             [rows.expected(self.fit, judge, rows.points, self.fit.predict(e, basis), e)[0].mean(axis=1) for e in grid]
         )
@@ -147,8 +146,8 @@ class _Energies:
         """Logarithms of the rows' own energies (R, N), and what the polynomial is off by there, over the side."""
         judge, places, missed = judge_of(self.rows.work, self.limit), [], []
         everything = zip(self.rows.rows.items(), self.energies, self.demands, strict=True)
-        for (value, (points, _)), energies, demands in everything:
-            ours = self.fit.predict_rows(energies, self.fit.basis(points.normals))
+        for (value, points), energies, demands in everything:
+            ours = self.fit.predict_rows(energies, self.fit.basis(points.scores))
             expected = self.rows.expected(self.fit, judge, points, ours, value)[0]
             below, above = tails(judge(points, demands, value))
             own = below / np.where(below + above > 0.0, below + above, 1.0)

@@ -30,10 +30,11 @@ from uqsphere.runner.union import (
     union_curve,
     union_estimate,
 )
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_draw
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_sample
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import Estimate, absent, student
 from uqsphere.uq.reliability import LimitState
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.union import Breaking, Union, draw_breaking, make_union, share_of, weighted_quantile
 
@@ -87,9 +88,8 @@ def find_fracture(work: Work, sampled: Sampled, margins: Mapping[str, MarginAnsw
 
 @dataclass(frozen=True, kw_only=True)
 class _Pool:
-    """Some of the sampled points with their answers by the full model."""
+    """Some of the sampled rows, answered by the full model."""
 
-    points: Draw
     sample: Sample
     work: Work
 
@@ -104,21 +104,12 @@ def _affordable(work: Work, most: int) -> int:
 def _pool(work: Work, sampled: Sampled) -> _Pool | None:
     full = replace(work, fidelity="full", fallback=None, spare=True)
     if work.fidelity == "full":
-        count = min(POOL, sampled.sample.status.shape[1])
-        return _Pool(points=_first(sampled.points, count), sample=_first_of(sampled.sample, count), work=full)
-    count = _affordable(work, min(POOL, sampled.sample.status.shape[1]))
+        count = min(POOL, sampled.sample.count)
+        return _Pool(sample=sampled.sample.head(count), work=full)
+    count = _affordable(work, min(POOL, sampled.sample.count))
     if count == 0:
         return None
-    points = _first(sampled.points, count)
-    return _Pool(points=points, sample=evaluate_draw(full, "fracture.full", points), work=full)
-
-
-def _first(points: Draw, count: int) -> Draw:
-    return Draw(normals=points.normals[:, :count], physical=points.physical[:, :count])
-
-
-def _first_of(sample: Sample, count: int) -> Sample:
-    return Sample(values=sample.values[:, :count], censored=sample.censored[:, :count], status=sample.status[:, :count])
+    return _Pool(sample=evaluate_sample(full, "fracture.full", sampled.sample.head(count)), work=full)
 
 
 def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Array, union: Estimate) -> dict[str, Any]:
@@ -129,7 +120,7 @@ def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Arra
         return {"reason": "the budget of evaluations leaves nothing for the loading of specimens"}
     if find_spec("numba") is None:
         return {"reason": "the loading over time needs the compiled integrator (numba)"}
-    together = union_at(pool.work, limits, factor, pool.points, pool.sample)
+    together = union_at(pool.work, limits, factor, pool.sample)
     rng = random_generator(seed=work.study.seed, task="fracture.specimens")
     drawn = draw_breaking(together, specimens, rng)
     found: dict[str, Any] = {"first_loading": _first_loading(pool, sampled, limits, factor, union, together).as_dict()}
@@ -145,12 +136,12 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
     from uqsphere.mechanics.validity import check_at_fracture
 
     work, shape = pool.work, drawn.rows.shape
-    flat = (np.arange(shape[0])[:, None] * pool.sample.status.shape[1] + drawn.rows).ravel()
+    flat = (np.arange(shape[0])[:, None] * pool.sample.count + drawn.rows).ravel()
     distinct, rows = np.unique(flat, return_inverse=True)
     names, d = work.scene_names, len(work.scene_names)
     if d == 0:
         distinct, rows = distinct[:1], np.zeros_like(rows)
-    physical = pool.points.physical[:, :, :d].reshape(-1, d)[distinct]
+    physical = pool.sample.inputs[:, :, :d].reshape(-1, d)[distinct]
     scene = scene_of(work.study, {name: physical[:, k] for k, name in enumerate(names)}, len(distinct))
     paths = [path for limit in limits if (path := path_of(limit.quantity, work.study.demands)) is not None]
     shares = drawn.shares.reshape(len(limits), -1).T
@@ -173,7 +164,7 @@ def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[
     first = result.first.reshape(shape)
     if "t10" in work.quantities:
         # of the energy of the whole record: what a sphere takes that has broken is not followed
-        answers = pool.sample.values[:, :, work.quantities.index("t10")]
+        answers = pool.sample.answer("t10")
         known["t10"] = np.take_along_axis(answers, drawn.rows, axis=1).ravel()
     state = {
         name: {"unit": _UNITS[name], **_quantiles(values.reshape(shape), weights, evaluations)}
@@ -253,17 +244,17 @@ def _first_loading(
     method = "common random numbers, the record ended by the first reflected wave"
     if union.value is None:
         return absent(union.reason or "the union is not known", method, 0)
-    count = _affordable(work, pool.sample.status.shape[1])
+    count = _affordable(work, pool.sample.count)
     if count == 0:
         return absent("the budget of evaluations leaves nothing for the first loading", method, 0)
-    points, whole = _first(pool.points, count), _first_of(pool.sample, count)
+    whole = pool.sample.head(count)
     moved = replace(work, study=replace(study, model=replace(study.model, first_loading_only=True)))
-    early = evaluate_draw(moved, "fracture.first", points)
-    states = [_no_larger(state_of(work, limit, points, early), state_of(work, limit, points, whole))
+    early = evaluate_sample(moved, "fracture.first", whole)
+    states = [_no_larger(state_of(work, limit, early), state_of(work, limit, whole))
               for limit in limits]  # fmt: skip
     rng = random_generator(seed=study.seed, task="fracture.holding")
     if over_record.factor.any() and count != over_record.chances.shape[2]:
-        over_record = union_at(work, limits, factor, points, whole)
+        over_record = union_at(work, limits, factor, whole)
     p, q = make_union(states, factor, rng).any.mean(axis=1), over_record.any.mean(axis=1)
     if not q.sum() > 0.0:
         return replace(union, method=method)

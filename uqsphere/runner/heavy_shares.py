@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.runner.heavy_tails import outputs_of, tail_of
+from uqsphere.runner.heavy_tails import tail_of
 from uqsphere.runner.stopping import WORTHLESS, indices_missed
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.heavy_tails import HeavyTail, of_variance, widened_share
@@ -41,7 +41,7 @@ def share_heavy(
     Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
     of the design carry it and no expansion helps, they hold what so few may have missed.
     """
-    tails = {q: tail_of(work, sampled.points, sampled.sample, k) for k, q in enumerate(work.quantities)}
+    tails = {q: tail_of(work, sampled.sample, q) for q in work.quantities}
     return shares_with_tails(work, sampled, found, tails, pairs)
 
 
@@ -55,7 +55,7 @@ def shares_with_tails(
     answers, asked = {}, work.study.analysis.accuracy.sobol
     for k, quantity in enumerate(work.quantities):
         indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
-        reason = _why_none(outputs_of(work, sampled.sample, k), sd)
+        reason = _why_none(sampled.sample.outputs(quantity), sd)
         if reason:
             # that the variance is not there weighs more than why an index was absent before
             every = reason.startswith(_SHARED)

@@ -4,38 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 
 if TYPE_CHECKING:
-    from uqsphere.runner.work import Draw, Sample, Work
+    from uqsphere.runner.work import Work
     from uqsphere.uq.estimates import Description
-    from uqsphere.uq.families import Array
+    from uqsphere.uq.sample import Sample
 
-__all__ = ["describe_heavy", "outputs_of", "tail_of"]
-
-
-def outputs_of(work: Work, sample: Sample, k: int) -> Array:
-    """Answers (n,) of a quantity, nan where there is none."""
-    flat: Array = np.where(sample.failed, np.nan, sample.values[:, :, k]).ravel()
-    return flat
+__all__ = ["describe_heavy", "tail_of"]
 
 
-def tail_of(work: Work, points: Draw, sample: Sample, k: int) -> HeavyTail | None:
+def tail_of(work: Work, sample: Sample, quantity: str) -> HeavyTail | None:
     """The tail that a quantity inherits of the laws of the inputs."""
     d = len(work.scene_names)
     if d == 0:
         return None
     laws = {name: work.study.random[name] for name in work.scene_names}
-    return heavy_tail(laws, points.physical[:, :, :d].reshape(-1, d), outputs_of(work, sample, k))
+    return heavy_tail(laws, sample.inputs[:, :, :d].reshape(-1, d), sample.outputs(quantity))
 
 
-def describe_heavy(
-    work: Work, points: Draw, sample: Sample, descriptions: dict[str, Description]
-) -> dict[str, Description]:
+def describe_heavy(work: Work, sample: Sample, descriptions: dict[str, Description]) -> dict[str, Description]:
     """The same without moments that do not exist."""
     return {
-        name: without_moments(found, tail_of(work, points, sample, k), outputs_of(work, sample, k))
-        for (k, name), found in zip(enumerate(work.quantities), descriptions.values(), strict=True)
+        name: without_moments(found, tail_of(work, sample, name), sample.outputs(name))
+        for name, found in descriptions.items()
     }

@@ -17,13 +17,14 @@ import numpy.typing as npt
 
 from uqsphere.runner.limits import LimitAnswer, state_of
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import Draw, Sample, Work
+from uqsphere.runner.work import Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf, is_steps
 from uqsphere.uq.ignorance import count_tests, is_fitted, possible_densities, possible_tails
 from uqsphere.uq.inputs import conditional_normal, tied_names
 from uqsphere.uq.laws import LawError
 from uqsphere.uq.reliability import shifted_tails, strength_tails
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["find_ignorance"]
@@ -43,15 +44,6 @@ FAR: Final = 0.1
 
 class _Unanswerable(Exception):
     """Why the ignorance cannot be told."""
-
-
-def _few(draw: Draw, sample: Sample) -> tuple[Draw, Sample]:
-    """The first points of every replicate, `ROWS` of them in all."""
-    each = max(1, ROWS // draw.normals.shape[0])
-    return (
-        Draw(normals=draw.normals[:, :each], physical=draw.physical[:, :each]),
-        Sample(values=sample.values[:, :each], censored=sample.censored[:, :each], status=sample.status[:, :each]),
-    )
 
 
 def _generator(work: Work, name: str) -> np.random.Generator:
@@ -86,8 +78,8 @@ def _refuse_dependent(work: Work, names: Iterable[str]) -> None:
             raise _Unanswerable(f"{name} depends on other inputs, and the tests say nothing of their dependence")
 
 
-def _columns(work: Work, fitted: dict[str, Law], points: Draw) -> dict[str, Array]:
-    return {name: points.physical[:, :, work.drawn.names.index(name)].ravel() for name in fitted}
+def _columns(fitted: dict[str, Law], sample: Sample) -> dict[str, Array]:
+    return {name: sample.input(name).ravel() for name in fitted}
 
 
 def _spread(values: Array) -> list[float]:
@@ -147,20 +139,18 @@ def _logit(below: float, above: float) -> float:
     return math.log(below) - math.log(above)
 
 
-def _moving(
-    work: Work, limit: Limit, answer: LimitAnswer, points: Draw, sample: Sample, fitted: dict[str, Law]
-) -> _Moving:
+def _moving(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> _Moving:
     """Raises _Unanswerable, LawError."""
     from scipy.special import ndtri
 
     key = f"limits.{limit.name}.strength"
     inputs = {name: law for name, law in fitted.items() if name != key}
     _refuse_dependent(work, inputs)
-    state = state_of(work, limit, points, sample)
+    state = state_of(work, limit, sample)
     if state.tie is not None:
         raise _Unanswerable("another than the Gaussian copula ties the strength to inputs")
     keep = ~state.broken.ravel()
-    columns = {name: column[keep] for name, column in _columns(work, inputs, points).items()}
+    columns = {name: column[keep] for name, column in _columns(inputs, sample).items()}
     weights = {name: _weights(work, name, law, columns[name]) for name, law in inputs.items()}
     shift, scores = None, {}
     if state.shift is not None:
@@ -186,7 +176,7 @@ def _moving(
     )  # fmt: skip
 
 
-def _of_limit(work: Work, limit: Limit, answer: LimitAnswer, points: Draw, sample: Sample) -> dict[str, Any] | None:
+def _of_limit(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample) -> dict[str, Any] | None:
     """Where the probability of one limit may lie, all fitted laws together and each alone."""
     key = f"limits.{limit.name}.strength"
     own = (*work.scene_names, f"limits.{limit.name}.model_factor", key)
@@ -195,7 +185,7 @@ def _of_limit(work: Work, limit: Limit, answer: LimitAnswer, points: Draw, sampl
         return None
     about = _about(fitted)
     try:
-        moving = _moving(work, limit, answer, points, sample, fitted)
+        moving = _moving(work, limit, answer, sample, fitted)
     except (_Unanswerable, LawError) as error:
         return {"from": about, "reason": str(error)}
     together = moving.exceedance(fitted, with_strength=key in fitted)
@@ -240,10 +230,10 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[s
 
     Each is a table ready for results.json: 95 % ranges over the laws that the tests allow, or a reason.
     """
-    points, sample = _few(sampled.points, sampled.sample)
+    sample = sampled.sample.head(max(1, ROWS // sampled.sample.replicates))
     limits = {}
     for limit in work.study.limits:
-        found = _of_limit(work, limit, sampled.limits[limit.name], points, sample)
+        found = _of_limit(work, limit, sampled.limits[limit.name], sample)
         if found is not None:
             limits[limit.name] = found
     fitted = _fitted(work, work.scene_names)
@@ -251,14 +241,15 @@ def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[s
         return limits, {}
     try:
         _refuse_dependent(work, list(fitted))
-        columns = _columns(work, fitted, points)
+        columns = _columns(fitted, sample)
         weights = {name: _weights(work, name, law, columns[name]) for name, law in fitted.items()}
     except (_Unanswerable, LawError) as error:
         return limits, {q: {"from": _about(fitted), "reason": str(error)} for q in work.quantities}
     quantities = {}
-    for k, quantity in enumerate(work.quantities):
-        whole = ~(sample.failed | sample.censored[:, :, k]).ravel() & np.isfinite(sample.values[:, :, k]).ravel()
+    for quantity in work.quantities:
+        values = sample.answer(quantity)
+        whole = ~(sample.failed | sample.late(quantity)).ravel() & np.isfinite(values).ravel()
         if whole.sum() > 1:
             about = {"from": _about(fitted), "laws": LAWS}
-            quantities[quantity] = {**about, **_of_quantity(work, weights, sample.values[:, :, k], whole)}
+            quantities[quantity] = {**about, **_of_quantity(work, weights, values, whole)}
     return limits, quantities

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.quantities import told_apart
 from uqsphere.runner.stopping import Missed
-from uqsphere.runner.work import Draw, Sample, Work
+from uqsphere.runner.work import Work
 from uqsphere.study import Limit
 from uqsphere.uq.distribution import Law, cdf
 from uqsphere.uq.estimates import Estimate, absent, exact
@@ -27,6 +27,7 @@ from uqsphere.uq.reliability import (
     tails,
     target_met,
 )
+from uqsphere.uq.sample import Sample
 
 __all__ = [
     "SEEN",
@@ -129,26 +130,25 @@ def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[Missed]
     ]
 
 
-def state_of(work: Work, limit: Limit, points: Draw, values: Sample) -> LimitState:
+def state_of(work: Work, limit: Limit, sample: Sample) -> LimitState:
     """Demands of a limit at the points, with what they tell of the strength."""
-    k = work.quantities.index(limit.quantity)
-    demands = values.values[:, :, k]
+    demands = sample.answer(limit.quantity)
     names = work.drawn.names
     if isinstance(limit.model_factor, Law):
-        demands = demands * points.physical[:, :, names.index(f"limits.{limit.name}.model_factor")]
+        demands = demands * sample.inputs[:, :, names.index(f"limits.{limit.name}.model_factor")]
     else:
         demands = demands * limit.model_factor
     policy = work.study.analysis.on_failure
     state = LimitState(
         demands=demands,
         strength=limit.strength,
-        censored=values.censored[:, :, k],
-        failed=values.failed,
+        censored=sample.late(limit.quantity),
+        failed=sample.failed,
         on_failure="drop" if policy == "abort" else policy,
     )
     if not isinstance(limit.strength, Law) or not work.study.dependence:
         return state
-    scores = normal_scores(work.drawn, points.normals.reshape(-1, len(names))).reshape(points.normals.shape)
+    scores = normal_scores(work.drawn, sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
     return tie_strength(work, limit, state, names, scores)
 
 
@@ -163,7 +163,7 @@ def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[st
     return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
 
 
-def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> tuple[dict[str, float] | None, str]:
+def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> tuple[dict[str, float] | None, str]:
     """Shares of the inputs in the failures, the strength among them, and how they were found."""
     from scipy.special import ndtr, ndtri
 
@@ -177,25 +177,23 @@ def _governing(work: Work, limit: Limit, points: Draw, state: LimitState) -> tup
         names.append(f"limits.{limit.name}.strength")
     else:
         weight = (state.demands > limit.strength)[keep].astype(float)
-    found = failure_shares(points.normals[keep][:, : len(work.drawn.names)], weight, score)
+    found = failure_shares(sample.scores[keep][:, : len(work.drawn.names)], weight, score)
     if found is None:
         return None, BY_DIRECTION
     return dict(zip(names, found[0].tolist(), strict=True)), found[1]
 
 
-def judge_limits(
-    work: Work, points: Draw, values: Sample, quantities: Container[str] | None = None
-) -> dict[str, LimitAnswer]:
+def judge_limits(work: Work, sample: Sample, quantities: Container[str] | None = None) -> dict[str, LimitAnswer]:
     """Every limit of the study, or those of some quantities, at the points that were sampled."""
     answers = {}
     for limit in work.study.limits:
         if quantities is not None and limit.quantity not in quantities:
             continue
-        state = state_of(work, limit, points, values)
+        state = state_of(work, limit, sample)
         missed, exceeded = miss(state, limit.aim), exceedance(state)
         if not work.drawn.names and not state.late.any() and not state.broken.any():
             missed, exceeded = (exact(e.value) if e.value is not None else e for e in (missed, exceeded))
-        shares, method = _governing(work, limit, points, state)
+        shares, method = _governing(work, limit, sample, state)
         answers[limit.name] = LimitAnswer(
             quantity=limit.quantity,
             aim=limit.aim,

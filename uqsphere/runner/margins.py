@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.quantities import format_value
 from uqsphere.runner.band import Band
-from uqsphere.runner.curve_rows import CurveRows, Rows
+from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
@@ -24,6 +24,7 @@ from uqsphere.study import Limit
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
+from uqsphere.uq.sample import Sample
 
 __all__ = [
     "MarginAnswer",
@@ -119,7 +120,7 @@ def _curves(work: Work, limits: Sequence[Limit], *, most: int, tag: str) -> dict
     if seen.reason:
         return dict.fromkeys((limit.name for limit in limits), seen.reason)
     found: dict[str, _Found | str] = {}
-    taken: dict[float, Rows] = {}
+    taken: dict[float, Sample] = {}
     rows = seen.rows
     known = [limit for limit in limits if rows is not None and rows.knows(limit.quantity)]
     for limit in known:

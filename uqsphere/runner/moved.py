@@ -12,11 +12,12 @@ import numpy.typing as npt
 from uqsphere.mechanics.bars import section
 from uqsphere.mechanics.contact import sphere_mass
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, evaluate_points
+from uqsphere.runner.work import REPLICATES, Work, evaluate_points, with_answered
 from uqsphere.study import ENERGY, Limit, Study, law_with_mean
 from uqsphere.uq.distribution import Law, nominal_mean
 from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = [
@@ -88,15 +89,15 @@ def _normals(dimension: int, seed: int, start: int, count: int) -> Array:
     return np.asarray(together[:, first : first + count])
 
 
-def draw_points(work: Work, *, start: int, count: int) -> Draw:
+def draw_points(work: Work, *, start: int, count: int) -> Sample:
     """The points `start` to `start + count` of every replicate, not evaluated."""
     normals = _normals(len(work.drawn.names), work.study.seed, start, count)
     flat = normals.reshape(normals.shape[0] * normals.shape[1], normals.shape[2])
     physical = physical_from_normal(work.drawn, flat).reshape(normals.shape)
-    return Draw(normals=normals, physical=physical)
+    return Sample.at(work.drawn.names, normals, physical)
 
 
-def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = "") -> tuple[Draw, Sample]:
+def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = "") -> Sample:
     """The points `start` to `start + count` of every replicate, the same random numbers at every value."""
     assert work.study.margins is not None
     solve = work.study.margins.solve
@@ -105,7 +106,7 @@ def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = 
     moved = work if outside else replace(work, study=moved_study(work.study, solve, value))
     points = draw_points(moved, start=start, count=count)
     names, d = moved.scene_names, len(moved.scene_names)
-    rows = points.physical[:, :, :d]
+    rows = points.inputs[:, :, :d]
     if energy:
         speed = _speed_at_energy(work, rows, value)
         if "striker.speed" in names:
@@ -117,13 +118,7 @@ def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = 
     flat = rows.reshape(rows.shape[0] * rows.shape[1], rows.shape[2])
     # without scatter in the scene one row stands for all
     answered = evaluate_points(moved, key, names, flat if rows.shape[2] else flat[:1])
-    shape = (*points.physical.shape[:2], len(work.quantities))
-    sample = Sample(
-        values=np.resize(answered.values, shape),
-        censored=np.resize(answered.censored, shape),
-        status=np.resize(answered.status, shape[:2]),
-    )
-    return points, sample
+    return with_answered(work, points, answered)
 
 
 def probabilities(state: LimitState) -> Array:
@@ -133,14 +128,13 @@ def probabilities(state: LimitState) -> Array:
     return np.asarray(below.sum(axis=1) / np.where(total > 0.0, total, 1.0))
 
 
-def limit_state(work: Work, limit: Limit, points: Draw, demands: Array, value: float) -> LimitState:
+def limit_state(work: Work, limit: Limit, points: Sample, demands: Array, value: float) -> LimitState:
     """The state of a limit at a value, with demands (R, n) before its model factor, all of them known."""
     assert work.study.margins is not None
     full = np.ones((*demands.shape, len(work.quantities)))
     full[:, :, work.quantities.index(limit.quantity)] = demands
-    none = np.zeros(full.shape, dtype=bool)
-    sample = Sample(values=full, censored=none, status=np.zeros(demands.shape, dtype=np.int64))
-    return at_strength(work, limit, state_of(work, limit, points, sample), value)
+    sample = points.with_answers(work.quantities, full)
+    return at_strength(work, limit, state_of(work, limit, sample), value)
 
 
 def at_strength(work: Work, limit: Limit, state: LimitState, value: float) -> LimitState:

@@ -11,12 +11,13 @@ import numpy.typing as npt
 
 from uqsphere.runner.limits import LimitAnswer, state_of
 from uqsphere.runner.pilot import Candidate, Pilot
-from uqsphere.runner.work import REPLICATES, Draw, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.work import REPLICATES, Work, draw, evaluate_sample
 from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Description, Estimate
 from uqsphere.uq.reliability import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
+from uqsphere.uq.sample import Sample
 
 __all__ = ["Control", "Plan", "follow", "needed", "propose", "verdict", "weigh"]
 
@@ -53,14 +54,13 @@ class Plan:
 class Control:
     """The state of the control variate in the course of sampling.
 
-    `points` and `sample` are those of the cheap model, (R, m), in the order of the full model's; `descriptions`
+    `sample` has the rows of the cheap model, (R, m), in the order of the full model's; `descriptions`
     and `limits` the answers with its help; `used` None before it was tried.
     """
 
     plan: Plan | None
     text: str
     used: bool | None = None
-    points: Draw | None = None
     sample: Sample | None = None
     descriptions: dict[str, Description] = field(default_factory=dict)
     limits: dict[str, LimitAnswer] = field(default_factory=dict)
@@ -176,7 +176,6 @@ def affordable_rows(control: Control, count: int) -> int:
 def follow(
     work: Work,
     control: Control,
-    points: Draw,
     sample: Sample,
     plain: tuple[dict[str, Description], dict[str, LimitAnswer]],
     excess: Excess,
@@ -190,32 +189,28 @@ def follow(
         When the time is over before the cheap model has been evaluated.
     """
     plan = control.plan
-    n = sample.status.shape[1]
+    n = sample.count
     lacking = excess(*plain)
     if plan is None or control.used is False or (control.used is None and (n < TRIED or not lacking)):
         return control
-    have = 0 if control.sample is None else control.sample.status.shape[1]
+    have = 0 if control.sample is None else control.sample.count
     wanted = plan.ratio * n - have
     if work.ledger.total + REPLICATES * wanted > budget:
         return Control(plan=None, used=False, text="a control variate was not tried: the budget does not allow it")
     drawn = draw(work.drawn, seed=work.study.seed, task="sampling", start=have, count=wanted)
     cheap = replace(work, fidelity=plan.candidate.fidelity, fallback=None, spare=True)
-    fresh = _calibrated(work, plan.candidate, evaluate_draw(cheap, f"control.{have}", drawn))
-    if control.points is not None and control.sample is not None:
-        drawn = Draw(
-            normals=np.concatenate([control.points.normals, drawn.normals], axis=1),
-            physical=np.concatenate([control.points.physical, drawn.physical], axis=1),
-        )
+    fresh = _calibrated(work, plan.candidate, evaluate_sample(cheap, f"control.{have}", drawn))
+    if control.sample is not None:
         fresh = control.sample.join(fresh)
     if any(part.failed.any() or part.censored.any() for part in (sample, fresh)):
         fidelity = plan.candidate.fidelity
         text = f"{fidelity} is not used as a control variate: rows outlast the record or have no answer"
         return Control(plan=None, used=False, text=text)
-    control = replace(control, points=drawn, sample=fresh)
+    control = replace(control, sample=fresh)
     control = replace(
         control,
         descriptions=_descriptions(work, plan, sample, fresh),
-        limits=_limits(work, plan, points, sample, drawn, fresh, plain[1]),
+        limits=_limits(work, plan, sample, fresh, plain[1]),
     )
     size = n * REPLICATES
     if control.used is None:
@@ -227,7 +222,7 @@ def follow(
 def _calibrated(work: Work, candidate: Candidate, sample: Sample) -> Sample:
     """Cheap answers put on the pilot's line through those of the full model, so that thresholds correspond."""
     lines = np.array([candidate.calibration[name] for name in work.quantities])
-    return replace(sample, values=lines[:, 0] + lines[:, 1] * sample.values)
+    return replace(sample, answers=lines[:, 0] + lines[:, 1] * sample.answers)
 
 
 def _method(plan: Plan) -> str:
@@ -235,16 +230,16 @@ def _method(plan: Plan) -> str:
 
 
 def _descriptions(work: Work, plan: Plan, sample: Sample, many: Sample) -> dict[str, Description]:
-    n = sample.status.shape[1]
+    n = sample.count
     return {
         name: describe_controlled(
-            sample.values[:, :, k],
-            many.values[:, :n, k],
-            many.values[:, :, k],
+            sample.answer(name),
+            many.answer(name)[:, :n],
+            many.answer(name),
             quantiles=work.study.analysis.quantiles,
             method=_method(plan),
         )
-        for k, name in enumerate(work.quantities)
+        for name in work.quantities
     }
 
 
@@ -262,16 +257,14 @@ def _by_replicate(state: LimitState, answer: Callable[[LimitState], Estimate]) -
 
 
 def _limits(
-    work: Work, plan: Plan, points: Draw, sample: Sample, drawn: Draw, many: Sample, plain: dict[str, LimitAnswer]
+    work: Work, plan: Plan, sample: Sample, many: Sample, plain: dict[str, LimitAnswer]
 ) -> dict[str, LimitAnswer]:
     """The limits with their probabilities controlled; margins and directions stay those of the full sample."""
-    n = sample.status.shape[1]
-    head = Draw(normals=drawn.normals[:, :n], physical=drawn.physical[:, :n])
-    few = Sample(values=many.values[:, :n], censored=many.censored[:, :n], status=many.status[:, :n])
+    few = many.head(sample.count)
     answers = {}
     for limit in work.study.limits:
         given = plain[limit.name]
-        states = [state_of(work, limit, *pair) for pair in ((points, sample), (head, few), (drawn, many))]
+        states = [state_of(work, limit, part) for part in (sample, few, many)]
         exceeded = _probability(plan, limit, states, exceedance) or given.exceedance
         missed = exceeded
         if limit.aim == "break":

@@ -247,7 +247,7 @@ def first_look(work: Work) -> Pilot:
     count = pilot_points(study.analysis.budget.evaluations) if work.scene_names else 1
     compared = max(count // 2, 1)
     points = draw(inputs, seed=study.seed, task="pilot", start=0, count=count, replicates=1)
-    values = {name: points.physical[0, :, k] for k, name in enumerate(work.scene_names)}
+    values = {name: points.input(name)[0] for name in work.scene_names}
     scene = scene_of(study, values, count)
     few = scene_of(study, {name: column[:compared] for name, column in values.items()}, min(compared, count))
 

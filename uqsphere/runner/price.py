@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import BlackBox
-from uqsphere.runner.work import Draw, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.work import Work, draw, evaluate_sample
+from uqsphere.uq.sample import Sample
 from uqsphere.ways import Way, choose_way
 
-__all__ = ["COST", "FIRST_RUNS", "Design", "Priced", "enlarge", "price"]
+__all__ = ["COST", "FIRST_RUNS", "Priced", "enlarge", "price"]
 
 Array = npt.NDArray[np.float64]
 
@@ -27,25 +28,12 @@ COST = "cost"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Design:
-    """One scrambled Sobol' design that is enlarged: points (1, N, D) and answers (1, N, q)."""
-
-    points: Draw
-    sample: Sample
-
-    @property
-    def count(self) -> int:
-        """Runs so far."""
-        return int(self.sample.status.shape[1])
-
-
-@dataclass(frozen=True, kw_only=True)
 class Priced:
     """The way a study is answered, what an evaluation costs [s], None if nobody asked, and the runs that were timed."""
 
     way: Way
     cost: float | None
-    design: Design | None = None
+    design: Sample | None = None
 
     def bounded(self, work: Work) -> Work:
         """The work with no more evaluations than the time budget has room for at this cost."""
@@ -53,23 +41,14 @@ class Priced:
         return replace(work, study=replace(work.study, analysis=replace(work.study.analysis, budget=budget)))
 
 
-def enlarge(work: Work, design: Design | None, count: int) -> Design:
-    """The design with `count` runs altogether; those that are there are kept."""
+def enlarge(work: Work, design: Sample | None, count: int) -> Sample:
+    """One scrambled Sobol' design (one replicate) with `count` runs altogether; those that are there are kept."""
     start = 0 if design is None else design.count
     if start >= count and design is not None:
         return design
     points = draw(work.drawn, seed=work.study.seed, task=TASK, start=start, count=count - start, replicates=1)
-    sample = evaluate_draw(work, f"{TASK}.{start}", points)
-    if design is None:
-        return Design(points=points, sample=sample)
-    old = design.points
-    return Design(
-        points=Draw(
-            normals=np.concatenate([old.normals, points.normals], axis=1),
-            physical=np.concatenate([old.physical, points.physical], axis=1),
-        ),
-        sample=design.sample.join(sample),
-    )
+    sample = evaluate_sample(work, f"{TASK}.{start}", points)
+    return sample if design is None else design.join(sample)
 
 
 class _Watch:
@@ -86,7 +65,7 @@ class _Watch:
         return found
 
 
-def _timed(work: Work, design: Design | None, count: int) -> tuple[Design, float | None]:
+def _timed(work: Work, design: Sample | None, count: int) -> tuple[Sample, float | None]:
     """The design with `count` runs, and seconds of each new one; None where they were stored already."""
     reused = work.ledger.reused
     new = count - (0 if design is None else design.count)

@@ -27,14 +27,13 @@ KEPT = 16_384
 
 def save_points(work: Work, store: Store, sampled: Sampled) -> None:
     """Store the first rows of the sample: inputs, answers, status, censored flags."""
-    replicates, n, _ = sampled.points.physical.shape
-    each = min(n, max(1, KEPT // replicates))
+    sample = sampled.sample.head(max(1, KEPT // sampled.sample.replicates))
     d, q = len(work.drawn.names), len(work.quantities)
     parts = [
-        sampled.points.physical[:, :each].reshape(replicates * each, d),
-        sampled.sample.values[:, :each].reshape(-1, q),
-        sampled.sample.censored[:, :each].reshape(-1, q).astype(float),
-        sampled.sample.status[:, :each].reshape(-1, 1).astype(float),
+        sample.inputs.reshape(sample.size, d),
+        sample.answers.reshape(sample.size, q),
+        sample.censored.reshape(sample.size, q).astype(float),
+        sample.status.reshape(sample.size, 1).astype(float),
     ]
     buffer = io.BytesIO()
     np.save(buffer, np.concatenate(parts, axis=1), allow_pickle=False)

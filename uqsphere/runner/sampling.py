@@ -13,8 +13,9 @@ from uqsphere.runner.heavy_tails import describe_heavy
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.stopping import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, cost_of, out_of_reach
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, draw, evaluate_draw
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, draw, evaluate_sample
 from uqsphere.uq.estimates import Description, absent, describe, exact, lacking
+from uqsphere.uq.sample import Sample
 
 __all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
 
@@ -33,9 +34,8 @@ SHARE = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class Sampled:
-    """What sampling found: the points and answers, their description, the limits, and the way there."""
+    """What sampling found: the rows with their answers, their description, the limits, and the way there."""
 
-    points: Draw
     sample: Sample
     descriptions: dict[str, Description]
     limits: dict[str, LimitAnswer]
@@ -46,7 +46,7 @@ class Sampled:
     control: Control = field(default_factory=lambda: Control(plan=None, text="", used=False))
 
 
-def _describe_one(work: Work, sample: Sample, k: int) -> Description:
+def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
     """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
     quantiles = work.study.analysis.quantiles
     if sample.failed[0, 0]:
@@ -59,7 +59,7 @@ def _describe_one(work: Work, sample: Sample, k: int) -> Description:
             scale=0.0,
             exempt=quantiles,
         )
-    value, late = float(sample.values[0, 0, k]), bool(sample.censored[0, 0, k])
+    value, late = float(sample.answer(quantity)[0, 0]), bool(sample.late(quantity)[0, 0])
     if late:
         nothing = absent("it outlasts the record", METHOD, 1)
         return Description(
@@ -82,17 +82,17 @@ def _describe_one(work: Work, sample: Sample, k: int) -> Description:
 def _describe(work: Work, sample: Sample) -> dict[str, Description]:
     analysis = work.study.analysis
     if not work.scene_names:
-        return {name: _describe_one(work, sample, k) for k, name in enumerate(work.quantities)}
+        return {name: _describe_one(work, sample, name) for name in work.quantities}
     return {
         name: describe(
-            sample.values[:, :, k],
-            censored=sample.censored[:, :, k],
+            sample.answer(name),
+            censored=sample.late(name),
             failed=sample.failed,
             on_failure=analysis.on_failure,
             quantiles=analysis.quantiles,
             method=METHOD,
         )
-        for k, name in enumerate(work.quantities)
+        for name in work.quantities
     }
 
 
@@ -179,10 +179,10 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description])
     if analysis.on_failure != "bound" or not sample.failed.any():
         return set()
     found: set[tuple[str, float | None]] = set()
-    for k, name in enumerate(work.quantities):
+    for name in work.quantities:
         without = describe(
-            sample.values[:, :, k],
-            censored=sample.censored[:, :, k],
+            sample.answer(name),
+            censored=sample.late(name),
             failed=sample.failed,
             on_failure="drop",
             quantiles=analysis.quantiles,
@@ -240,7 +240,6 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
     """
     study = work.study
     budget = study.analysis.budget.evaluations * (SHARE if more_to_come else 1.0)
-    points: Draw | None = None
     sample: Sample | None = None
     history: list[dict[str, Any]] = []
     seconds: list[float] = []
@@ -259,7 +258,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             break
         try:
             drawn = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=count)
-            fresh = evaluate_draw(work, f"sampling.{start}", drawn)
+            fresh = evaluate_sample(work, f"sampling.{start}", drawn)
         except OutOfBudget:
             if sample is None and work.ledger.interrupted:
                 raise
@@ -270,31 +269,24 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
                 ) from None
             stopped = "time"
             break
-        if points is None or sample is None:
-            points, sample = drawn, fresh
-        else:
-            points = Draw(
-                normals=np.concatenate([points.normals, drawn.normals], axis=1),
-                physical=np.concatenate([points.physical, drawn.physical], axis=1),
-            )
-            sample = sample.join(fresh)
+        sample = fresh if sample is None else sample.join(fresh)
         start += count
         descriptions = _describe(work, sample)
-        limits = judge_limits(work, points, sample)
+        limits = judge_limits(work, sample)
         try:
-            control = follow(work, control, points, sample, (descriptions, limits), partial(excess_of, work), budget)
+            control = follow(work, control, sample, (descriptions, limits), partial(excess_of, work), budget)
         except OutOfBudget:
             control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
         if control.used:
             descriptions, limits = control.descriptions, control.limits
-        descriptions = describe_heavy(work, points, sample, descriptions)
+        descriptions = describe_heavy(work, sample, descriptions)
         missed = find_missed(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
-            course.setdefault(name, []).append((sample.status.size, ratio))
+            course.setdefault(name, []).append((sample.size, ratio))
         for question, ratio in shortfalls(work, descriptions, limits).items():
-            courses.setdefault(question, []).append((sample.status.size, ratio))
+            courses.setdefault(question, []).append((sample.size, ratio))
         helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
-        rows = speed_rows(descriptions, limits, sample.status.size, helper)
+        rows = speed_rows(descriptions, limits, sample.size, helper)
         history += rows
         seconds += [work.ledger.elapsed] * len(rows)
         work.tell(rows)
@@ -310,12 +302,10 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
         if work.out_of_time:
             stopped = "time"
             break
-    assert points is not None
     assert sample is not None
     never = _left_open(work, sample, descriptions)
     ways = [courses.get((one.subject, one.kind, one.at), []) for one in missed]
     return Sampled(
-        points=points,
         sample=sample,
         descriptions=descriptions,
         limits=limits,

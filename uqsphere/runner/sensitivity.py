@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import told_apart
-from uqsphere.runner.design import blocks_of, clean, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
+from uqsphere.runner.design import blocks_of, helpers_of, lost_designs, pick_and_freeze, surrogate_outputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import INDEX_KIND, WORTHLESS, Cost, Missed, index_cost, indices_missed, out_of_reach
@@ -20,6 +20,7 @@ from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.indices import METHOD, SampledIndices, ordered, sampled_indices
 from uqsphere.uq.inputs import tied_names
+from uqsphere.uq.sample import without
 
 __all__ = [
     "Pairs",
@@ -90,17 +91,18 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)
-    n = sampled.sample.values.shape[1]
+    sample = sampled.sample
+    n = sample.count
     least = 4 * (d + 1)
     used = min(max(FIT_POINTS, least), n)
-    outputs = sampled.sample.values[:, :, k]
-    whole = ~sampled.sample.failed
+    outputs = sample.answers[:, :, k]
+    whole = ~sample.failed
     alone = not {"sobol", "auto"} & set(work.study.analysis.methods)
     fits: list[Chaos] = []
     errors = []
     for replicate in range(FITS):
         keep = whole[replicate, :used]
-        points = germ_points(sampled.points.normals[replicate, :used, :d][keep], work.germs)
+        points = germ_points(sample.scores[replicate, :used, :d][keep], work.germs)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
             return {}, {"kind": None, "error": None, "evaluations": 0, "reason": reason}, None
@@ -110,7 +112,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         fits.append(fit_again(fits[0], points, column) if again else fit_chaos(points, column, work.germs, plain=True))
         # held out: another randomisation altogether
         other = FITS + replicate
-        points = germ_points(sampled.points.normals[other, :, :d][whole[other]], work.germs)
+        points = germ_points(sample.scores[other, :, :d][whole[other]], work.germs)
         errors.append(validation_error(fits[-1], points, outputs[other][whole[other]]))
     error = float(np.mean(errors))
     own = error_with_tails(fits, error)
@@ -257,8 +259,8 @@ def find_sensitivity(
             known = surrogate_outputs(work, start, count, blocks, list(surrogates.values()))
             others = known if others is None else np.concatenate([others, known], axis=1)
         start += count
-        whole = clean(values, failed)
-        helpers = helpers_of(surrogates, blocks, None if others is None else clean(others, failed))
+        whole = without(values, failed)
+        helpers = helpers_of(surrogates, blocks, None if others is None else without(others, failed))
         drawn = {q: sampled_indices(whole[..., k], blocks, helpers.get(q)) for k, q in enumerate(work.quantities)}
         found = {
             quantity: {"first": _no_finer(work, e.first), "total": _no_finer(work, e.total)}

@@ -130,11 +130,11 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
                 break
             try:
                 if not known:
-                    points, sample = evaluate_at(work, value, start=0, count=count, tag=tag)
+                    sample = evaluate_at(work, value, start=0, count=count, tag=tag)
             except OutOfBudget:
                 ended = "the time was over, or the run was stopped"
                 break
-            states = [at_strength(work, limit, state_of(work, limit, points, sample), value) for limit in limits]
+            states = [at_strength(work, limit, state_of(work, limit, sample), value) for limit in limits]
             found[value] = {limit.name: probabilities(state) for limit, state in zip(limits, states, strict=True)}
         todo = _steep(sorted(found), found, names) if not ended else []
         if not todo:

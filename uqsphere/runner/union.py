@@ -9,19 +9,19 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.model import is_answered
 from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import evaluate_at, moved_study, strength_solved
 from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.work import REPLICATES, Draw, OutOfBudget, Sample, Work, evaluate_points
+from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, with_answered
 from uqsphere.study import ENERGY, Limit, Study
 from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.inputs import physical_from_normal
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState, exceedance, pick_replicates
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.union import Union, make_union, residual_correlation, union_state
 
@@ -73,10 +73,10 @@ def strength_factor(work: Work, limits: Sequence[Limit]) -> Array:
     return residual_correlation(covariance)
 
 
-def union_at(work: Work, limits: Sequence[Limit], factor: Array, points: Draw, sample: Sample) -> Union:
+def union_at(work: Work, limits: Sequence[Limit], factor: Array, sample: Sample) -> Union:
     # one stream wherever the union is asked for: common random numbers, where any are needed at all
     rng = random_generator(seed=work.study.seed, task="fracture.holding")
-    return make_union([state_of(work, limit, points, sample) for limit in limits], factor, rng)
+    return make_union([state_of(work, limit, sample) for limit in limits], factor, rng)
 
 
 # --- probability of the union -------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def union_estimate(work: Work, sampled: Sampled, limits: Sequence[Limit], factor
     """Probability that any limit is exceeded; one limit's own where there is but one."""
     if len(limits) == 1:
         return sampled.limits[limits[0].name].exceedance
-    plain = exceedance(union_state(union_at(work, limits, factor, sampled.points, sampled.sample)))
+    plain = exceedance(union_state(union_at(work, limits, factor, sampled.sample)))
     asked = work.study.analysis.accuracy.probability
     small = plain.value is None or plain.value < RARE
     known = plain.value is not None and plain.value >= DOUBTFUL and plain.half_width <= asked * plain.value
@@ -121,21 +121,16 @@ def _limit_function(work: Work, limits: Sequence[Limit], factor: Array) -> Any:
         rows = physical[:, :d] if d else physical[:1, :d]
         answered = evaluate_points(work, f"rare-events.union.{next(calls)}", work.scene_names, rows)
         # a limit state is of two replicates at least: the same one twice
-        twice = (2, len(normals))
-        sample = Sample(
-            values=np.resize(answered.values, (*twice, answered.values.shape[1])),
-            censored=np.resize(answered.censored, (*twice, answered.values.shape[1])),
-            status=np.resize(answered.status, twice),
-        )
-        points = Draw(normals=np.stack([normals] * 2), physical=np.stack([physical] * 2))
-        states = [state_of(work, limit, points, sample) for limit in limits]
+        points = Sample.at(work.drawn.names, np.stack([normals] * 2), np.stack([physical] * 2))
+        sample = with_answered(work, points, answered)
+        states = [state_of(work, limit, sample) for limit in limits]
         if fixed:
             found = [_ratio(state) for state in states]
             value = np.log(np.min(found, axis=0))
         else:
             together = make_union(states, factor, random_generator(seed=0, task="fracture.unused"))
             value = -union_state(together).demands[0]
-        return np.where(is_answered(answered.status) if d else is_answered(sample.status[0]), value, np.nan)
+        return np.where(~sample.failed[0], value, np.nan)
 
     return g
 
@@ -190,7 +185,7 @@ def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
 def _at_value(work: Work, name: str, value: float, limits: Sequence[Limit], factor: Array) -> Array:
     """Probability of the union in every replicate (R,), the same random numbers at every value."""
     moved = work if name == ENERGY else replace(work, study=moved_study(work.study, name, value))
-    points, sample = evaluate_at(work, value, start=0, count=CURVE_POINTS)
-    state = union_state(union_at(moved, limits, factor, points, sample))
+    sample = evaluate_at(work, value, start=0, count=CURVE_POINTS)
+    state = union_state(union_at(moved, limits, factor, sample))
     found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
     return np.array([np.nan if p is None else p for p in found])

@@ -31,20 +31,22 @@ from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.inputs import Inputs, physical_from_normal, sub_inputs
 from uqsphere.uq.laws import germs_of
+from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = [
     "CHUNK",
     "REPLICATES",
-    "Draw",
     "Executor",
     "Ledger",
     "OutOfBudget",
-    "Sample",
     "Work",
+    "draw",
     "evaluate_points",
+    "evaluate_sample",
     "none_answered",
     "sub_inputs",
+    "with_answered",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -100,36 +102,6 @@ class Ledger:
         closed = self.parts.values()
         spent = {name: n - sum(one.get(name, 0) for one in closed) for name, n in self.evaluations.items()}
         self.parts[part] = {name: n for name, n in spent.items() if n}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Draw:
-    """R replicates of n points: independent normals and physical values, both (R, n, D)."""
-
-    normals: Array
-    physical: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sample:
-    """Answers of R replicates of n rows: values and censored (R, n, q), status (R, n)."""
-
-    values: Array
-    censored: Flags
-    status: npt.NDArray[np.int64]
-
-    @property
-    def failed(self) -> Flags:
-        """Rows without an answer, (R, n)."""
-        return np.asarray(~is_answered(self.status))
-
-    def join(self, other: Sample) -> Sample:
-        """This sample and the points that continue it."""
-        return Sample(
-            values=np.concatenate([self.values, other.values], axis=1),
-            censored=np.concatenate([self.censored, other.censored], axis=1),
-            status=np.concatenate([self.status, other.status], axis=1),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +178,7 @@ class Work:
         return sub_inputs(self.all_inputs, names)
 
 
-def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replicates: int = REPLICATES) -> Draw:
+def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replicates: int = REPLICATES) -> Sample:
     """Points `start` to `start + count` of every replicate of a task."""
     from scipy.special import ndtri
 
@@ -219,7 +191,7 @@ def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replic
     )
     normals = np.asarray(ndtri(uniforms))
     physical = physical_from_normal(inputs, normals.reshape(replicates * count, dimension)).reshape(normals.shape)
-    return Draw(normals=normals, physical=physical)
+    return Sample.at(inputs.names, normals, physical)
 
 
 def task_of(work: Work, names: tuple[str, ...], fidelity: str) -> Task:
@@ -349,16 +321,24 @@ def none_answered(work: Work) -> TooManyFailures:
     return TooManyFailures(f"none of {work.ledger.total} evaluations has an answer ({_reasons(work)})")
 
 
-def evaluate_draw(work: Work, key: str, drawn: Draw) -> Sample:
-    """Answers at the points of a draw; columns beyond the model's own inputs are left out of the rows."""
-    replicates, n, _ = drawn.physical.shape
+def evaluate_sample(work: Work, key: str, points: Sample) -> Sample:
+    """The points with their answers; columns beyond the model's own inputs are left out of the rows."""
     d = len(work.scene_names)
-    rows = drawn.physical[:, :, :d].reshape(replicates * n, d)
+    rows = points.inputs[:, :, :d].reshape(points.size, d)
     # without scatter in the scene all rows are one: it is evaluated once, and its answer repeated
     answered = evaluate_points(work, key, work.scene_names, rows if d else rows[:1])
-    shape = (replicates, n, len(work.quantities))
-    return Sample(
-        values=np.resize(answered.values, shape),
+    return with_answered(work, points, answered)
+
+
+def with_answered(work: Work, points: Sample, answered: Answered) -> Sample:
+    """The points with answers to all of their rows, or with one answer for all."""
+    shape = (points.replicates, points.count, len(work.quantities))
+    status = np.resize(answered.status, shape[:2])
+    return points.with_answers(
+        work.quantities,
+        np.resize(answered.values, shape),
         censored=np.resize(answered.censored, shape),
-        status=np.resize(answered.status, (replicates, n)),
+        status=status,
+        failed=~is_answered(status),
+        fidelity=work.fidelity,
     )

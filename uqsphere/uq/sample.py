@@ -1,0 +1,148 @@
+"""The one table of rows: where the points of a design lie, and what was answered there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Sample", "without"]
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """R replicates of n rows, each an independent randomisation of the same design; without scatter R = n = 1.
+
+    Attributes
+    ----------
+    names : the D random variables, in the order of the columns
+    scores, inputs : their independent standard normals and their physical values [SI], (R, n, D) each
+    quantities : the q answers, in the order of the columns; none before the rows are evaluated
+    answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
+    status, failed : the model's code of each row, and whether it has no answer, (R, n) each
+    fidelity : the model that was asked
+    """
+
+    names: tuple[str, ...]
+    scores: Array
+    inputs: Array
+    quantities: tuple[str, ...]
+    answers: Array
+    censored: Flags
+    status: npt.NDArray[np.int64]
+    failed: Flags
+    fidelity: str = ""
+
+    @classmethod
+    def at(cls, names: Sequence[str], scores: Array, inputs: Array) -> Sample:
+        """Points that are not evaluated yet."""
+        shape = scores.shape[:2]
+        return cls(
+            names=tuple(names),
+            scores=scores,
+            inputs=inputs,
+            quantities=(),
+            answers=np.empty((*shape, 0)),
+            censored=np.empty((*shape, 0), dtype=bool),
+            status=np.zeros(shape, dtype=np.int64),
+            failed=np.zeros(shape, dtype=bool),
+        )
+
+    @property
+    def replicates(self) -> int:
+        """Randomisations."""
+        return int(self.scores.shape[0])
+
+    @property
+    def count(self) -> int:
+        """Rows of each replicate."""
+        return int(self.scores.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Rows in all."""
+        return self.replicates * self.count
+
+    def input(self, name: str) -> Array:
+        """Physical values (R, n) of a random variable."""
+        return self.inputs[:, :, self.names.index(name)]
+
+    def answer(self, quantity: str) -> Array:
+        """Values (R, n) of a quantity."""
+        return self.answers[:, :, self.quantities.index(quantity)]
+
+    def late(self, quantity: str) -> Flags:
+        """Whether a quantity outlasts the record, (R, n)."""
+        return self.censored[:, :, self.quantities.index(quantity)]
+
+    def outputs(self, quantity: str) -> Array:
+        """Values (R n,) of a quantity, nan where there is none."""
+        return np.where(self.failed, np.nan, self.answer(quantity)).ravel()
+
+    def knows(self, quantity: str) -> bool:
+        """Whether a quantity is a plain number in every row."""
+        plain = bool(np.isfinite(self.answer(quantity)).all())
+        return plain and not (self.failed.any() or self.late(quantity).any())
+
+    def with_answers(
+        self,
+        quantities: Sequence[str],
+        answers: Array,
+        *,
+        censored: Flags | None = None,
+        status: npt.NDArray[np.int64] | None = None,
+        failed: Flags | None = None,
+        fidelity: str = "",
+    ) -> Sample:
+        """The same points with answers (R, n, q), none of them censored or failed unless it is said."""
+        shape = self.scores.shape[:2]
+        return replace(
+            self,
+            quantities=tuple(quantities),
+            answers=answers,
+            censored=np.zeros(answers.shape, dtype=bool) if censored is None else censored,
+            status=np.zeros(shape, dtype=np.int64) if status is None else status,
+            failed=np.zeros(shape, dtype=bool) if failed is None else failed,
+            fidelity=fidelity,
+        )
+
+    def join(self, other: Sample) -> Sample:
+        """This sample and the rows that continue every replicate."""
+        return self._each(lambda own, more: np.concatenate([own, more], axis=1), other)
+
+    def head(self, count: int) -> Sample:
+        """The first rows of every replicate."""
+        return self._each(lambda own, _: own[:, :count], self)
+
+    def whole(self) -> Sample:
+        """The same number of rows without a failure from every replicate."""
+        return self._each(lambda own, _: without(own, self.failed), self)
+
+    def blocks(self, count: int) -> Sample:
+        """One replicate cut into `count` blocks of consecutive rows, which serve as replicates."""
+        return self._each(lambda own, _: own[0].reshape(count, -1, *own.shape[2:]), self)
+
+    def _each(self, change: Callable[[npt.NDArray[Any], npt.NDArray[Any]], npt.NDArray[Any]], other: Sample) -> Sample:
+        return replace(
+            self,
+            scores=change(self.scores, other.scores),
+            inputs=change(self.inputs, other.inputs),
+            answers=change(self.answers, other.answers),
+            censored=change(self.censored, other.censored),
+            status=change(self.status, other.status),
+            failed=change(self.failed, other.failed),
+        )
+
+
+def without(rows: npt.NDArray[Any], failed: Flags) -> npt.NDArray[Any]:
+    """The same number of rows that have not failed from every replicate: rows (R, n, ...) become (R, n', ...)."""
+    if not failed.any():
+        return rows
+    least = int((~failed).sum(axis=1).min())
+    return np.stack([row[~bad][:least] for row, bad in zip(rows, failed, strict=True)])
