@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.attend import Silence, last_words
 from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
+from uqsphere.cli.watch import Silence, last_words
 from uqsphere.console import Progress
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer

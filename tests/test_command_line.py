@@ -423,7 +423,7 @@ def test_a_title_cannot_steer_the_terminal(ask: Any, place: Path, small_text: st
 
 
 def test_the_debug_switch_shows_the_place(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from uqsphere import commands
+    from uqsphere.cli import runs as commands
 
     def fail(chosen: Any) -> int:
         raise RuntimeError("broken")

@@ -27,7 +27,8 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
 from uqsphere.runner import pilot, sampling, sensitivity, stopping, work
-from uqsphere.study import load_study, schema
+from uqsphere.study import document as schema
+from uqsphere.study import load_study
 from uqsphere.uq import indices
 from uqsphere.uq.specification import LAWS
 

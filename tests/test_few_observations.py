@@ -11,7 +11,7 @@ from scipy import stats
 
 import uqsphere
 from uqsphere.study import load_study
-from uqsphere.study.nouns import Study
+from uqsphere.study.study import Study
 from uqsphere.summary import summary_of
 
 STUDY = """

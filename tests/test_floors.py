@@ -34,16 +34,11 @@ FLOORS = {
     "uqsphere.given": 8,
     "uqsphere.bench": 9,
     "uqsphere.summary": 9,
-    "uqsphere.attend": 9,
     "uqsphere.experiment": 9,
     "uqsphere.planning": 9,
-    "uqsphere.verify": 9,
     "uqsphere.compare": 9,
-    "uqsphere.doctor": 9,
-    "uqsphere.commands": 10,
-    "uqsphere.inspection": 10,
-    "uqsphere.cli": 11,
-    "uqsphere.__main__": 12,
+    "uqsphere.cli": 10,
+    "uqsphere.__main__": 11,
 }
 #: the root names the package's version and hands out its public names lazily: every floor may read the version
 PUBLIC = "uqsphere"
@@ -109,7 +104,7 @@ def test_the_root_imports_nothing_when_it_is_imported() -> None:
     [
         ("uqsphere.mechanics.contact", "from uqsphere.uq.laws import mean"),
         ("uqsphere.uq.inputs", "def f():\n    import uqsphere.mechanics.scene"),
-        ("uqsphere.study.reading", "from uqsphere import runner"),
+        ("uqsphere.study.text", "from uqsphere import runner"),
         ("uqsphere.model", "from uqsphere.store import Store"),
         ("uqsphere.errors", "from uqsphere.quantities import UNITS"),
     ],

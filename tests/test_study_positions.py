@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uqsphere.errors import StudyError
-from uqsphere.study.findings import Place
-from uqsphere.study.positions import locate
-from uqsphere.study.reading import MOST_DOTS, MOST_NESTING, parse_text
+from uqsphere.study.faults import Place
+from uqsphere.study.text import MOST_DOTS, MOST_NESTING, locate, parse_text
 
 STUDIES = sorted((Path(__file__).parent.parent / "studies").glob("*.toml"))
 

@@ -14,11 +14,11 @@ import pytest
 
 import uqsphere
 from uqsphere.cli import main
+from uqsphere.cli.verify import verify_folder, verify_text
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.runner.datafiles import kept_data, named_files
 from uqsphere.runner.rehearsal import stored_study
 from uqsphere.runner.sums import read_sums
-from uqsphere.verify import verify_folder, verify_text
 
 MODEL = "def f(x):\n    return {'y': x['x1'] + 0.1 * x['x2']}\n"
 STUDY = """\

@@ -11,7 +11,7 @@ from uqsphere.errors import UsageError
 from uqsphere.forecast import CHEAPER, forecast, rough_quantities
 from uqsphere.model import scene_of
 from uqsphere.study import Study
-from uqsphere.study.findings import one_of
+from uqsphere.study.faults import one_of
 from uqsphere.ways import FITS, OVERHEAD, choose_way
 
 __all__ = ["plan_run", "plan_text"]

@@ -6,7 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from uqsphere.study.nouns import (
+from uqsphere.study.resolve import load_study
+from uqsphere.study.study import (
     ENERGY,
     Accuracy,
     Analysis,
@@ -22,7 +23,6 @@ from uqsphere.study.nouns import (
     Study,
     law_with_mean,
 )
-from uqsphere.study.resolve import load_study
 
 __all__ = [
     "ENERGY",

@@ -8,9 +8,9 @@ from typing import Final
 
 from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.quantities import format_value
-from uqsphere.study.findings import Findings
-from uqsphere.study.nouns import ModelChoice
+from uqsphere.study.faults import Findings
 from uqsphere.study.scene import Scene
+from uqsphere.study.study import ModelChoice
 from uqsphere.uq.laws import Law
 
 __all__ = ["check_scene"]

@@ -8,9 +8,9 @@ from typing import Final
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
 from uqsphere.quantities import Quantity
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.document import LimitTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_fixed
-from uqsphere.study.schema import LimitTable
 from uqsphere.uq.laws import Law
 
 __all__ = ["KEYS", "CriterionReading", "read_criterion", "with_modulus_of"]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from uqsphere.study.columns import read_column
-from uqsphere.study.findings import Findings, Place, shown
-from uqsphere.study.nouns import EndImpedance
+from uqsphere.study.document import BarsTable
+from uqsphere.study.faults import Findings, Place, shown
 from uqsphere.study.numbers import plain_quantity
-from uqsphere.study.schema import BarsTable
+from uqsphere.study.study import EndImpedance
 
 __all__ = ["DAMPER_COLUMNS", "read_damper"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Dependence, tie_of
-from uqsphere.study.schema import DependenceTable
+from uqsphere.study.document import DependenceTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.study import Dependence, tie_of
 from uqsphere.uq.copulas import COPULAS
 from uqsphere.uq.laws import LawError, make_law
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from uqsphere.quantities import Quantity, format_value
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Gauge
+from uqsphere.study.document import GaugeTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import read_fixed
 from uqsphere.study.scene import Scene
-from uqsphere.study.schema import GaugeTable
+from uqsphere.study.study import Gauge
 
 __all__ = ["GAUGE_BARS", "MOST_GAUGES", "read_gauges"]
 

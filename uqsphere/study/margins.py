@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Final
 
 from uqsphere.quantities import Quantity, lookup
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import ENERGY, Family, Margins, Study, law_with_mean
+from uqsphere.study.document import MarginsTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.requests import shares
 from uqsphere.study.scene import Scene
-from uqsphere.study.schema import MarginsTable
+from uqsphere.study.study import ENERGY, Family, Margins, Study, law_with_mean
 from uqsphere.uq.laws import LawError
 
 __all__ = ["check_moved_mean", "read_margins"]

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from uqsphere.quantities import INPUTS, UNITS, Quantity, UnitError, format_value, parse_value
 from uqsphere.study.columns import read_column, read_flags
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.uq.ignorance import LEAST_TESTS, count_tests
 from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from uqsphere.study.findings import Findings, Place
-from uqsphere.study.nouns import Analysis
-from uqsphere.study.schema import Document
+from uqsphere.study.document import Document
+from uqsphere.study.faults import Findings, Place
+from uqsphere.study.study import Analysis
 
 __all__ = ["with_product"]
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.mechanics.pulses import MeasuredPulse, noise_names
 from uqsphere.quantities import UnitError, parse_value
 from uqsphere.study.columns import inside_folder
-from uqsphere.study.findings import Findings, Place, shown
+from uqsphere.study.document import PulseTable
+from uqsphere.study.faults import Findings, Place, shown
 from uqsphere.study.numbers import Reading
-from uqsphere.study.schema import PulseTable
 from uqsphere.uq.laws import make_law
 
 if TYPE_CHECKING:

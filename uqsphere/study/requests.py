@@ -12,13 +12,13 @@ from typing import Any, Final
 from uqsphere.mechanics.criteria import PATHS
 from uqsphere.quantities import OUTPUTS, Quantity, lookup
 from uqsphere.study.criterion import KEYS, CriterionReading, read_criterion, with_modulus_of
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Accuracy, Analysis, Budget, Limit, ModelChoice
+from uqsphere.study.document import AnalysisTable, LimitTable, ModelTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_fixed, read_number
 from uqsphere.study.scene import Scene
-from uqsphere.study.schema import AnalysisTable, LimitTable, ModelTable
 from uqsphere.study.sensitivities import read_tolerance
 from uqsphere.study.sphere_tests import is_sphere_tests, read_sphere_tests
+from uqsphere.study.study import Accuracy, Analysis, Budget, Limit, ModelChoice
 
 __all__ = ["LimitReading", "read_analysis", "read_limits", "read_model", "shares", "valid_name"]
 

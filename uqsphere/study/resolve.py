@@ -13,19 +13,17 @@ from uqsphere.quantities import INPUTS
 from uqsphere.study.checks import check_scene
 from uqsphere.study.damper import read_damper
 from uqsphere.study.dependence import read_dependence
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.document import Document, ModelTable, read_document
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.gauges import read_gauges
 from uqsphere.study.margins import check_moved_mean, read_margins
-from uqsphere.study.nouns import Dependence, EndImpedance, Gauge, ModelChoice, Study
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
-from uqsphere.study.overrides import apply_overrides
-from uqsphere.study.positions import locate
 from uqsphere.study.product import with_product
-from uqsphere.study.reading import drop_unusable_numbers, parse_text, read_text
 from uqsphere.study.requests import LimitReading, read_analysis, read_limits, read_model, valid_name
 from uqsphere.study.scene import SECTIONS, Scene, read_scene
-from uqsphere.study.schema import Document, ModelTable, read_document
 from uqsphere.study.sensitivities import read_groups
+from uqsphere.study.study import Dependence, EndImpedance, Gauge, ModelChoice, Study
+from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
 from uqsphere.uq.laws import Law
 
 __all__ = ["load_study"]

@@ -10,11 +10,11 @@ from typing import Any, Final
 from uqsphere.materials import KINDS, library
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import Source
+from uqsphere.study.document import Document, PulseTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import BAR_ENDS, Reading, read_number
 from uqsphere.study.record import RECORD_KEYS, read_record
-from uqsphere.study.schema import Document, PulseTable
+from uqsphere.study.study import Source
 from uqsphere.uq.laws import Law
 
 __all__ = ["PULSE_KEYS", "Scene", "read_scene"]

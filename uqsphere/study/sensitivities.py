@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.nouns import ToleranceRequest
-from uqsphere.study.schema import ToleranceTable
+from uqsphere.study.document import ToleranceTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.study import ToleranceRequest
 from uqsphere.uq.tolerance import least_runs
 
 __all__ = ["read_groups", "read_tolerance"]

@@ -15,7 +15,7 @@ from uqsphere.materials import library
 from uqsphere.quantities import UNITS, Quantity, UnitError, parse_value
 from uqsphere.study.columns import Rows, column_values, open_table, read_flags, unit_factor
 from uqsphere.study.criterion import CriterionReading
-from uqsphere.study.findings import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
 from uqsphere.uq.laws import Law, LawError, make_law

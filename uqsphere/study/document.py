@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from uqsphere.study.findings import Findings, Place, nearest, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, nearest, one_of, shown, suggestion
 
 __all__ = [
     "AccuracyTable",

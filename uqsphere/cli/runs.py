@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uqsphere.attend import KILLED, attend, last_words
 from uqsphere.bench.command import command_bench as command_bench
+from uqsphere.cli.watch import KILLED, attend, last_words
 from uqsphere.console import plain, say, screen_width, table, wrap
 from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError

@@ -84,7 +84,7 @@ def command_export(chosen: argparse.Namespace) -> int:
 
 def command_verify(chosen: argparse.Namespace) -> int:
     """Whether a result folder is whole."""
-    from uqsphere.verify import DAMAGED, verify_folder, verify_text
+    from uqsphere.cli.verify import DAMAGED, verify_folder, verify_text
 
     if not 0 <= chosen.chunks <= 10_000_000:
         raise UsageError(f"--chunks takes 0 and more, found {chosen.chunks}")
@@ -123,7 +123,7 @@ def command_compare(chosen: argparse.Namespace) -> int:
 
 def command_doctor(chosen: argparse.Namespace) -> int:
     """Check this installation."""
-    from uqsphere.doctor import examine
+    from uqsphere.cli.doctor import examine
 
     found = examine()
     if chosen.json:

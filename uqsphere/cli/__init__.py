@@ -1,0 +1,105 @@
+"""The command line: one command run, its errors printed, its exit code given."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from types import FrameType
+
+from uqsphere.cli.parser import build_parser
+from uqsphere.errors import AccessError, UqsphereError
+
+__all__ = ["build_parser", "main"]
+
+#: exit codes beside those of the error family
+MISSED, INTERRUPTED, TERMINATED = 3, 130, 143
+
+
+class _Terminated(BaseException):
+    """The system asks this process to end (SIGTERM)."""
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise _Terminated
+
+
+def _function(command: str) -> Callable[[argparse.Namespace], int]:
+    """What a command does: those that run studies stand in one module, those that look at results in another."""
+    from uqsphere.cli import folders, runs
+
+    name = f"command_{command}"
+    found: Callable[[argparse.Namespace], int] = getattr(runs, name, None) or getattr(folders, name)
+    return found
+
+
+def _go_on(chosen: argparse.Namespace | None, arguments: Sequence[str]) -> str:
+    """How to go on after an interruption; the command that does it never drops what is stored."""
+    if chosen is None or chosen.command != "run":
+        return "interrupted"
+    again = [word for word in arguments if not (chosen.fresh and word.startswith("--f"))]
+    return f"interrupted; what was evaluated is kept, and this goes on with it:\n  uqsphere {shlex.join(again)}"
+
+
+def _drop_stdout() -> None:
+    """Whatever is still to be written goes nowhere, also at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code.  Errors of the family are printed, never raised."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal that lacks a character shows its code instead
+            stream.reconfigure(errors="backslashreplace")
+    chosen: argparse.Namespace | None = None
+    handler = None
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        chosen = build_parser().parse_args(given)
+        code = int(_function(chosen.command)(chosen))
+        sys.stdout.flush()
+        return code
+    except UqsphereError as error:
+        from uqsphere.console import plain_lines
+
+        text = plain_lines(str(error))
+        print(f"uqsphere: {text}" if not hasattr(error, "problems") else text, file=sys.stderr)
+        return error.exit_code
+    except (KeyboardInterrupt, _Terminated) as error:
+        print(f"\nuqsphere: {_go_on(chosen, given)}", file=sys.stderr)
+        return TERMINATED if isinstance(error, _Terminated) else INTERRUPTED
+    except BrokenPipeError:
+        # the reader of stdout has gone: say nothing more
+        _drop_stdout()
+        return 0
+    except Exception as error:
+        return _unforeseen(error)
+    finally:
+        if handler is not None:
+            signal.signal(signal.SIGTERM, handler)
+
+
+def _unforeseen(error: Exception) -> int:
+    """Tell of an error that is none of the family; the exit code."""
+    if os.environ.get("UQSPHERE_DEBUG"):
+        raise error
+    if isinstance(error, OSError):
+        print(f"uqsphere: {error.filename or 'input/output'}: {error.strerror or error}", file=sys.stderr)
+        if error.filename is None:
+            _drop_stdout()
+        return AccessError.exit_code
+    if isinstance(error, MemoryError):
+        print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)
+    else:
+        print(
+            f"uqsphere: internal error: {type(error).__name__}: {error}\n"
+            "  this is a fault of uqsphere; set UQSPHERE_DEBUG=1 to see where it happened",
+            file=sys.stderr,
+        )
+    return UqsphereError.exit_code

@@ -1,0 +1,453 @@
+"""From a path to a table of plain values: size, encoding, depth and syntax, before any meaning is asked.
+
+Size and depth are capped by a linear scan before `tomllib` sees the text: it recurses per bracket, and is
+quadratic in the length of a dotted key.
+"""
+
+from __future__ import annotations
+
+import ast
+import codecs
+import math
+import os
+import re
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from uqsphere.errors import AccessError, Problem, StudyError, UsageError
+from uqsphere.study.faults import Findings, Place, render_place, shown, suggestion
+
+if TYPE_CHECKING:
+    from tree_sitter import Node
+
+__all__ = [
+    "LARGEST_FILE",
+    "MOST_DOTS",
+    "MOST_NESTING",
+    "apply_overrides",
+    "drop_unusable_numbers",
+    "locate",
+    "parse_text",
+    "read_bytes",
+    "read_text",
+]
+
+LARGEST_FILE: Final = 1 << 20
+MOST_NESTING: Final = 16
+MOST_DOTS: Final = 12
+
+# Strings and comments are skipped whole.  Every alternative is possessive and also ends at the end of the
+# text, so that no input makes the scan go back.
+_TOKEN: Final = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|#[^\n]*+"
+    r"|[\[\]{}.,=\n]",
+    re.DOTALL,
+)
+_PLACE_IN_MESSAGE: Final = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)\s*$")
+_ENDLESS_NUMBER: Final = re.compile(r"[0-9][0-9_]{1000}")
+_BARE_QUANTITY: Final = re.compile(r"=\s*([+-]?[\d._]+(?:[eE][+-]?\d+)?\s*[A-Za-zµμ%][\w/^³²µμ]*)")
+_BARE_WORD: Final = re.compile(r"=\s*([A-Za-z_][\w.-]*)\s*(?:#.*)?$")
+
+
+#: What tomllib says of the commonest faults, in words about the file.
+_REWORDED: Final = (
+    (
+        re.compile(r"^Cannot (?:declare|mutate) .*(?:twice|immutable namespace).*", re.S),
+        "this table is written twice",
+    ),
+    (re.compile(r"^Cannot overwrite a value"), "this key is written twice"),
+    (re.compile(r"^Illegal character '\\n'"), "a text in quotes does not end on its line"),
+    (re.compile(r"^Unterminated string"), "a text in quotes does not end"),
+)
+
+
+def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
+    """At most `largest` + 1 bytes of a regular file.
+
+    Raises
+    ------
+    AccessError
+        Where the operating system refuses, or the path is a device.
+    UsageError
+        Where it is a folder.
+    """
+    try:
+        kind = os.stat(path)
+        if stat.S_ISDIR(kind.st_mode):
+            raise UsageError(f"{path}: this is a folder; give the study file inside it")
+        if not stat.S_ISREG(kind.st_mode):
+            raise AccessError(f"{path}: this is not a regular file")
+        with open(path, "rb") as stream:
+            return stream.read(largest + 1)
+    except FileNotFoundError:
+        raise AccessError(f"{path}: there is no such file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise AccessError(f"{path}: cannot be read: {reason}") from None
+
+
+def read_text(path: Path) -> str:
+    """The text of a study file: at most 1 MiB of UTF-8 (a byte order mark is dropped), no NUL, not empty.
+
+    Raises
+    ------
+    AccessError
+        See `read_bytes`.
+    StudyError
+        With the line and column of the first byte that is no text.
+    """
+    data = read_bytes(path)
+    if len(data) > LARGEST_FILE:
+        raise _fault(path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise _fault(path, "the file is encoded as UTF-16 or UTF-32: save it as UTF-8")
+    data = data.removeprefix(codecs.BOM_UTF8)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line, column = _line_and_column(data[: error.start].decode("utf-8"))
+        raise _fault(
+            path, f"byte 0x{data[error.start]:02x} is not UTF-8 text: save the file as UTF-8", line, column
+        ) from None
+    if "\0" in text:
+        line, column = _line_and_column(text[: text.index("\0")])
+        raise _fault(path, "found a NUL byte: a study is a text file", line, column)
+    if not text.strip():
+        raise _fault(path, "the file is empty: 'uqsphere new -o FILE' writes a study to start from")
+    return text
+
+
+def parse_text(text: str, path: Path) -> dict[str, Any]:
+    """TOML text → plain values.
+
+    Raises
+    ------
+    StudyError
+        For nesting too deep, or a fault of syntax, with its line and column.
+    """
+    import tomllib
+
+    _refuse_depth(text, path)
+    # tomllib reads \r\n as a line end and refuses a bare \r itself.
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _syntax_fault(text, path, str(error)) from None
+    except RecursionError:
+        raise _fault(path, "the file is nested too deeply to be read") from None
+    except (ValueError, OverflowError):
+        # The one known leak: Python refuses to read an integer of more than 4300 digits.
+        number = _ENDLESS_NUMBER.search(text)
+        line, column = _line_and_column(text[: number.start()]) if number else (1, 1)
+        raise _fault(path, "a number has more digits than can be read", line, column) from None
+
+
+def drop_unusable_numbers(data: dict[str, Any], findings: Findings) -> None:
+    """Take out, with a fault each, the numbers that TOML knows and a study cannot use: nan, inf, beyond 64 "
+    "bits."""
+    for place, parent, key, value in list(_leaves(data)):
+        if isinstance(value, float) and not math.isfinite(value):
+            findings.add(place, f"found {value!r}: a finite number is due")
+        elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+            findings.add(place, f"found {shown(value)}: TOML integers have 64 bits")
+        else:
+            continue
+        if isinstance(parent, dict):
+            del parent[key]
+        else:
+            # An array keeps its length, so that later places stay right; the whole of it counts as faulty.
+            parent[key] = 0
+            findings.spoiled.add(place[:-1])
+
+
+def _leaves(node: Any, place: Place = ()) -> Iterator[tuple[Place, Any, Any, Any]]:
+    pairs = node.items() if isinstance(node, dict) else enumerate(node)
+    for key, value in pairs:
+        if isinstance(value, (dict, list)):
+            yield from _leaves(value, (*place, key))
+        else:
+            yield (*place, key), node, key, value
+
+
+def _refuse_depth(text: str, path: Path) -> None:
+    depth = dots = 0
+    for match in _TOKEN.finditer(text):
+        token = match.group()
+        if token in "[{":
+            depth += 1
+            dots = 0
+        elif token in "]}":
+            depth = max(0, depth - 1)
+            dots = 0
+        elif token == ".":
+            dots += 1
+        elif token in ",=\n":
+            dots = 0
+        if depth > MOST_NESTING or dots > MOST_DOTS:
+            line, column = _line_and_column(text[: match.start()])
+            what = "brackets are nested" if depth > MOST_NESTING else "a dotted key goes"
+            most = MOST_NESTING if depth > MOST_NESTING else MOST_DOTS
+            raise _fault(path, f"{what} more than {most} levels deep, which no study needs", line, column)
+
+
+def _syntax_fault(text: str, path: Path, message: str) -> StudyError:
+    match = _PLACE_IN_MESSAGE.search(message)
+    lines = text.split("\n")
+    if match is not None and match.group(1):
+        line, column = int(match.group(1)), int(match.group(2))
+    else:
+        line, column = _line_and_column(text.rstrip("\n"))
+    said = _PLACE_IN_MESSAGE.sub("", message)
+    for pattern, words in _REWORDED:
+        said = pattern.sub(words, said)
+    content = lines[line - 1] if line <= len(lines) else ""
+    hint = ""
+    if quantity := _BARE_QUANTITY.search(content):
+        hint = f'; a value with a unit stands in quotes: "{quantity.group(1).strip()}"'
+    elif word := _BARE_WORD.search(content):
+        fixed = word.group(1).lower()
+        hint = f"; write {fixed}" if fixed in {"true", "false"} else f'; a word stands in quotes: "{word.group(1)}"'
+    return _fault(path, f"this is not valid TOML: {_plain(said)}{hint}", line, column)
+
+
+def _plain(message: str) -> str:
+    short = message if len(message) <= 160 else message[:159] + "…"
+    return short[:1].lower() + short[1:]
+
+
+def _line_and_column(before: str) -> tuple[int, int]:
+    return before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
+
+
+def _fault(path: Path, message: str, line: int = 1, column: int = 1) -> StudyError:
+    return StudyError(str(path), [Problem(line=line, column=column, path="", message=message)])
+
+
+# --- Where each value of a TOML text stands: tree-sitter's concrete syntax gives line and column per dotted "
+
+_KEYS = ("bare_key", "quoted_key", "dotted_key")
+_PUNCTUATION = frozenset({"[", "]", "{", "}", ",", "=", "comment"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The rows of a text as bytes, and how far columns have been counted in each, in characters."""
+
+    rows: list[bytes]
+    counted: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def point(self, node: Node) -> tuple[int, int]:
+        """Line and column of a node, from 1, in characters."""
+        row, column = node.start_point
+        # Nodes come in order: counting goes on from the last one, or a long line would cost its square.
+        done, characters = self.counted.get(row, (0, 0))
+        if done > column:
+            done, characters = 0, 0
+        if row < len(self.rows):
+            characters += len(self.rows[row][done:column].decode("utf-8", "replace"))
+        self.counted[row] = (column, characters)
+        return row + 1, characters + 1
+
+
+def locate(text: str) -> dict[Place, tuple[int, int]]:
+    """Line and column (from 1, in characters) of every table, key and array element of `text`.
+
+    A table stands where its header is, a key where the key is written, an array element where it begins.
+    A text that is not quite TOML gives the places of those parts that are.
+
+    >>> places = locate('[sphere]\\nE = { dist = "normal", sd = 1 }\\n[[dependence]]\\nof = ["a", "b"]')
+    >>> places[("sphere", "E", "sd")], places[("dependence", 0, "of", 1)]
+    ((2, 24), (4, 12))
+    """
+    import tree_sitter_toml
+    from tree_sitter import Language, Parser
+
+    data = text.encode("utf-8")
+    root = Parser(Language(tree_sitter_toml.language())).parse(data).root_node
+    lines = Lines(rows=data.split(b"\n"))
+    found: dict[Place, tuple[int, int]] = {}
+    counts: dict[Place, int] = {}
+    for child in root.children:
+        if child.type == "pair":
+            _visit_pair(child, (), found, lines)
+        elif child.type in ("table", "table_array_element"):
+            _visit_table(child, found, counts, lines)
+    return found
+
+
+def _visit_table(node: Node, found: dict[Place, tuple[int, int]], counts: dict[Place, int], lines: Lines) -> None:
+    key = next((child for child in node.children if child.type in _KEYS), None)
+    if key is None:
+        return
+    parts = _key_parts(key)
+    base = _entered(tuple(name for name, _ in parts[:-1]), counts)
+    header = (*base, parts[-1][0])
+    at = lines.point(node)
+    # A table above this one that has no header of its own is best shown by the first header below it.
+    for length in range(1, len(header) + 1):
+        found.setdefault(header[:length], at)
+    if node.type == "table_array_element":
+        counts[header] = counts.get(header, 0) + 1
+        header = (*header, counts[header] - 1)
+    found[header] = at
+    for child in node.children:
+        if child.type == "pair":
+            _visit_pair(child, header, found, lines)
+
+
+def _entered(base: Place, counts: dict[Place, int]) -> Place:
+    """`base` with the index of the newest element after each array of tables on the way."""
+    place: Place = ()
+    for name in base:
+        place = (*place, name)
+        if place in counts:
+            place = (*place, counts[place] - 1)
+    return place
+
+
+def _visit_pair(node: Node, base: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+    # A comment behind an inline table belongs to the pair, after the value.
+    parts = [child for child in node.children if child.type not in _PUNCTUATION]
+    key, value = parts[0], parts[-1]
+    if key.type not in _KEYS:
+        return
+    place = base
+    for name, part in _key_parts(key):
+        place = (*place, name)
+        found.setdefault(place, lines.point(part))
+    if value is not key:
+        _visit_value(value, place, found, lines)
+
+
+def _visit_value(node: Node, place: Place, found: dict[Place, tuple[int, int]], lines: Lines) -> None:
+    if node.type == "inline_table":
+        for child in node.children:
+            if child.type == "pair":
+                _visit_pair(child, place, found, lines)
+    elif node.type == "array":
+        elements = [child for child in node.children if child.type not in _PUNCTUATION and not child.is_error]
+        for index, child in enumerate(elements):
+            found.setdefault((*place, index), lines.point(child))
+            _visit_value(child, (*place, index), found, lines)
+
+
+def _key_parts(node: Node) -> list[tuple[str, Node]]:
+    if node.type == "dotted_key":
+        return [part for child in node.children if child.type in _KEYS for part in _key_parts(child)]
+    text = (node.text or b"").decode("utf-8", "replace")
+    return [(_unquoted(text) if node.type == "quoted_key" else text, node)]
+
+
+def _unquoted(text: str) -> str:
+    if text.startswith("'"):
+        return text[1:-1]
+    try:
+        # The escapes of TOML's basic strings are Python's, but for \e, which TOML 1.0 does not have.
+        return str(ast.literal_eval(text))
+    except (SyntaxError, ValueError):
+        return text.strip('"')
+
+
+# --- Values set or taken out from outside the file: ``--set striker.speed.mean="0.6 m/s"``, ``--set margins=null``.
+
+#: what takes a value out; as a text it is written with its quotation marks
+_NOTHING: Final = "null"
+_PART = re.compile(r"""(?:([A-Za-z0-9_-]+)|"([^"\\]*)"|'([^']*)')((?:\[\d{1,6}\])*)(\.|$)""")
+
+
+def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> list[Place]:
+    """Put each ``PATH=VALUE`` into `data`; the places that were set.
+
+    VALUE is a TOML value; what is none (a bare quantity such as ``0.6 m/s``, a bare word) is a text.  The bare word
+    ``null``, which TOML does not have, takes out what stands at the path: a value, a table or an item of a list.
+
+    Raises
+    ------
+    UsageError
+        Where there is no "=", the path is none, it leads through something that is not a table, or there is nothing
+        to take out.
+
+    >>> data = {"striker": {"speed": {"mean": "0.5 m/s"}}}
+    >>> apply_overrides(data, ["striker.speed.mean=0.6 m/s"])
+    [('striker', 'speed', 'mean')]
+    >>> data
+    {'striker': {'speed': {'mean': '0.6 m/s'}}}
+    >>> apply_overrides(data, ["striker.speed=null"]), data
+    ([('striker', 'speed')], {'striker': {}})
+    """
+    return [_apply(data, text) for text in overrides]
+
+
+def _apply(data: dict[str, Any], text: str) -> Place:
+    path, sign, value = text.partition("=")
+    if not sign or not path.strip():
+        raise UsageError(f"found {shown(text)}: PATH=VALUE is due, such as striker.speed=0.6 m/s")
+    place = _split(path.strip(), text)
+    taken_out = value.strip() == _NOTHING
+    node: Any = data
+    for depth, part in enumerate(place[:-1]):
+        if isinstance(node, dict) and isinstance(part, str):
+            if taken_out and part not in node:
+                raise _nothing_there(place[: depth + 1], node, text)
+            node = node.setdefault(part, {})
+        elif isinstance(node, list) and isinstance(part, int) and part < len(node):
+            node = node[part]
+        else:
+            raise _no_way(place[:depth], node, text)
+    last = place[-1]
+    usable = isinstance(node, dict) and isinstance(last, str)
+    usable = usable or (isinstance(node, list) and isinstance(last, int) and last < len(node))
+    if not usable:
+        raise _no_way(place[:-1], node, text)
+    if not taken_out:
+        node[last] = _value(value.strip())
+    elif isinstance(node, dict) and last not in node:
+        raise _nothing_there(place, node, text)
+    else:
+        del node[last]
+    return place
+
+
+def _split(path: str, text: str) -> Place:
+    place: list[str | int] = []
+    at = 0
+    while at < len(path):
+        match = _PART.match(path, at)
+        if match is None or (match.end() == len(path) and match.group(5) == "."):
+            raise UsageError(f"found {shown(text)}: {shown(path)} is no path of a study, such as striker.speed.mean")
+        place.append(next(part for part in match.groups()[:3] if part is not None))
+        place += [int(index) for index in re.findall(r"\d+", match.group(4))]
+        at = match.end()
+    if len(place) > 8:
+        raise UsageError(f"found {shown(text)}: the path is longer than any of a study")
+    return tuple(place)
+
+
+def _no_way(place: Place, node: object, text: str) -> UsageError:
+    where = render_place(place) or "the study"
+    return UsageError(f"found {shown(text)}, but {where} is {shown(node)}: set {where} itself")
+
+
+def _nothing_there(place: Place, node: dict[str, Any], text: str) -> UsageError:
+    there = sorted(str(key) for key in node)
+    hint = suggestion(str(place[-1]), there) or (f"; there is {', '.join(there[:20])}" if there else "")
+    return UsageError(f"found {shown(text)}, but there is no {render_place(place)} to take out{hint}")
+
+
+def _value(text: str) -> Any:
+    import tomllib
+
+    # More than this is no value of a study, and could be nested too deeply to read.
+    if len(text) <= 4096 and text.count("[") + text.count("{") <= 16 and "\n" not in text:
+        try:
+            return tomllib.loads(f"value = {text}")["value"]
+        except (ValueError, RecursionError, OverflowError):
+            pass
+    return text
