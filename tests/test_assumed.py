@@ -14,7 +14,7 @@ from scipy.special import gamma, ndtr
 import uqsphere
 from uqsphere.runner.assumed import fewest_tests, other_family, with_scatter
 from uqsphere.runner.results import damage_of
-from uqsphere.uq.laws import make_law, mean, sd
+from uqsphere.uq.law import make_law, mean, sd
 
 #: a demand and a strength, both normal, tied to each other
 STUDY = """

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
+from uqsphere.arrays import Array
+from uqsphere.given.answers import given_answers, trusted_from
 from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import reaching, trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
@@ -17,10 +19,8 @@ from uqsphere.uq.beyond_runs import shares_within, within_runs
 from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.chaos.borders import Border
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.families import Array
-from uqsphere.uq.given import given_answers, trusted_from
-from uqsphere.uq.inputs import Inputs
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.joint import Inputs
+from uqsphere.uq.law import make_law
 from uqsphere.uq.released import believed
 from uqsphere.uq.sampling import sobol_points
 

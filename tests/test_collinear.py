@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_data, analysis_text
-from uqsphere.uq.collinear import combinations
-from uqsphere.uq.families import Array
+from uqsphere.given.table import combinations
 
 RNG = np.random.default_rng(5)
 X = RNG.normal(size=(120, 3))

@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 
 from uqsphere.uq import archimedean
 from uqsphere.uq.archimedean import log_copula_density
-from uqsphere.uq.copulas import (
+from uqsphere.uq.elliptical import (
     COPULAS,
     conditional_score,
     conditional_scores,
@@ -21,8 +21,8 @@ from uqsphere.uq.copulas import (
     make_copula,
     members_of,
 )
-from uqsphere.uq.inputs import Dependence, Inputs, make_inputs, normal_scores, rest_given, strength_tie, sub_inputs
-from uqsphere.uq.laws import LawError, make_law
+from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores, rest_given, strength_tie, sub_inputs
+from uqsphere.uq.law import LawError, make_law
 from uqsphere.uq.reliability import LimitState, exceedance
 from uqsphere.uq.sampling import sobol_points
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, piece_rows, trust
 from uqsphere.uq.augmented_indices import (
@@ -27,7 +28,6 @@ from uqsphere.uq.chaos import Chaos, chaos_indices, fit_again, fit_chaos, germ_p
 from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.chaos.truncation import Combination, products
 from uqsphere.uq.estimates import Flags
-from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
 
 MODELS = {model.name: model for model in coverage_models()}

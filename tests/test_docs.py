@@ -30,7 +30,7 @@ from uqsphere.runner import pilot, sampling, sensitivity, stopping, work
 from uqsphere.study import document as schema
 from uqsphere.study import load_study
 from uqsphere.uq import indices
-from uqsphere.uq.specification import LAWS
+from uqsphere.uq.families import LAWS
 
 ROOT = Path(__file__).parent.parent
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8")

@@ -91,7 +91,7 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
     run = run_of(study_from, tmp_path, text, "analysis.accuracy.sobol=0.1", "analysis.accuracy.mean=0.0005")
     # counted: another generator, and the strength drawn with the inputs
     inputs = study_from(text=text).inputs()
-    from uqsphere.uq.inputs import physical_from_normal
+    from uqsphere.uq.joint import physical_from_normal
 
     drawn = physical_from_normal(inputs, np.random.default_rng(5).standard_normal((60_000, 4)))
     at = {name: drawn[:, k] for k, name in enumerate(inputs.names)}

@@ -15,6 +15,7 @@ ROOT = Path(uqsphere.__file__).parent
 #: floor of every module or package; those with the same number in different rooms must not import each other
 FLOORS = {
     "uqsphere.errors": 0,
+    "uqsphere.arrays": 0,
     "uqsphere.quantities": 1,
     "uqsphere.files": 1,
     "uqsphere.mechanics": 2,
@@ -102,8 +103,8 @@ def test_the_root_imports_nothing_when_it_is_imported() -> None:
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("uqsphere.mechanics.contact", "from uqsphere.uq.laws import mean"),
-        ("uqsphere.uq.inputs", "def f():\n    import uqsphere.mechanics.scene"),
+        ("uqsphere.mechanics.contact", "from uqsphere.uq.law import mean"),
+        ("uqsphere.uq.joint", "def f():\n    import uqsphere.mechanics.scene"),
         ("uqsphere.study.text", "from uqsphere import runner"),
         ("uqsphere.model", "from uqsphere.store import Store"),
         ("uqsphere.errors", "from uqsphere.quantities import UNITS"),
@@ -114,7 +115,7 @@ def test_a_wrong_import_is_found(module: str, line: str) -> None:
 
 
 def test_files_stay_readable() -> None:
-    long = {name: lines for name, path in MODULES.items() if (lines := path.read_text("utf-8").count("\n")) > 800}
+    long = {name: lines for name, path in MODULES.items() if (lines := path.read_text("utf-8").count("\n")) >= 800}
     assert not long
 
 

@@ -15,11 +15,11 @@ from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data, study_text
 from uqsphere.given.ties import ties_of
 from uqsphere.uq.alone import sd_alone
-from uqsphere.uq.copulas import dependent_scores, make_copula
-from uqsphere.uq.distribution import mean as law_mean
-from uqsphere.uq.distribution import sd as law_sd
-from uqsphere.uq.laws import make_law, pdf
-from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws, quantile_interval, rank_correlations, tied
+from uqsphere.uq.elliptical import dependent_scores, make_copula
+from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, quantile_interval, rank_correlations, tied
+from uqsphere.uq.law import make_law, pdf
+from uqsphere.uq.law import mean as law_mean
+from uqsphere.uq.law import sd as law_sd
 from uqsphere.uq.ranks import rank_indices
 from uqsphere.uq.sampling import random_generator
 

@@ -10,14 +10,13 @@ import pytest
 from scipy import stats
 
 from uqsphere.given import Data, analyse_data
+from uqsphere.given.answers import _answer, leaning, reach, spanned
 from uqsphere.given.ties import left_open, rank_influence, ties_of, with_ties
-from uqsphere.uq.copulas import dependent_scores, make_copula
+from uqsphere.uq.elliptical import dependent_scores, make_copula
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.given import _answer
-from uqsphere.uq.inputs import make_inputs
-from uqsphere.uq.laws import make_law
-from uqsphere.uq.marginals import fit_marginal, plausible_laws
-from uqsphere.uq.opened import leaning, reach, spanned
+from uqsphere.uq.fitting import fit_marginal, plausible_laws
+from uqsphere.uq.joint import make_inputs
+from uqsphere.uq.law import make_law
 
 
 def test_laws_of_inputs_that_depend_on_each_other_are_left_open_together() -> None:
@@ -136,6 +135,6 @@ def test_laws_of_two_copulas_move_a_quantile_one_by_one() -> None:
         return spanned(steps, copulas)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uqsphere.uq.given.spanned", counted)
+        patch.setattr("uqsphere.given.answers.spanned", counted)
         analyse_data(data)
     assert told == [True] * 3

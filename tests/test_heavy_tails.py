@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from uqsphere.arrays import Array
 from uqsphere.runner.account import _slowest
 from uqsphere.runner.heavy_shares import _admitted
 from uqsphere.runner.sampling import speed_rows
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import indices_missed
-from uqsphere.uq.distribution import Law, ppf
 from uqsphere.uq.estimates import absent, describe, exact
-from uqsphere.uq.families import Array
 from uqsphere.uq.heavy_tails import (
     MEAN,
     VARIANCE,
@@ -28,7 +27,7 @@ from uqsphere.uq.heavy_tails import (
     widened_share,
     without_moments,
 )
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.law import Law, make_law, ppf
 from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
 from uqsphere.uq.released import stretched
 from uqsphere.uq.sampling import sobol_points

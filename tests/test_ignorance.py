@@ -11,14 +11,8 @@ from scipy import stats
 
 from uqsphere.runner import run
 from uqsphere.study import load_study
-from uqsphere.uq.ignorance import (
-    LEAST_TESTS,
-    possible_densities,
-    possible_laws,
-    possible_tails,
-    weibull_estimates,
-)
-from uqsphere.uq.laws import LawError, cdf, make_law, pdf, sf
+from uqsphere.uq.fitting import LEAST_TESTS, possible_densities, possible_laws, possible_tails, weibull_estimates
+from uqsphere.uq.law import LawError, cdf, make_law, pdf, sf
 
 TRUTHS = {
     "normal": stats.norm(5.0, 1.0),

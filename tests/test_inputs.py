@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq import laws
-from uqsphere.uq.inputs import (
-    Inputs,
-    conditional_normal,
-    correlation_from_spearman,
-    physical_from_normal,
-    to_physical,
-)
-from uqsphere.uq.laws import LawError, make_law
+from uqsphere.uq import law as laws
+from uqsphere.uq.joint import Inputs, conditional_normal, correlation_from_spearman, physical_from_normal, to_physical
+from uqsphere.uq.law import LawError, make_law
 
 NAMES = ("E", "nu", "strength")
 LAWS = (

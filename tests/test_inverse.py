@@ -12,10 +12,8 @@ import pytest
 from uqsphere.bench.inverse import Made, coverage, make_test, read_back, rig_of, scene_of_test
 from uqsphere.cli import main
 from uqsphere.mechanics.dispersion import disperse
-from uqsphere.records.faces import Rig, at_faces
-from uqsphere.records.inverse import forces_of
-from uqsphere.records.mending import make_record, set_baseline
-from uqsphere.records.reading import RecordError, Table
+from uqsphere.records.inverse import Rig, at_faces, forces_of
+from uqsphere.records.record import RecordError, Table, make_record, set_baseline
 
 STUDY = """\
 title = "a test"

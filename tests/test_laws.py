@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq import laws
-from uqsphere.uq.laws import LAWS, Law, LawError, make_law
+from uqsphere.uq import law as laws
+from uqsphere.uq.law import LAWS, Law, LawError, make_law
 
 EXACT = 1e-12
 

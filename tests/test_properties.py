@@ -20,9 +20,8 @@ from uqsphere.quantities import UNITS, UnitError, parse_value
 from uqsphere.runner.tables import csv_text
 from uqsphere.store import open_store, write_json
 from uqsphere.study import load_study
-from uqsphere.uq.distribution import cdf, isf, ppf, sf
 from uqsphere.uq.estimates import describe
-from uqsphere.uq.laws import LawError, make_law
+from uqsphere.uq.law import LawError, cdf, isf, make_law, ppf, sf
 from uqsphere.uq.reliability import reliability_index
 from uqsphere.uq.tolerance import attained_confidence, least_runs
 

@@ -11,9 +11,8 @@ import uqsphere
 from uqsphere.errors import StudyError
 from uqsphere.mechanics.dispersion import disperse
 from uqsphere.mechanics.pulses import build_pulse, pulse_value
-from uqsphere.records.mending import Wiring, make_record, set_baseline, turn_sign
 from uqsphere.records.pulse import Bar, measured_pulse
-from uqsphere.records.reading import RecordError, Table, read_table
+from uqsphere.records.record import RecordError, Table, Wiring, make_record, read_table, set_baseline, turn_sign
 
 STEP, NOISE, PEAK = 5e-7, 1e-6, 1.2e-4
 TIME = STEP * np.arange(1600)
@@ -120,7 +119,7 @@ def test_a_file_that_is_not_there_or_too_large(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(RecordError, match="no file"):
         read_table(tmp_path)
     path = write(tmp_path, text_of(noisy()))
-    monkeypatch.setattr("uqsphere.records.reading.LARGEST_RECORD", 1000)
+    monkeypatch.setattr("uqsphere.records.record.LARGEST_RECORD", 1000)
     with pytest.raises(RecordError, match="MiB"):
         read_table(path)
 

@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.special import ndtri
 
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.laws import cdf, make_law
+from uqsphere.uq.law import cdf, make_law
 from uqsphere.uq.reliability import (
     LimitState,
     exceedance,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.inputs import Dependence, Inputs, make_inputs
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.joint import Dependence, Inputs, make_inputs
+from uqsphere.uq.law import make_law
 from uqsphere.uq.shapley import BLOCK, orders_of, shapley_estimates, subset_design, subset_points
 
 R = 16

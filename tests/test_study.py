@@ -22,7 +22,7 @@ from uqsphere.mechanics.pulses import noise_names
 from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
 from uqsphere.study.document import BarsTable, ProductTable, PulseTable, SphereTable, StrikerTable
-from uqsphere.uq.laws import Law, cdf, mean, nominal_mean, ppf, sd
+from uqsphere.uq.law import Law, cdf, mean, nominal_mean, ppf, sd
 
 STUDIES = Path(__file__).parent.parent / "studies"
 TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'

@@ -9,9 +9,9 @@ import pytest
 from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq.copulas import conditional_score
-from uqsphere.uq.inputs import Dependence, Inputs, make_inputs, normal_scores
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.elliptical import conditional_score
+from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores
+from uqsphere.uq.law import make_law
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.uq.sensitivity import saltelli_points
 from uqsphere.uq.target import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, owens_t
 
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.law import make_law
 from uqsphere.uq.reliability import LimitState, exceedance
 from uqsphere.uq.sampling import sobol_points
 from uqsphere.uq.union import (

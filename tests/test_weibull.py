@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.ignorance import LEAST_TESTS, count_tests, possible_laws, series_behind
-from uqsphere.uq.laws import LawError, goodness_of_fit, make_law
+from uqsphere.uq.fitting import LEAST_TESTS, count_tests, possible_laws, series_behind
+from uqsphere.uq.law import LawError, goodness_of_fit, make_law
 from uqsphere.uq.weibull import fit_strength, fitted_parameters, kaplan_meier, make_tests, pivots, unbiasing
 
 RNG = np.random.default_rng(7)
@@ -96,7 +96,7 @@ def test_unbiased_modulus_is_right_on_average() -> None:
 
 
 def test_pivots_without_stops_are_those_of_complete_series() -> None:
-    from uqsphere.uq.ignorance import _extreme_pivots
+    from uqsphere.uq.fitting import _extreme_pivots
 
     ours = pivots("weibull", np.ones(9, dtype=bool), 4000, np.random.default_rng(1))
     theirs = _extreme_pivots(9, 4000, np.random.default_rng(2))

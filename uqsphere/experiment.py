@@ -15,9 +15,8 @@ from uqsphere.errors import UsageError
 from uqsphere.quantities import UnitError, format_value, parse_value
 
 if TYPE_CHECKING:
-    from uqsphere.records.faces import Faces
-    from uqsphere.records.inverse import Inverse
-    from uqsphere.records.mending import Record
+    from uqsphere.records.inverse import Faces, Inverse
+    from uqsphere.records.record import Record
     from uqsphere.study import Study
 
 __all__ = ["add_records", "command_records"]
@@ -66,8 +65,7 @@ def _window(text: str | None) -> tuple[float | None, float | None]:
 
 def command_records(chosen: argparse.Namespace) -> int:
     """The pulse of a record, or forces, stiffness and the end of the elastic contact of a test."""
-    from uqsphere.records.mending import Wiring, make_record, set_baseline, turn_sign
-    from uqsphere.records.reading import RecordError, read_table
+    from uqsphere.records.record import RecordError, Wiring, make_record, read_table, set_baseline, turn_sign
     from uqsphere.study import load_study
 
     for name in ("gauge_factor", "amplification", "active_arms"):
@@ -115,7 +113,7 @@ def _numbers(study: Study) -> dict[str, float]:
 
 def _bar(columns: dict[str, float]) -> Any:
     from uqsphere.records.pulse import Bar
-    from uqsphere.records.reading import RecordError
+    from uqsphere.records.record import RecordError
 
     if not 0.0 <= columns["bars.nu"] < 0.5:
         raise RecordError("the dispersion of bars is known for Poisson ratios from 0 to below 0.5")
@@ -168,8 +166,7 @@ def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> t
 
 
 def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tuple[dict[str, Any], str]:
-    from uqsphere.records.faces import Rig, at_faces
-    from uqsphere.records.inverse import invert
+    from uqsphere.records.inverse import Rig, at_faces, invert
 
     assert study is not None
     columns = _numbers(study)

@@ -12,7 +12,7 @@ from statistics import NormalDist
 from typing import Final
 
 from uqsphere.study import Study
-from uqsphere.uq.distribution import Law
+from uqsphere.uq.law import Law
 
 __all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast", "rough_quantities"]
 

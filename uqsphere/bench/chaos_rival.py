@@ -25,8 +25,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.bench.chaos_models import MODELS, ChaosModel, checked, design, relative_error
-from uqsphere.uq.families import Array
 
 __all__ = ["STORED", "Rival", "fingerprint", "rival_fit", "rival_present", "stored"]
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
 from uqsphere.runner.work import REPLICATES
 from uqsphere.uq.blocks import Blocks, uniform_halves
 from uqsphere.uq.estimates import Estimate, describe
-from uqsphere.uq.families import Array
 from uqsphere.uq.indices import SampledIndices, sampled_indices
 
 __all__ = ["CoverageRow", "Hit", "coverage_rows", "coverage_table", "coverage_text", "pooled", "surrogate_rows"]

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["QUANTILES", "CoverageModel", "coverage_models", "reference"]
 

@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points
 from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
-from uqsphere.uq.families import Array
 from uqsphere.uq.released import Believed, believed, held
 from uqsphere.uq.sampling import random_generator, sobol_points
 

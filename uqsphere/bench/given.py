@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.bench.coverage import LEAST, POOLED, CoverageRow, Hit, Tally, coverage_hit, coverage_text, pooled
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.bench.given_models import BUILT, GivenModel
 from uqsphere.given import Data, analyse_data
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Inputs, physical_from_normal
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.joint import Inputs, physical_from_normal
+from uqsphere.uq.law import make_law
 from uqsphere.uq.sampling import random_generator
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def _independent(model: CoverageModel) -> GivenModel:
     inputs = Inputs(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
 
     def function(x: Array) -> Array:
-        from uqsphere.uq.laws import cdf
+        from uqsphere.uq.law import cdf
 
         return model.function(np.column_stack([cdf(law, x[:, k]) for k, law in enumerate(laws)]))
 

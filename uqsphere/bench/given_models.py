@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Dependence, Inputs, make_inputs
-from uqsphere.uq.laws import make_law
+from uqsphere.arrays import Array
+from uqsphere.uq.joint import Dependence, Inputs, make_inputs
+from uqsphere.uq.law import make_law
 
 __all__ = ["BUILT", "GivenModel", "closed_effects", "shares_of"]
 
@@ -156,7 +156,7 @@ def _pair(kind: str, spearman: float, one: float, other: float) -> tuple[Array, 
     """Values and weights (n, n) of one z1 + other z2 on the midpoints of a grid, z1 and z2 tied by a copula."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.copulas import conditional_scores, make_copula
+    from uqsphere.uq.elliptical import conditional_scores, make_copula
 
     copula = make_copula(kind, 2, spearman=spearman)
     nodes, weights = np.polynomial.legendre.leggauss(160)

@@ -25,11 +25,9 @@ import numpy.typing as npt
 from uqsphere.mechanics.history import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
-from uqsphere.records.faces import Faces, Rig, at_faces
-from uqsphere.records.inverse import Inverse, invert
-from uqsphere.records.mending import make_record, set_baseline
+from uqsphere.records.inverse import Faces, Inverse, Rig, at_faces, invert
 from uqsphere.records.pulse import Bar
-from uqsphere.records.reading import Table
+from uqsphere.records.record import Table, make_record, set_baseline
 
 __all__ = ["Made", "coverage", "main", "make_test", "rig_of", "scene_of_test", "tutorial_record"]
 

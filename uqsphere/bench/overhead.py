@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.runner.work import REPLICATES
 from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.families import Array
 from uqsphere.uq.indices import sampled_indices
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.laws import Law, from_normal, make_law
+from uqsphere.uq.law import Law, from_normal, make_law
 
 __all__ = ["PROBLEMS", "Problem", "problem"]
 

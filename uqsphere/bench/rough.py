@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 if TYPE_CHECKING:
     from uqsphere.report.canvas import Picture
@@ -107,7 +107,7 @@ def _truth(study: Study, count: int) -> tuple[dict[str, tuple[float, float]], Ar
     from uqsphere.uq.blocks import Blocks, uniform_halves
     from uqsphere.uq.estimates import Estimate, describe, from_replicates
     from uqsphere.uq.indices import sampled_indices
-    from uqsphere.uq.inputs import physical_from_normal, sub_inputs
+    from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
     inputs, blocks = sub_inputs(study.inputs(), _INPUTS), Blocks(inputs_count=2)
     physical = np.stack([
@@ -167,7 +167,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     from uqsphere.runner.work import draw
     from uqsphere.study import load_study
     from uqsphere.uq.chaos import fit_chaos, judge, predict, validation_error
-    from uqsphere.uq.inputs import physical_from_normal, sub_inputs
+    from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grazing.toml"

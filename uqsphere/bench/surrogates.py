@@ -27,7 +27,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     from uqsphere.runner.work import draw, sub_inputs
     from uqsphere.study import load_study, shipped_studies
     from uqsphere.uq.chaos import fit_chaos, germ_points, judge, validation_error
-    from uqsphere.uq.laws import germs_of
+    from uqsphere.uq.law import germs_of
 
     study = load_study(shipped_studies()[STUDY])
     names = tuple(name for name in study.random if not name.startswith("limits."))

@@ -12,13 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import UsageError
-from uqsphere.given.table import Data
+from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, trusted_from
+from uqsphere.given.table import Data, combinations
 from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
-from uqsphere.uq.collinear import combinations
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.given import given_answers, law_scores, least_runs, odd_pairs, trusted_from
-from uqsphere.uq.inputs import Inputs
-from uqsphere.uq.laws import Law, LawError, germs_of
+from uqsphere.uq.joint import Inputs
+from uqsphere.uq.law import Law, LawError, germs_of
 
 __all__ = ["analyse_data", "known_laws"]
 
@@ -60,7 +59,7 @@ def known_laws(path: Path, names: Sequence[str]) -> Inputs:
         For an input that has no law there.
     """
     from uqsphere.study import load_study
-    from uqsphere.uq.inputs import sub_inputs
+    from uqsphere.uq.joint import sub_inputs
 
     study = load_study(path)
     missing = [name for name in names if name not in study.random]
@@ -83,7 +82,7 @@ def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> d
 
 
 def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
-    from uqsphere.uq.marginals import rank_correlations, tied
+    from uqsphere.uq.fitting import rank_correlations, tied
 
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
     varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
@@ -145,9 +144,8 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
 
 def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Law]]:
     """One input: every law that was tried, which is taken, and what the observations leave open of it."""
-    from uqsphere.uq.distribution import mean, sd
-    from uqsphere.uq.ignorance import possible_laws
-    from uqsphere.uq.marginals import fit_marginal, plausible, plausible_laws
+    from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, possible_laws
+    from uqsphere.uq.law import mean, sd
 
     try:
         fits = fit_marginal(values)
@@ -202,7 +200,7 @@ def _kernels(values: Array) -> Law:
     Kernels of width h would widen it by h², a tenth of the variance where 100 observations lie in two humps; the
     observations move inward by that much (B. W. Silverman, G. A. Young, Biometrika 74, 1987, 469).
     """
-    from uqsphere.uq.laws import make_law
+    from uqsphere.uq.law import make_law
 
     law = make_law("empirical", {}, data=values.tolist(), fit="kde")
     centre, spread = float(values.mean()), float(values.std(ddof=1))
@@ -218,8 +216,8 @@ def _parameters(law: Law) -> dict[str, float]:
 
 def _given(data: Data, known: Inputs) -> tuple[dict[str, Any], _Laws]:
     """Laws that the runs were drawn from, and whether the runs look like it."""
-    from uqsphere.uq.distribution import cdf, mean, sd
     from uqsphere.uq.empirical import kolmogorov_p_value
+    from uqsphere.uq.law import cdf, mean, sd
 
     marginals: dict[str, Any] = {}
     n = len(data.x)
@@ -335,7 +333,7 @@ def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
 def _output(values: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of independent runs."""
     from uqsphere.uq.alone import mean_alone, sd_alone
-    from uqsphere.uq.marginals import quantile_interval
+    from uqsphere.uq.fitting import quantile_interval
 
     n = values.size
     quantiles = {}

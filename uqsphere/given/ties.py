@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.copulas import Copula, log_density, make_copula
-from uqsphere.uq.given import LAWS, LeftOpen, score_table
-from uqsphere.uq.inputs import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
-from uqsphere.uq.laws import Law, LawError
+from uqsphere.given.answers import LAWS, LeftOpen, score_table
+from uqsphere.uq.elliptical import Copula, log_density, make_copula
+from uqsphere.uq.joint import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
+from uqsphere.uq.law import Law, LawError
 
 __all__ = ["CHOICES", "TiedPair", "left_open", "rank_influence", "ties_of", "with_ties"]
 

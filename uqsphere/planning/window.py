@@ -32,8 +32,7 @@ from uqsphere.mechanics.design import (
 from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.model import scene_of
 from uqsphere.study import Limit, Study
-from uqsphere.uq.distribution import median, ppf
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law, median, ppf
 
 __all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
 

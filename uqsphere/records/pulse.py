@@ -13,8 +13,16 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.dispersion import correct, first_mode
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.records.mending import Record, Wiring, find_onset, make_record, set_baseline, turn_sign
-from uqsphere.records.reading import RecordError, read_table
+from uqsphere.records.record import (
+    Record,
+    RecordError,
+    Wiring,
+    find_onset,
+    make_record,
+    read_table,
+    set_baseline,
+    turn_sign,
+)
 
 __all__ = ["Bar", "CutPulse", "cut_pulse", "fit_pulse", "measured_pulse"]
 

@@ -14,7 +14,7 @@ from uqsphere.errors import FolderError
 from uqsphere.runner.samples import read_points
 from uqsphere.runner.shapes import MANIFEST, RESOLVED, RESULTS, fault_of
 from uqsphere.store import read_json
-from uqsphere.uq.laws import Law, LawError, make_law, nominal_mean
+from uqsphere.uq.law import Law, LawError, make_law, nominal_mean
 
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
 

@@ -27,7 +27,7 @@ from uqsphere.report.wording import (
     unit_text,
     value_text,
 )
-from uqsphere.uq.laws import Law, cdf, pdf, ppf
+from uqsphere.uq.law import Law, cdf, pdf, ppf
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

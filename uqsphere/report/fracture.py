@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas, event
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
@@ -24,7 +25,6 @@ from uqsphere.report.wording import (
     rounded,
 )
 from uqsphere.uq.estimates import Flags
-from uqsphere.uq.families import Array
 
 __all__ = ["fracture_finding", "fracture_table", "interplay_figure", "interplay_remarks"]
 

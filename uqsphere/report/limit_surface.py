@@ -15,7 +15,7 @@ from uqsphere.report.contents import Contents, law_of
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.tables import thousands
 from uqsphere.report.wording import limit_name, plain_percent, short_input, symbol
-from uqsphere.uq.laws import ppf
+from uqsphere.uq.law import ppf
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from uqsphere.report.bearing import bearing, check_name
 from uqsphere.report.contents import Contents, law_of
 from uqsphere.report.event import answer_text, of_limit, safe_side
 from uqsphere.report.wording import call, capital, input_name, limit_name, listed, plain_percent, rounded, value_text
-from uqsphere.uq.laws import ppf
+from uqsphere.uq.law import ppf
 
 __all__ = [
     "answer_breaches",

@@ -15,10 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from uqsphere.mechanics.pulses import MeasuredPulse
-    from uqsphere.records.faces import Faces
-    from uqsphere.records.inverse import Inverse
-    from uqsphere.records.mending import Record
+    from uqsphere.records.inverse import Faces, Inverse
     from uqsphere.records.pulse import CutPulse
+    from uqsphere.records.record import Record
 
 __all__ = ["forces_figure", "pulse_figure"]
 

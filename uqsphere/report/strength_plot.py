@@ -15,7 +15,7 @@ from uqsphere.report.contents import Contents
 from uqsphere.report.figures import axis_label, slug
 from uqsphere.report.sections import Table
 from uqsphere.report.wording import capital, estimate_text, law_name, limit_name, symbol, value_text
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law
 from uqsphere.uq.weibull import KINDS, StrengthFit, StrengthTests, fit_strength, make_tests, pivots, plotting_positions
 
 __all__ = ["FittedTests", "fitted_tests", "probability_plot", "tests_table"]

@@ -20,10 +20,9 @@ from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import Work
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.ignorance import is_fitted, laws_of_more_tests
-from uqsphere.uq.laws import LawError, make_law, mean, sd
+from uqsphere.uq.fitting import is_fitted, laws_of_more_tests
+from uqsphere.uq.law import Law, LawError, make_law, mean, sd
 from uqsphere.uq.reliability import LimitState, miss, target_met
 from uqsphere.uq.sampling import random_generator
 

@@ -13,8 +13,8 @@ from uqsphere.runner.curve_rows import CurveRows, Judge, judge_of
 from uqsphere.runner.moved import evaluate_at
 from uqsphere.runner.work import REPLICATES, OutOfBudget
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate, student
+from uqsphere.uq.law import Law
 from uqsphere.uq.sample import Sample
 
 __all__ = ["refined_values"]

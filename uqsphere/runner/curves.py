@@ -20,10 +20,9 @@ from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
 from uqsphere.runner.moved import evaluate_at, limit_state, probabilities, strength_solved
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law
+from uqsphere.uq.fitting import is_fitted, possible_laws
 from uqsphere.uq.fragility import interpolate_rows
-from uqsphere.uq.ignorance import is_fitted, possible_laws
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.law import Law, LawError
 from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator

@@ -22,11 +22,10 @@ from uqsphere.runner.work import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
-from uqsphere.uq.distribution import Law, nominal_mean
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import fit_lognormal_curve
-from uqsphere.uq.inputs import physical_from_normal
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.joint import physical_from_normal
+from uqsphere.uq.law import Law, LawError, nominal_mean
 from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator, sobol_points

@@ -12,9 +12,9 @@ from uqsphere.runner.sampling import Sampled, find_missed
 from uqsphere.runner.sensitivity import Sensitivity
 from uqsphere.runner.stopping import Missed
 from uqsphere.runner.work import Work
-from uqsphere.uq.distribution import tail_orders
 from uqsphere.uq.estimates import Description
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
+from uqsphere.uq.law import tail_orders
 from uqsphere.uq.reasons import NOT_KNOWN, OUT_OF_REACH
 
 if TYPE_CHECKING:

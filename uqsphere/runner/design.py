@@ -34,7 +34,7 @@ def pick_and_freeze(work: Work, key: str, start: int, count: int, blocks: Blocks
 
     Without `blocks` those of first and total indices alone, d + 2.
     """
-    from uqsphere.uq.inputs import physical_from_normal
+    from uqsphere.uq.joint import physical_from_normal
 
     inputs = sub_inputs(work.all_inputs, work.scene_names)
     blocks = blocks or Blocks(inputs_count=len(inputs.names))

@@ -24,11 +24,10 @@ from uqsphere.runner.rare import find_design
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import OutOfBudget, Work
 from uqsphere.study import ENERGY, Limit
-from uqsphere.uq.distribution import Law, median, nominal_mean, ppf
 from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.fragility import fit_lognormal_curve
-from uqsphere.uq.ignorance import count_tests, is_fitted, laws_of_more_tests, possible_laws
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.law import Law, LawError, median, nominal_mean, ppf
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sample import Sample

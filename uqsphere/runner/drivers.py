@@ -17,12 +17,12 @@ from uqsphere.runner.sensitivity import Pairs, Sensitivity
 from uqsphere.runner.work import REPLICATES, Work, sub_inputs
 from uqsphere.study import Limit
 from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.distribution import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
 from uqsphere.uq.distributional import delta_estimates, pawn_estimates
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
-from uqsphere.uq.ignorance import count_tests
+from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import sampled_indices
-from uqsphere.uq.inputs import normal_scores, tied_names
+from uqsphere.uq.joint import normal_scores, tied_names
+from uqsphere.uq.law import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
 from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
 from uqsphere.uq.sample import Sample, without
 from uqsphere.uq.sampling import random_generator
@@ -279,7 +279,7 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
     """A strength drawn at every point from its law given the inputs and that the aim is missed."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.copulas import conditional_scores
+    from uqsphere.uq.elliptical import conditional_scores
 
     generator = random_generator(seed=work.study.seed, task=f"target.{limit.name}")
     # the tail that misses the aim, cut at a random share of it; never exactly none

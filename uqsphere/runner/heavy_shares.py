@@ -15,10 +15,10 @@ from uqsphere.uq.heavy_tails import HeavyTail, of_variance, widened_share
 from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN
 
 if TYPE_CHECKING:
+    from uqsphere.arrays import Array
     from uqsphere.runner.sampling import Sampled
     from uqsphere.runner.sensitivity import Pairs, Sensitivity
     from uqsphere.runner.work import Work
-    from uqsphere.uq.families import Array
 
 __all__ = ["share_heavy", "shares_with_tails"]
 

@@ -1,7 +1,7 @@
 """Scatter and ignorance: how far the answers move over the laws that a few tests allow.
 
 A law fitted to n tests enters every answer as if it were known.  Here it is replaced by others that the same tests
-allow (`uqsphere.uq.ignorance`): a strength in its integral, an input of the model by weighting the rows that were
+allow (`uqsphere.uq.fitting`): a strength in its integral, an input of the model by weighting the rows that were
 evaluated already.  Nothing is evaluated again.
 """
 
@@ -19,10 +19,9 @@ from uqsphere.runner.limits import LimitAnswer, state_of
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import Work
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law, cdf, is_steps
-from uqsphere.uq.ignorance import count_tests, is_fitted, possible_densities, possible_tails
-from uqsphere.uq.inputs import conditional_normal, tied_names
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.fitting import count_tests, is_fitted, possible_densities, possible_tails
+from uqsphere.uq.joint import conditional_normal, tied_names
+from uqsphere.uq.law import Law, LawError, cdf, is_steps
 from uqsphere.uq.reliability import shifted_tails, strength_tails
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator

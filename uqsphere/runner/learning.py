@@ -20,7 +20,7 @@ from uqsphere.runner.rare import complement, limit_space, tied_strength, with_de
 from uqsphere.runner.stopping import MISS_KIND
 from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
-from uqsphere.uq.inputs import physical_from_normal
+from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.rare.active import METHOD, ActiveAnswer, learn_probability
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator
@@ -56,7 +56,7 @@ class Learned:
 
 def _size(work: Work, limit: Limit) -> int:
     """Variables of the space in which the limit is hard."""
-    from uqsphere.uq.distribution import Law
+    from uqsphere.uq.law import Law
 
     return len(work.drawn.names) + int(isinstance(limit.strength, Law))
 

@@ -13,10 +13,10 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.stopping import Missed
 from uqsphere.runner.work import Work
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law, cdf
 from uqsphere.uq.estimates import Estimate, absent, exact
 from uqsphere.uq.failure_shares import BY_DIRECTION, failure_shares
-from uqsphere.uq.inputs import conditional_normal, normal_scores, strength_tie
+from uqsphere.uq.joint import conditional_normal, normal_scores, strength_tie
+from uqsphere.uq.law import Law, cdf
 from uqsphere.uq.reliability import (
     LimitState,
     exceedance,

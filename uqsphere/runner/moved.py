@@ -14,8 +14,8 @@ from uqsphere.mechanics.contact import sphere_mass
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.work import REPLICATES, Work, evaluate_points, with_answered
 from uqsphere.study import ENERGY, Limit, Study, law_with_mean
-from uqsphere.uq.distribution import Law, nominal_mean
-from uqsphere.uq.inputs import physical_from_normal
+from uqsphere.uq.joint import physical_from_normal
+from uqsphere.uq.law import Law, nominal_mean
 from uqsphere.uq.reliability import LimitState, tails
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points

@@ -14,8 +14,8 @@ from uqsphere.runner.pilot import Candidate, Pilot
 from uqsphere.runner.work import REPLICATES, Work, draw, evaluate_sample
 from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
-from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Description, Estimate
+from uqsphere.uq.law import Law
 from uqsphere.uq.reliability import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
 from uqsphere.uq.sample import Sample
 

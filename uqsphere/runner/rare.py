@@ -20,9 +20,9 @@ from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stopping import MISS_KIND, Cost, Missed, cost_of
 from uqsphere.runner.work import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
-from uqsphere.uq.distribution import Law, from_normal
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.inputs import conditional_normal, normal_scores, physical_from_normal, strength_tie
+from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
+from uqsphere.uq.law import Law, from_normal
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction

@@ -30,7 +30,7 @@ from uqsphere.runner.work import Ledger, Work
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Family
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.laws import mean, sd
+from uqsphere.uq.law import mean, sd
 
 __all__ = [
     "Findings",

@@ -19,7 +19,7 @@ from uqsphere.runner.stopping import INDEX_KIND, WORTHLESS, Cost, Missed, index_
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, sub_inputs
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.indices import METHOD, SampledIndices, ordered, sampled_indices
-from uqsphere.uq.inputs import tied_names
+from uqsphere.uq.joint import tied_names
 from uqsphere.uq.sample import without
 
 __all__ = [

@@ -16,9 +16,9 @@ from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, with_answered
 from uqsphere.study import ENERGY, Limit, Study
-from uqsphere.uq.distribution import Law
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.inputs import physical_from_normal
+from uqsphere.uq.joint import physical_from_normal
+from uqsphere.uq.law import Law
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState, exceedance, pick_replicates
 from uqsphere.uq.sample import Sample

@@ -29,8 +29,8 @@ from uqsphere.runner.gathering import collect
 from uqsphere.runner.worker import Task
 from uqsphere.store import Store
 from uqsphere.study import Study
-from uqsphere.uq.inputs import Inputs, physical_from_normal, sub_inputs
-from uqsphere.uq.laws import germs_of
+from uqsphere.uq.joint import Inputs, physical_from_normal, sub_inputs
+from uqsphere.uq.law import germs_of
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points
 

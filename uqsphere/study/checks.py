@@ -11,7 +11,7 @@ from uqsphere.quantities import format_value
 from uqsphere.study.faults import Findings
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import ModelChoice
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law
 
 __all__ = ["check_scene"]
 

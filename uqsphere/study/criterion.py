@@ -11,7 +11,7 @@ from uqsphere.quantities import Quantity
 from uqsphere.study.document import LimitTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_fixed
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law
 
 __all__ = ["KEYS", "CriterionReading", "read_criterion", "with_modulus_of"]
 

@@ -8,8 +8,8 @@ from typing import Final
 from uqsphere.study.document import DependenceTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.study import Dependence, tie_of
-from uqsphere.uq.copulas import COPULAS
-from uqsphere.uq.laws import LawError, make_law
+from uqsphere.uq.elliptical import COPULAS
+from uqsphere.uq.law import LawError, make_law
 
 __all__ = ["read_dependence"]
 
@@ -97,7 +97,7 @@ def _refuse_unrandom(
 
 def _check_together(groups: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
     """Refuse the first dependence that contradicts those before it."""
-    from uqsphere.uq.inputs import make_inputs
+    from uqsphere.uq.joint import make_inputs
 
     # Only the names that are tied matter, and a study can have many more.
     tied = [name for name in random if any(name in group.of for group in groups)]

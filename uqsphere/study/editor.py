@@ -13,15 +13,15 @@ from uqsphere.materials import material_names
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS, noise_names
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, Quantity, units_of
-from uqsphere.records.mending import SIGNAL_UNITS
+from uqsphere.records.record import SIGNAL_UNITS
 from uqsphere.study.document import Aim, Fidelity, OnFailure
 from uqsphere.study.gauges import GAUGE_BARS, MOST_GAUGES
 from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.study.requests import METHODS
 from uqsphere.study.scene import PULSE_KEYS
 from uqsphere.study.study import Accuracy, Budget
-from uqsphere.uq.copulas import COPULAS, LEAST_DOF, MOST_DOF
-from uqsphere.uq.laws import LAWS
+from uqsphere.uq.elliptical import COPULAS, LEAST_DOF, MOST_DOF
+from uqsphere.uq.law import LAWS
 
 __all__ = ["build_schema"]
 

@@ -13,7 +13,7 @@ from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.requests import shares
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import ENERGY, Family, Margins, Study, law_with_mean
-from uqsphere.uq.laws import LawError
+from uqsphere.uq.law import LawError
 
 __all__ = ["check_moved_mean", "read_margins"]
 

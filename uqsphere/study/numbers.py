@@ -11,8 +11,8 @@ from typing import Any, Final
 from uqsphere.quantities import INPUTS, UNITS, Quantity, UnitError, format_value, parse_value
 from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
-from uqsphere.uq.ignorance import LEAST_TESTS, count_tests
-from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
+from uqsphere.uq.fitting import LEAST_TESTS, count_tests
+from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
 
 __all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
 
@@ -296,7 +296,7 @@ def _share_outside(law: Law, quantity: Quantity) -> float:
     """Mass of the law in force below and above the bounds of meaning."""
     import numpy as np
 
-    from uqsphere.uq.laws import cdf, sf
+    from uqsphere.uq.law import cdf, sf
 
     share = 0.0
     if max(law.lower, _least(law)) < quantity.lower:

@@ -12,11 +12,11 @@ from uqsphere.study.columns import inside_folder
 from uqsphere.study.document import PulseTable
 from uqsphere.study.faults import Findings, Place, shown
 from uqsphere.study.numbers import Reading
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.law import make_law
 
 if TYPE_CHECKING:
-    from uqsphere.records.mending import Wiring
     from uqsphere.records.pulse import Bar
+    from uqsphere.records.record import Wiring
     from uqsphere.study.scene import Scene
 
 __all__ = ["RECORD_KEYS", "read_record"]
@@ -49,7 +49,7 @@ def read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pat
     if path is None or wiring is None or len(findings.faults) > before:
         return None
     from uqsphere.records.pulse import measured_pulse
-    from uqsphere.records.reading import RecordError
+    from uqsphere.records.record import RecordError
 
     try:
         found = measured_pulse(
@@ -82,7 +82,7 @@ def _positive(name: str, value: float | None, usual: float, findings: Findings) 
 
 def _wiring(pulse: PulseTable, findings: Findings) -> Wiring | None:
     from uqsphere.quantities import UNITS
-    from uqsphere.records.mending import SIGNAL_UNITS, Wiring
+    from uqsphere.records.record import SIGNAL_UNITS, Wiring
 
     if pulse.unit is not None and pulse.unit not in SIGNAL_UNITS:
         findings.add(("pulse", "unit"), f"found {shown(pulse.unit)}, allowed: {', '.join(SIGNAL_UNITS)}")

@@ -24,7 +24,7 @@ from uqsphere.study.scene import SECTIONS, Scene, read_scene
 from uqsphere.study.sensitivities import read_groups
 from uqsphere.study.study import Dependence, EndImpedance, Gauge, ModelChoice, Study
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law
 
 __all__ = ["load_study"]
 

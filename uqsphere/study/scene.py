@@ -15,7 +15,7 @@ from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import BAR_ENDS, Reading, read_number
 from uqsphere.study.record import RECORD_KEYS, read_record
 from uqsphere.study.study import Source
-from uqsphere.uq.laws import Law
+from uqsphere.uq.law import Law
 
 __all__ = ["PULSE_KEYS", "Scene", "read_scene"]
 

@@ -18,7 +18,7 @@ from uqsphere.study.criterion import CriterionReading
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
-from uqsphere.uq.laws import Law, LawError, make_law
+from uqsphere.uq.law import Law, LawError, make_law
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.uq.laws import LAWS, Law, LawError, make_law, nominal_mean
+from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
 
 if TYPE_CHECKING:
-    from uqsphere.uq.inputs import Dependence as Tie
-    from uqsphere.uq.inputs import Inputs
+    from uqsphere.uq.joint import Dependence as Tie
+    from uqsphere.uq.joint import Inputs
 
 __all__ = [
     "ENERGY",
@@ -260,7 +260,7 @@ class Study:
 
     def inputs(self) -> Inputs:
         """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
-        from uqsphere.uq.inputs import make_inputs
+        from uqsphere.uq.joint import make_inputs
 
         laws = self.laws()
         return make_inputs(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
@@ -318,7 +318,7 @@ def law_with_mean(study: Study, name: str, mean: float) -> Law:
 
 def tie_of(group: Dependence) -> Tie:
     """A dependence as the uncertainty side reads it."""
-    from uqsphere.uq.inputs import Dependence as Tie
+    from uqsphere.uq.joint import Dependence as Tie
 
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 

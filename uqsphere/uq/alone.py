@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, student
-from uqsphere.uq.families import Array
 
 __all__ = ["mean_alone", "sd_alone"]
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["FARTHEST", "LARGEST_FRANK", "conditional_score", "inverse_score", "log_copula_density", "score_from_logs"]
 

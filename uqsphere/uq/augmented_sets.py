@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.augmented import METHOD, Trusted
 from uqsphere.uq.augmented_indices import (
     FIRST,
@@ -23,7 +24,6 @@ from uqsphere.uq.beyond_runs import shares_within
 from uqsphere.uq.chaos import Chaos
 from uqsphere.uq.chaos.sampled import law_shares
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.families import Array
 
 __all__ = ["group_indices", "pair_indices"]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = ["Blocks", "Outputs", "uniform_halves"]

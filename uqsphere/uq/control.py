@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Description, Estimate, absent, share, student
-from uqsphere.uq.families import Array
 
 __all__ = [
     "Controlled",

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
-from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Pawn", "delta_estimates", "pawn_estimates"]

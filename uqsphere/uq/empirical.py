@@ -10,14 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.uq.families import Array
-
-Places: TypeAlias = npt.NDArray[np.int64]
+from uqsphere.arrays import Array, Places
 
 __all__ = [
     "FITTED",

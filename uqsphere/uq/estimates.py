@@ -15,8 +15,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import told_apart
-from uqsphere.uq.families import Array
 from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_second, pieces, second_sums, skewness
 from uqsphere.uq.reasons import NO_CONVERGENCE, OUT_OF_REACH
 

@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["ESTIMATORS", "Ratio", "block_mean", "jansen_total"]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, student
-from uqsphere.uq.families import Array
 
 __all__ = ["LognormalCurve", "fit_lognormal_curve", "interpolate_rows"]
 

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.distribution import Law, tail_orders
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Description, Estimate, absent
-from uqsphere.uq.families import Array
+from uqsphere.uq.law import Law, tail_orders
 from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
 
 __all__ = [
@@ -104,7 +104,7 @@ def heavy_tail(
 
     >>> rng = np.random.default_rng(1)
     >>> x = rng.standard_t(1.0, size=(4096, 1))
-    >>> from uqsphere.uq.laws import make_law
+    >>> from uqsphere.uq.law import make_law
     >>> law = make_law("student_t", {"dof": 1.0, "location": 0.0, "scale": 1.0})
     >>> heavy_tail({"x": law}, x, 3.0 * x[:, 0]).order
     1.0

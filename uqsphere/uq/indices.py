@@ -16,10 +16,10 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.blocks import Blocks, Outputs
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
 from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
-from uqsphere.uq.families import Array
 from uqsphere.uq.surrogate import Surrogate, corrected
 
 __all__ = [

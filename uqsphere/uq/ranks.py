@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.families import Array
 
 __all__ = ["rank_indices"]
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.augmented import METHOD, Trusted, joined, widened, with_residuals
 from uqsphere.uq.beyond_runs import within_runs
 from uqsphere.uq.chaos import Chaos, predict
 from uqsphere.uq.chaos.surrogate import Piece
 from uqsphere.uq.estimates import Description, Estimate, absent, describe
-from uqsphere.uq.families import Array
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
 from uqsphere.uq.reasons import NOT_KNOWN

@@ -17,7 +17,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["FOLDS", "RowBasis", "RowFit", "fit_rows"]
 

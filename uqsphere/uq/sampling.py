@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["MOST_DIMENSIONS", "random_generator", "sobol_points"]
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
-from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = [

@@ -23,9 +23,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
-from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Inputs, normal_scores, physical_from_scores, rest_given
+from uqsphere.uq.joint import Inputs, normal_scores, physical_from_scores, rest_given
 from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = [

@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import (
     LEAST_BEYOND,
     Description,
@@ -27,7 +28,6 @@ from uqsphere.uq.estimates import (
     student,
     woodruff_reach,
 )
-from uqsphere.uq.families import Array
 from uqsphere.uq.moments import FirstSums, finish, first_sums, merge_first, merge_second, pieces, second_sums
 
 __all__ = ["Stream", "describe_stream"]

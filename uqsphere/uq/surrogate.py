@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.chaos import Chaos, germ_points, predict
-from uqsphere.uq.families import Array
 
 __all__ = ["Surrogate", "chaos_outputs", "chaos_surrogate", "corrected", "expansion_indices", "mean_expansion"]
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.copulas import log_density
+from uqsphere.arrays import Array
+from uqsphere.uq.elliptical import log_density
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
-from uqsphere.uq.families import Array
-from uqsphere.uq.inputs import Inputs, blocks_of
+from uqsphere.uq.joint import Inputs, blocks_of
 
 __all__ = [
     "GivenFailure",

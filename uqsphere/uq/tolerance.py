@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["ToleranceLimits", "attained_confidence", "largest_order", "least_runs", "tolerance_limits"]
 

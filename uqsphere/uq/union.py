@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.archimedean import FARTHEST
-from uqsphere.uq.copulas import conditional_scores
-from uqsphere.uq.distribution import Law, from_normal
+from uqsphere.uq.elliptical import conditional_scores
 from uqsphere.uq.estimates import Estimate, Flags, none_of, student
-from uqsphere.uq.families import Array
-from uqsphere.uq.laws import make_law
+from uqsphere.uq.law import Law, from_normal, make_law
 from uqsphere.uq.reliability import LimitState, tails
 
 __all__ = [

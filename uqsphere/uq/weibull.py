@@ -19,12 +19,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array, Flags
 
 __all__ = [
     "KINDS",
@@ -40,7 +39,6 @@ __all__ = [
     "unbiasing",
 ]
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 
 #: laws that can be fitted with stopped tests among them
 KINDS: Final = ("weibull", "lognormal")

@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["GERMS", "HIGHEST_DEGREE", "Germ", "GermLike", "germ_name", "germ_points", "law_germ",
            "orthonormal_slopes", "orthonormal_values"]  # fmt: skip

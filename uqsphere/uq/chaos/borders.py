@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["BORDERS", "Border", "Side", "score_features"]
 

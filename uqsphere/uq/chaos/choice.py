@@ -15,12 +15,12 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
 from uqsphere.uq.chaos.honesty import neglected, steadied
 from uqsphere.uq.chaos.outputs import Transform, identity, possible_transforms
 from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
 from uqsphere.uq.chaos.truncation import Indices, grown, nested, products, skipping
-from uqsphere.uq.families import Array
 
 __all__ = ["Basis", "Contest", "Found", "compete", "deal", "lowered", "prepare", "spread_of"]
 

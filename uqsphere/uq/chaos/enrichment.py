@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.bases import GermLike
 from uqsphere.uq.chaos.fit import fit_chaos, validation_error
-from uqsphere.uq.families import Array
 
 __all__ = ["Forecast", "enrichment", "forecast"]
 

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.bases import GermLike, orthonormal_values
 from uqsphere.uq.chaos.choice import Contest, Found, compete, lowered, prepare
 from uqsphere.uq.chaos.honesty import blended, leaned, neglected, refits, steadied
@@ -18,7 +19,6 @@ from uqsphere.uq.chaos.solvers import solve_rows
 from uqsphere.uq.chaos.splits import Split, find_split
 from uqsphere.uq.chaos.surrogate import Chaos, Piece, predict
 from uqsphere.uq.chaos.truncation import grown, products, skipping
-from uqsphere.uq.families import Array
 
 __all__ = ["Verdict", "fit_again", "fit_chaos", "fit_outputs", "judge", "validation_error"]
 

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["Neglected", "Refits", "blended", "leaned", "left_one_out", "neglected", "refits", "steadied"]
 

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.sampled import active_inputs, law_shares, sampled_moments
 from uqsphere.uq.chaos.surrogate import Chaos
 from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
-from uqsphere.uq.families import Array
 
 __all__ = ["chaos_indices", "chaos_moments", "error_with_tails", "index_of", "indices_of_order"]
 

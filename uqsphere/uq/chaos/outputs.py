@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["TRANSFORMS", "Transform", "identity", "possible_transforms"]
 

@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.bases import GermLike, germ_points, orthonormal_values
 from uqsphere.uq.chaos.surrogate import Chaos, predict
 from uqsphere.uq.chaos.truncation import Combination, nested, products
 from uqsphere.uq.estimates import Flags
-from uqsphere.uq.families import Array
 from uqsphere.uq.sampling import sobol_points
 
 __all__ = ["Companion", "active_inputs", "law_points", "law_shares", "sampled_moments"]

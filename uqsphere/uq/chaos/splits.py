@@ -14,12 +14,12 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.borders import Border, Side, score_features
 from uqsphere.uq.chaos.choice import Basis, Contest, deal
 from uqsphere.uq.chaos.honesty import left_one_out, steadied
 from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
 from uqsphere.uq.chaos.truncation import Indices
-from uqsphere.uq.families import Array
 
 __all__ = ["PROPOSALS", "Split", "find_split"]
 

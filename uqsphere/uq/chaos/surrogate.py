@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.chaos.bases import GermLike, orthonormal_slopes, orthonormal_values
 from uqsphere.uq.chaos.borders import Border
 from uqsphere.uq.chaos.outputs import Transform
 from uqsphere.uq.chaos.truncation import Indices, products
-from uqsphere.uq.families import Array
 
 __all__ = ["Chaos", "Piece", "gradients", "predict"]
 

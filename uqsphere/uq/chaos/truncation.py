@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["Combination", "Indices", "grown", "hyperbolic_indices", "nested", "products", "skipping"]
 

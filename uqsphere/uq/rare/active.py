@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.families import Array
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import FormAnswer
 from uqsphere.uq.rare.importance import wide_mixture

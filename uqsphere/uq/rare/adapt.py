@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.importance import defended
 from uqsphere.uq.rare.mixture import FEW, Mixture, allocate, draw_mixture, fit_mixture, joined, log_density, log_total
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate
-from uqsphere.uq.families import Array
 from uqsphere.uq.rare.adapt import Pool, adapt, blended, collect, pooled_weights, refit, uncovered, worth_of
 from uqsphere.uq.rare.form import FormAnswer, find_design_points
 from uqsphere.uq.rare.importance import (

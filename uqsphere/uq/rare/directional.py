@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
-from uqsphere.uq.families import Array
 from uqsphere.uq.rare.problem import Evaluator, Spent
 from uqsphere.uq.sampling import sobol_points
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.problem import Evaluator, Spent
 from uqsphere.uq.sampling import sobol_points
 

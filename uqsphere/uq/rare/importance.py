@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, student
-from uqsphere.uq.families import Array
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, factor_of, joined, log_density, widened
 from uqsphere.uq.rare.problem import Evaluator, Spent, log_normal_density

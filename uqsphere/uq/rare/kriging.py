@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["Kriging", "fit_kriging", "predict", "predict_reduced", "reduced", "through"]
 

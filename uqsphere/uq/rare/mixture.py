@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.radial import Radial, draw_radial, fit_radial, radial_density, widened_radial
 from uqsphere.uq.sampling import sobol_points
 

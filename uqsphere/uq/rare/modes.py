@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.mixture import Mixture, component_densities
 from uqsphere.uq.rare.problem import Evaluator, log_normal_density
 from uqsphere.uq.rare.radial import Radial

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["Evaluator", "FailedEvaluation", "LimitFunction", "Spent", "log_normal_density"]
 

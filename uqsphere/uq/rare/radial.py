@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 
 __all__ = ["Radial", "draw_radial", "fit_radial", "radial_density", "widened_radial"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.families import Array
+from uqsphere.arrays import Array
 from uqsphere.uq.rare.form import DesignPoint
 from uqsphere.uq.rare.problem import Evaluator
 

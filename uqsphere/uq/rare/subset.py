@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq.estimates import Estimate, absent, student
-from uqsphere.uq.families import Array
 from uqsphere.uq.rare.problem import Evaluator, Spent
 from uqsphere.uq.sampling import random_generator, sobol_points
 

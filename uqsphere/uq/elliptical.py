@@ -15,9 +15,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.uq import archimedean
-from uqsphere.uq.families import Array
-from uqsphere.uq.specification import LawError
+from uqsphere.uq.families import LawError
 
 __all__ = [
     "COPULAS",

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.uq.copulas import Copula, Tie, conditional_scores, dependent_scores, make_copula, members_of
-from uqsphere.uq.families import Array
-from uqsphere.uq.laws import Law, LawError, from_normal
+from uqsphere.arrays import Array
+from uqsphere.uq.elliptical import Copula, Tie, conditional_scores, dependent_scores, make_copula, members_of
+from uqsphere.uq.law import Law, LawError, from_normal
 
 __all__ = [
     "Dependence",
@@ -144,7 +144,7 @@ def physical_from_normal(inputs: Inputs, normals: Array) -> Array:
 def to_physical(inputs: Inputs, uniforms: Array) -> Array:
     """Independent uniforms (n, d) in the open unit interval -> inputs (n, d) in SI.
 
-    >>> from uqsphere.uq.laws import make_law
+    >>> from uqsphere.uq.law import make_law
     >>> two = Inputs(names=("a", "b"), laws=(make_law("normal", {"mean": 1.0, "sd": 0.1}),
     ...                                      make_law("uniform", {}, 0.0, 2.0)))
     >>> to_physical(two, np.array([[0.5, 0.25]])).round(12).tolist()
@@ -209,7 +209,7 @@ def make_inputs(names: Sequence[str], laws: Sequence[Law], dependences: Sequence
 
     Raises LawError (keys "of", "spearman", "kendall", "dof", "copula") where they cannot hold.
 
-    >>> from uqsphere.uq.laws import make_law
+    >>> from uqsphere.uq.law import make_law
     >>> law = make_law("normal", {"mean": 0.0, "sd": 1.0})
     >>> made = make_inputs(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), kendall=0.5, copula="clayton")])
     >>> made.groups[0].copula.theta, made.correlation is None
