@@ -19,7 +19,7 @@ HOMES = {
     "chaospy": {"uq/chaos/bases.py"},
     "numpoly": {"uq/chaos/bases.py"},
     "SALib": {"uq/sensitivity.py", "bench/overhead.py"},  # the second as a rival
-    "numba": {"mechanics/compiled.py", "mechanics/vectors.py"},
+    "numba": {"mechanics/integrator/compiled.py", "mechanics/integrator/vectors.py"},
 }
 
 PROBE = """
