@@ -104,7 +104,7 @@ def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
         assert "1,468 more" in answer.missed[0]
         assert all(e.value is None and "evaluations ran out" in str(e.reason) for e in answer.values.values())
         results = {
-            "margins": {limit.name: {"solve": answer.solve, "curve": [], **answer.about}},
+            "margins": {limit.name: {"solve": "striker.speed", "curve": [], **answer.about}},
             "limits": {limit.name: {"aim": limit.aim, "target": limit.target, "quantity": limit.quantity}},
         }
         text = margin_answer(results, limit.name)

@@ -134,9 +134,9 @@ def test_inverse_questions(load: Load) -> None:
     assert family.values == pytest.approx((0.008, 0.012))
     strength = 'between = ["1 GPa", "9 GPa"]'
     found = load(margins=f'[margins]\nsolve = "limits.a.strength"\n{strength}\n').margins
-    assert found.between == pytest.approx((1e9, 9e9))
+    assert (found.axis.low, found.axis.high) == pytest.approx((1e9, 9e9))
     energy = load(margins=f'[margins]\nsolve = "{ENERGY}"\nbetween = ["1 J/kg", "50 J/kg"]\n').margins
-    assert energy.between == (1.0, 50.0)
+    assert (energy.axis.low, energy.axis.high, energy.axis.kind) == (1.0, 50.0, "energy")
     quantities = load(quantity='quantity = "P_max"', margins=MARGINS + "bars_elastic = true\n").analysis.quantities
     assert quantities == ("P_max", "p_max")
 

@@ -64,7 +64,7 @@ def test_granite_is_the_study_of_the_contract() -> None:
     assert (limit.quantity, limit.aim, limit.model_factor, limit.target) == ("p_max", "survive", 1.0, 0.01)
     assert study.analysis.budget.time == 600.0
     assert study.margins is not None
-    assert study.margins.between == (0.05, 20.0)
+    assert (study.margins.axis.low, study.margins.axis.high) == (0.05, 20.0)
     assert study.materials == {"sphere": "granite", "bars": "maraging_steel"}
     # Only what the file leaves to the library has a source there.
     assert set(study.sources) == {"bars.E", "bars.nu", "bars.density", "bars.yield_strength"}
@@ -384,7 +384,7 @@ def test_black_box_limits_take_any_number(load: Load) -> None:
     assert study.fixed == {"x2": 2.0}
     assert study.inputs().names == ("x1", "limits.h.strength")
     assert study.margins is not None
-    assert study.margins.between == (-1.0, 3.0)
+    assert (study.margins.axis.low, study.margins.axis.high) == (-1.0, 3.0)
     assert study.resolved()["model"] is None
 
 

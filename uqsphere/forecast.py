@@ -153,7 +153,7 @@ def _margins(study: Study, budget: float) -> tuple[float, float]:
     if margins is None or not study.limits:
         return 0.0, 0.0
     curves = 1 + (len(margins.family.values) if margins.family else 0)
-    still = margins.solve.startswith("limits.")
+    still = not margins.axis.moves_rows
     asked = len(margins.for_probability)
     fixed = sum(not isinstance(limit.strength, Law) for limit in study.limits)
     values = 0 if still else asked * (_VALUE * (len(study.limits) - fixed) + _VALUE_FIXED * fixed)
@@ -207,7 +207,7 @@ def _fracture(study: Study, budget: float) -> tuple[float, float]:
     likely = specimens + (early if returning else 0.0)
     most = likely + (early if study.model.fidelity != "full" else 0.0)
     if len(limits) > 1:
-        curve = study.margins is not None and not study.margins.solve.startswith("limits.")
+        curve = study.margins is not None and study.margins.axis.moves_rows
         likely += _ANY_CURVE if curve else 0
         # that any of them is exceeded may itself be rare
         most += (_ANY_CURVE if curve else 0) + min(_RARE_MOST, _RARE_SHARE * budget)
@@ -246,7 +246,7 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
         runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
         # the runs that are timed are the first of its design
         first = sum(part.likely for part in found)
-        wide = study.margins is not None and not study.margins.solve.startswith("limits.")
+        wide = study.margins is not None and study.margins.axis.moves_rows
         add("surrogate", (2 * runs if wide else runs) - first, RUNS_MOST + (256 if wide else 0))
     else:
         sampling = _sampling(study, budget)

@@ -109,7 +109,7 @@ def curve_cost(
     chosen = next(one for one in study.limits if limit in (None, one.name))
     work = _work(study)
     # what is compiled on the first call is no part of the cost
-    evaluate_at(_work(study), study.margins.between[0] if study.margins else 1.0, start=0, count=1)
+    evaluate_at(_work(study), study.margins.axis.low if study.margins else 1.0, start=0, count=1)
     begun = time.perf_counter()
     rows = find_rows(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=accuracy).rows
     seconds = time.perf_counter() - begun

@@ -32,6 +32,7 @@ from uqsphere.mechanics.design import (
 from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.model import scene_of
 from uqsphere.study import Limit, Study
+from uqsphere.study.axis import SPEED
 from uqsphere.uq.law import Law, median, ppf
 
 __all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
@@ -240,7 +241,7 @@ def request_of(
     if speeds is None:
         asked = study.margins
         own = c["striker.speed"]
-        speeds = asked.between if asked and asked.solve == "striker.speed" else (0.1 * own, 10.0 * own)
+        speeds = (asked.axis.low, asked.axis.high) if asked and asked.axis.path == SPEED else (0.1 * own, 10.0 * own)
     if rises is None:
         speed = wave_speed(*(c.get(f"striker.{key}", c[f"bars.{key}"]) for key in ("E", "density")))
         rises = (0.0, _below(min(2.0 * max(lengths) / speed, first_return(scene)[0], _LONGEST)))

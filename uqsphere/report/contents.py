@@ -14,6 +14,7 @@ from uqsphere.errors import FolderError
 from uqsphere.runner.samples import read_points
 from uqsphere.runner.shapes import MANIFEST, RESOLVED, RESULTS, fault_of
 from uqsphere.store import read_json
+from uqsphere.study.axis import quantity_of
 from uqsphere.uq.law import Law, LawError, make_law, nominal_mean
 
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
@@ -66,11 +67,7 @@ class Contents:
 
     def subject(self, name: str) -> str:
         """The name whose unit a number has: a strength has that of the limit's quantity."""
-        parts = name.split(".")
-        if parts[0] == "limits" and parts[-1] == "strength":
-            limit = self.results["limits"].get(".".join(parts[1:-1]))
-            return str(limit["quantity"]) if limit else name
-        return name
+        return quantity_of(name, {limit: str(entry["quantity"]) for limit, entry in self.results["limits"].items()})
 
     def at_mean(self, name: str) -> float | None:
         """The number of an input that the study states: fixed, or the mean of its law (SI)."""

@@ -23,6 +23,7 @@ from uqsphere.report.wording import (
     two_digits,
     value_text,
 )
+from uqsphere.study.axis import quantity_of
 
 __all__ = [
     "at_most",
@@ -39,9 +40,7 @@ __all__ = [
 
 def subject_of(results: Mapping[str, Any], solve: str) -> str:
     """The name whose unit the free scalar has: a strength has that of its limit's quantity."""
-    parts = solve.split(".")
-    own = results["limits"].get(parts[1]) if len(parts) == 3 else None
-    return str(own["quantity"]) if own and parts[2] == "strength" else solve
+    return quantity_of(solve, {limit: str(entry["quantity"]) for limit, entry in results["limits"].items()})
 
 
 def margin_answer(results: Mapping[str, Any], name: str) -> str:

@@ -373,10 +373,11 @@ def check_range(study: Study) -> None:
     from uqsphere.mechanics.scene import STATUS
     from uqsphere.model import scene_of
 
-    name = study.margins.solve
+    axis = study.margins.axis
+    name = axis.path
     if name not in INPUTS:
         return
-    for value in study.margins.between:
+    for value in (axis.low, axis.high):
         code = int(scene_of(study, {name: np.array([value])}).status[0])
         if code:
             raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")

@@ -17,7 +17,7 @@ from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
 from uqsphere.runner.design_margins import study_at
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.moved import strength_solved
+from uqsphere.runner.moved import axis_of
 from uqsphere.runner.pilot import check_table
 from uqsphere.runner.remember import remembered
 from uqsphere.runner.work import Work, draw, sub_inputs
@@ -40,8 +40,7 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
     Nothing is added where there is no value, where the scene is the same at every value (a strength is the free
     scalar), or where the budget of evaluations has nothing left.
     """
-    asked = work.study.margins
-    if asked is None or work.study.black_box or strength_solved(asked.solve) is not None:
+    if work.study.margins is None or work.study.black_box or not axis_of(work).moves_rows:
         return dict(margins)
     found, seen = dict(margins), dict[float, list[dict[str, Any]] | None]()
     for limit in work.study.limits:

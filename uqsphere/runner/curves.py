@@ -17,9 +17,10 @@ import numpy.typing as npt
 
 from uqsphere.runner.band import Band, Stage, stage_of
 from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
-from uqsphere.runner.moved import evaluate_at, limit_state, probabilities, strength_solved
+from uqsphere.runner.moved import axis_of, evaluate_at, limit_state, probabilities
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
+from uqsphere.study.axis import spaced
 from uqsphere.uq.fitting import is_fitted, possible_laws
 from uqsphere.uq.fragility import interpolate_rows
 from uqsphere.uq.law import Law, LawError
@@ -107,18 +108,17 @@ def find_rows(
 
     `least` is the smallest probability of interest.  Limits whose demands are not known in full have no share in it.
     """
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
+    axis = axis_of(work)
     before = work.ledger.total
     most = min(most, work.study.analysis.budget.evaluations - before)
-    if strength_solved(work.study.margins.solve) is not None:
+    if not axis.moves_rows:
         return _still(work, limits, least, before + most, tag, accuracy)
     each = REPLICATES * CURVE_VALUES
     cost = REPLICATES * SCAN_POINTS * SCAN_VALUES + FIRST_POINTS[-1] * each
     left = work.study.analysis.budget.evaluations - before
     if cost > left:
         return Found(reason=shortage(work, cost))
-    found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in _spaced(low, high, SCAN_VALUES)}
+    found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in axis.grid(SCAN_VALUES)}
     look = Look(work=work, samples=found)
     limits = [limit for limit in limits if look.fits(limit)]
     if not limits:
@@ -128,7 +128,7 @@ def find_rows(
         count = FIRST_POINTS[-1]
     ends = _region(work, limits, look, least)
     for _ in range(WIDER):
-        rows = CurveRows(work=work, tag=tag, grid=_spaced(*ends, CURVE_VALUES))
+        rows = CurveRows(work=work, tag=tag, grid=spaced(*ends, CURVE_VALUES))
         rows.begin(count)
         kept = [limit for limit in limits if rows.knows(limit.quantity)]
         if not kept:
@@ -143,8 +143,7 @@ def find_rows(
 
 def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, accuracy: float) -> Found:
     """The same where the scalar is a strength: the rows of one value serve all."""
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
+    low, high = axis_of(work).low, axis_of(work).high
     cost = REPLICATES * STILL_POINTS if work.scene_names else 1
     if work.ledger.total + cost > work.study.analysis.budget.evaluations:
         return Found(reason=shortage(work, cost))
@@ -155,22 +154,16 @@ def _still(work: Work, limits: Sequence[Limit], least: float, most: int, tag: st
         return Found()
     sample = rows.at(low)
     look = Look(work=work, samples={low: sample, high: sample})
-    grid = _spaced(*_region(work, limits, look, least), CURVE_VALUES)
+    grid = spaced(*_region(work, limits, look, least), CURVE_VALUES)
     rows = CurveRows(work=work, tag=tag, grid=grid, still=True, rows={grid[0]: sample}, used=STILL_POINTS)
     bands, note = _grow(rows, limits, least, most, accuracy)
     return Found(look=look, rows=rows, bands=bands, note=note)
 
 
-def _spaced(low: float, high: float, count: int) -> list[float]:
-    """`count` values from low to high in equal ratios, or in equal steps where they are not positive."""
-    inner = np.geomspace(low, high, count) if low > 0.0 else np.linspace(low, high, count)
-    return [low, *(float(value) for value in inner[1:-1]), high]
-
-
 def _region(work: Work, limits: Sequence[Limit], look: Look, least: float) -> tuple[float, float]:
     """Where the probabilities of the limits lie between `least` and its complement, by the few rows of the look."""
     low, high = look.grid[0], look.grid[-1]
-    fine = np.array(_spaced(low, high, 301))
+    fine = np.array(spaced(low, high, 301))
     inside = np.zeros(fine.size, dtype=bool)
     for limit in limits:
         p = look.curve(limit, fine).mean(axis=1)

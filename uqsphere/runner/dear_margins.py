@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
-from uqsphere.runner.moved import moved_study, probabilities, strength_solved
+from uqsphere.runner.moved import axis_of, probabilities
 from uqsphere.runner.work import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
@@ -25,7 +25,7 @@ from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.joint import physical_from_normal
-from uqsphere.uq.law import Law, LawError, nominal_mean
+from uqsphere.uq.law import LawError
 from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import random_generator, sobol_points
@@ -62,7 +62,7 @@ def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) ->
     margins = work.study.margins
     if margins is None:
         return {}
-    solved, unmoved = strength_solved(margins.solve), unmoved_margins(work)
+    axis, unmoved = margins.axis, unmoved_margins(work)
     wide: _Wide | None = None
     found = {}
     for limit in work.study.limits:
@@ -71,26 +71,25 @@ def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) ->
             continue
         one = trusted.get(limit.quantity)
         if one is None or not one.usable:
-            found[limit.name] = _nothing(work, f"{limit.quantity} has no surrogate, and sampling is beyond the budget")
+            found[limit.name] = _nothing(f"{limit.quantity} has no surrogate, and sampling is beyond the budget")
             continue
-        if solved is not None:
+        if not axis.moves_rows:
             found[limit.name] = _answer(work, limit, one, _of_strength(work, limit, one), len(one.residuals))
             continue
         wide = _over_scalar(work, affordable) if wide is None else wide
         if limit.quantity not in wide.trusted:
-            found[limit.name] = _nothing(work, wide.reason)
+            found[limit.name] = _nothing(wide.reason)
             continue
         one = wide.trusted[limit.quantity]
         if not one.usable:
-            found[limit.name] = _nothing(work, f"the surrogate over {margins.solve} and the inputs is {one.reason}")
+            found[limit.name] = _nothing(f"the surrogate over {axis.path} and the inputs is {one.reason}")
             continue
         found[limit.name] = _answer(work, limit, one, _of_scalar(work, limit, one), wide.runs)
     return found
 
 
-def _nothing(work: Work, reason: str) -> MarginAnswer:
-    assert work.study.margins is not None
-    return MarginAnswer(solve=work.study.margins.solve, values={}, curve=[], missed=[reason])
+def _nothing(reason: str) -> MarginAnswer:
+    return MarginAnswer(values={}, curve=[], missed=[reason])
 
 
 def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
@@ -102,8 +101,8 @@ def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
     values = predict(one.chaos, germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs))
     rng = random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}")
     centre, reach = with_residuals(one, values.reshape(large.scores.shape[:2]), rng)
-    nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
-    return lambda value: (centre * (nominal / value), reach * (nominal / value))
+    factor = axis_of(work).demand_factor
+    return lambda value: (centre * factor(limit, value), reach * factor(limit, value))
 
 
 def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
@@ -115,26 +114,11 @@ def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
     points = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs)
 
     def demands(value: float) -> tuple[Array, Array]:
-        rows = np.column_stack([points, np.full(len(points), _germ(work, value))])
+        rows = np.column_stack([points, np.full(len(points), axis_of(work).germ(value))])
         values = predict(one.chaos, rows).reshape(large.scores.shape[:2])
         return with_residuals(one, values, random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}"))
 
     return demands
-
-
-def _germ(work: Work, value: float) -> float:
-    """The free scalar between its bounds as a uniform germ in [-1, 1], by its logarithm where it is positive."""
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
-    if low > 0.0:
-        low, high, value = math.log(low), math.log(high), math.log(value)
-    return 2.0 * (value - low) / (high - low) - 1.0
-
-
-def _grid(work: Work) -> Array:
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
-    return np.geomspace(low, high, VALUES) if low > 0.0 else np.linspace(low, high, VALUES)
 
 
 def _over_scalar(work: Work, affordable: int) -> _Wide:
@@ -144,8 +128,8 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     from uqsphere.uq.chaos import fit_outputs, germ_points
 
     study = work.study
-    assert study.margins is not None
-    d, name = len(work.scene_names), study.margins.solve
+    axis = axis_of(work)
+    d, name = len(work.scene_names), axis.path
     count = min(MOST_RUNS, affordable - work.ledger.total)
     count = 2 ** int(math.log2(count)) if count >= LEAST_RUNS else 0
     if not count:
@@ -153,9 +137,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
         return _Wide(trusted={}, runs=0, reason=reason)
     uniforms = sobol_points(dimension=d + 1, count=count, seed=study.seed, task="dear.margins.runs", replicate=0)
     normals = np.asarray(ndtri(uniforms[:, :d]))
-    low, high = study.margins.between
-    share = uniforms[:, d]
-    values = low * (high / low) ** share if low > 0.0 else low + (high - low) * share
+    values = axis.value(uniforms[:, d])
     random = name in study.random
     try:
         rows = np.array([_row(work, row, float(value)) for row, value in zip(normals, values, strict=True)])
@@ -171,7 +153,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
         lost = int(np.count_nonzero(run.status))
         return _Wide(trusted={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")
     germs = (*work.germs, "uniform")
-    points = np.column_stack([germ_points(normals, germs[:d]), [_germ(work, float(value)) for value in values]])
+    points = np.column_stack([germ_points(normals, germs[:d]), [axis.germ(float(value)) for value in values]])
     half = count // 2
     before = fit_outputs(points[:half], run.values[:half], germs)
     fits = fit_outputs(points, run.values, germs)
@@ -183,7 +165,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
 
 def _row(work: Work, normals: Array, value: float) -> Array:
     """Physical inputs (d,) at normal scores where the free scalar has a value."""
-    moved = replace(work, study=moved_study(work.study, work.study.margins.solve, value))  # type: ignore[union-attr]
+    moved = replace(work, study=axis_of(work).move(work.study, value))
     d = len(work.scene_names)
     scores = np.zeros((1, len(moved.drawn.names)))
     scores[0, :d] = normals
@@ -204,7 +186,7 @@ def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int
         tables = np.array([known[float(value)] for value in grid])
         return [fragility(grid, tables[:, side], targets, samples=POINTS, evaluations=runs) for side in range(3)]
 
-    grid = _grid(work)
+    grid = np.array(axis_of(work).grid(VALUES))
     drawn = along(grid)
     # interpolation between the values of the curve costs more than noise does: answers get values close by
     close = [x for e in drawn for f in e.values.values() if f.value is not None for x in _about(grid, f.value)]
@@ -221,7 +203,6 @@ def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int
     if family is not None:
         missed.append(f"the curves over {family.path} are not drawn off a surrogate")
     return MarginAnswer(
-        solve=work.study.margins.solve,
         values=values,
         curve=curve,
         missed=missed,

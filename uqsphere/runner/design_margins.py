@@ -13,21 +13,21 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.bars import pulse_stress, section
-from uqsphere.mechanics.contact import sphere_mass
+from uqsphere.mechanics.bars import pulse_stress
 from uqsphere.runner.assumed import MOST_TESTS, few_rows, fewest_tests, is_decided
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import law_curves
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.moved import moved_study, strength_solved
+from uqsphere.runner.moved import axis_of
 from uqsphere.runner.rare import find_design
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import OutOfBudget, Work
-from uqsphere.study import ENERGY, Limit
+from uqsphere.study import Limit
+from uqsphere.study.axis import SPEED, strength_name
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.fragility import fit_lognormal_curve
-from uqsphere.uq.law import Law, LawError, median, nominal_mean, ppf
+from uqsphere.uq.law import Law, LawError, median, ppf
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.reliability import LimitState
 from uqsphere.uq.sample import Sample
@@ -131,23 +131,8 @@ def _strength_at(strength: Law | float, p: float) -> float:
 
 def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
     """The work and the limit with the free scalar at a value, for a search of its own."""
-    assert work.study.margins is not None
-    solve, study = work.study.margins.solve, work.study
-    if strength_solved(solve) is not None:
-        if strength_solved(solve) != limit.name:
-            return work, limit
-        if isinstance(limit.model_factor, Law):
-            return "the strength is the free number and the model factor is random"
-        nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
-        return work, replace(limit, model_factor=limit.model_factor * nominal / value)
-    if solve == ENERGY:
-        means = study.at_means()
-        mass = float(sphere_mass(means["sphere.radius"], means["sphere.density"]))
-        striker = means["bars.density"] * float(section(means["bars.diameter"])) * means["striker.length"]
-        solve, value = "striker.speed", math.sqrt(2.0 * value * mass / striker)
-        if solve in study.random and "mean" not in study.given[solve]:
-            return "the speed scatters by a law that is not given by its mean"
-    return replace(work, study=moved_study(study, solve, value)), limit
+    found = axis_of(work).fix(work.study, limit, value)
+    return found if isinstance(found, str) else (replace(work, study=found[0]), found[1])
 
 
 def _lost_to(work: Work, where: Where) -> dict[str, Any]:
@@ -157,7 +142,7 @@ def _lost_to(work: Work, where: Where) -> dict[str, Any]:
     if isinstance(placed, str):
         return {"reason": placed}
     moved, limit = placed
-    own = f"limits.{limit.name}.strength"
+    own = strength_name(limit.name)
     found = find_design(moved, limit)
     if isinstance(found, str):
         if found.startswith("nothing but") and isinstance(limit.strength, Law):
@@ -218,7 +203,7 @@ def _ignorance(work: Work, where: Where, strength: Law) -> dict[str, Any]:
             "tests": count_tests(strength),
             "reason": "the demands are not known in full, so that no rows serve all values",
         }
-    generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{where.limit.name}.strength")
+    generator = random_generator(seed=work.study.seed, task=f"ignorance {strength_name(where.limit.name)}")
     laws = possible_laws(strength, LAWS, generator)
     places = rows.grid
     logarithmic = places[0] > 0.0
@@ -280,7 +265,7 @@ def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignor
         generator = random_generator(seed=work.study.seed, task=f"more tests {limit.name} {count}")
         return decided(laws_of_more_tests(strength, count, LAWS, generator))
 
-    generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{limit.name}.strength")
+    generator = random_generator(seed=work.study.seed, task=f"ignorance {strength_name(limit.name)}")
     if decided(possible_laws(strength, LAWS, generator)):
         return {**found, "to_settle": 0}
     in_all = fewest_tests(simulated, tests)
@@ -298,7 +283,7 @@ def _tells_of_bars(work: Work, where: Where) -> bool:
     return (
         not study.black_box
         and study.margins is not None
-        and strength_solved(study.margins.solve) is None
+        and study.margins.axis.moves_rows
         and study.at_means().get("bars.yield_strength", 0.0) > 0.0
         and "p_max" in work.quantities
         and where.rows is not None
@@ -316,15 +301,15 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     assert study.margins is not None
     means = study.at_means()
     strength = means["bars.yield_strength"]
-    stress = float(pulse_stress(means["striker.speed"], means["bars.E"], means["bars.density"]))
+    stress = float(pulse_stress(means[SPEED], means["bars.E"], means["bars.density"]))
     found: dict[str, Any] = {
         "yield_strength": strength,
         "pulse_stress": stress,
         "pulse_elastic": stress < strength,
-        "pulse_value": means["striker.speed"] * strength / stress if study.margins.solve == "striker.speed" else None,
+        "pulse_value": means[SPEED] * strength / stress if study.margins.axis.path == SPEED else None,
     }
     rows, accepted = where.rows, BARS_SHARE
-    if rows is None or strength_solved(study.margins.solve) is not None or not rows.knows("p_max"):
+    if rows is None or not study.margins.axis.moves_rows or not rows.knows("p_max"):
         return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
     names = work.drawn.names
     random = "bars.yield_strength" in names

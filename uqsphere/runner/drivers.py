@@ -16,6 +16,7 @@ from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.sensitivity import Pairs, Sensitivity
 from uqsphere.runner.work import REPLICATES, Work, sub_inputs
 from uqsphere.study import Limit
+from uqsphere.study.axis import limit_of
 from uqsphere.uq.blocks import Blocks
 from uqsphere.uq.distributional import delta_estimates, pawn_estimates
 from uqsphere.uq.estimates import Estimate, absent, from_replicates
@@ -253,7 +254,7 @@ def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, 
         columns[_strength_name(limit)] = _strengths(work, limit, limit.strength, state, chance)
     table = {}
     for name, values in columns.items():
-        if name.startswith("limits.") and name.split(".")[1] != limit.name:
+        if limit_of(name) not in (None, limit.name):
             continue
         found = given_failure(values, chance)
         law = laws[name]
@@ -314,7 +315,7 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
         rows = moved.mean(axis=1)
         sways[_strength_name(limit)] = from_replicates(rows, "difference of the strength's law", chance.size)
         laws[_strength_name(limit)] = limit.strength
-    sways = {n: e for n, e in sways.items() if not n.startswith("limits.") or n.split(".")[1] == limit.name}
+    sways = {n: e for n, e in sways.items() if limit_of(n) in (None, limit.name)}
     total = sum((e.value or 0.0) ** 2 for e in sways.values())
     rows_found = [
         {

@@ -16,11 +16,12 @@ from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
-from uqsphere.runner.moved import moved_study, strength_solved
+from uqsphere.runner.moved import axis_of
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.stepwise import Coarse, stepwise_curves
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
+from uqsphere.study.axis import with_number
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
@@ -55,7 +56,6 @@ class MarginAnswer:
     its steps lack; `bands` and `steps` hold the same of the curves of the family, by what they are called.
     """
 
-    solve: str
     values: dict[float, Estimate]
     curve: list[list[float]]
     missed: list[str] = field(default_factory=list)
@@ -194,12 +194,10 @@ def against_table(found: EnergyCurve | None) -> dict[str, Any]:
 
 def unmoved_margins(work: Work) -> dict[str, MarginAnswer]:
     """The answers of limits that a free strength of another leaves where they are."""
-    assert work.study.margins is not None
-    solve = work.study.margins.solve
-    own = strength_solved(solve)
+    own = axis_of(work).limit
     said = f"the free strength is that of limit {own}, which does not move this"
     return {
-        limit.name: MarginAnswer(solve=solve, values={}, curve=[], missed=[said], lognormal=said)
+        limit.name: MarginAnswer(values={}, curve=[], missed=[said], lognormal=said)
         for limit in work.study.limits
         if own is not None and own != limit.name
     }
@@ -237,7 +235,6 @@ def find_margins(work: Work, sampled: Sampled) -> dict[str, MarginAnswer]:
             rows=one.rows,
         )  # fmt: skip
         answers[limit.name] = MarginAnswer(
-            solve=margins.solve,
             values=one.values,
             curve=one.answer(()).curve,
             missed=[*one.missed(), *(f"at {at}: {text}" for at, texts in lacking.items() for text in texts)],
@@ -303,7 +300,7 @@ def _unknown(work: Work, limit: Limit, reason: str) -> MarginAnswer:
     about = {"probability": decisive, "value": absent(reason, "none", 0).as_dict()}
     asked = work.study.margins.against
     return MarginAnswer(
-        solve=work.study.margins.solve, values=values, curve=[], missed=[reason], lognormal=reason, about=about,
+        values=values, curve=[], missed=[reason], lognormal=reason, about=about,
         against=None if asked is None else not_known(asked, reason),
     )  # fmt: skip
 
@@ -316,7 +313,7 @@ def _members(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict
         return {}
     found: dict[float, dict[str, _Found | str]] = {}
     for k, value in enumerate(family.values):
-        moved = replace(work, study=moved_study(work.study, family.path, value))
+        moved = replace(work, study=with_number(work.study, family.path, value))
         try:
             found[value] = _curves(moved, limits, most=most, tag=f"-family{k}")
         except OutOfBudget:

@@ -28,7 +28,8 @@ from uqsphere.runner.sums import write_sums
 from uqsphere.runner.tables import tables
 from uqsphere.runner.work import Ledger, Work
 from uqsphere.store import Store, write_atomically, write_json
-from uqsphere.study import Family
+from uqsphere.study import Margins
+from uqsphere.study.axis import limit_of, quantity_of
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.law import mean, sd
 
@@ -83,7 +84,7 @@ def _inputs(work: Work) -> dict[str, Any]:
     for name, law in work.study.laws().items():
         entry = lookup(name)
         if name.startswith("limits."):
-            limit = next(limit for limit in work.study.limits if name.split(".")[1] == limit.name)
+            limit = next(limit for limit in work.study.limits if limit_of(name) == limit.name)
             entry = lookup(limit.quantity if name.endswith(".strength") else name)
         table[name] = {"dist": law.kind, "mean": _number(mean(law)), "sd": _number(sd(law)), "unit": entry.unit}
     return table
@@ -164,17 +165,14 @@ def _limit(limit: LimitAnswer) -> dict[str, Any]:
     }
 
 
-def _margins(margins: dict[str, MarginAnswer], family: Family | None, quantities: Mapping[str, str]) -> dict[str, Any]:
-
-    def subject(solve: str) -> str:
-        # a strength is in the unit of its limit's quantity
-        parts = solve.split(".")
-        return quantities[parts[1]] if len(parts) == 3 and parts[1] in quantities else solve
-
+def _margins(margins: dict[str, MarginAnswer], asked: Margins | None, quantities: Mapping[str, str]) -> dict[str, Any]:
+    if asked is None:
+        return {}
+    path, family = asked.axis.path, asked.family
     return {
         name: {
-            "solve": found.solve,
-            "unit": lookup(subject(found.solve)).unit,
+            "solve": path,
+            "unit": lookup(quantity_of(path, quantities)).unit,
             "values": {_share(p): estimate.as_dict() for p, estimate in found.values.items()},
             "curve": [list(point) for point in found.curve],
             "lognormal": lognormal_table(found.lognormal),
@@ -238,7 +236,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         },
         "margins": _margins(
             found.margins,
-            study.margins.family if study.margins else None,
+            study.margins,
             {limit.name: limit.quantity for limit in study.limits},
         ),
         **({} if found.fracture is None else {"fracture": found.fracture}),

@@ -15,7 +15,7 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.moved import at_strength, evaluate_at, probabilities, strength_solved
+from uqsphere.runner.moved import at_strength, axis_of, evaluate_at, probabilities
 from uqsphere.runner.stopping import rounded
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
@@ -107,18 +107,16 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
 
     `least` is the smaller side of a probability from which on its interval counts.
     """
-    assert work.study.margins is not None
-    low, high = work.study.margins.between
+    axis = axis_of(work)
     each = REPLICATES if work.scene_names else 1
     left = work.study.analysis.budget.evaluations - work.ledger.total
     # a strength leaves the demands what they are: the rows of one value serve all
-    still = strength_solved(work.study.margins.solve) is not None
+    still = not axis.moves_rows
     values = 1 if still else FIRST_GRID
     count = next((n for n in POINTS if n * each * values <= left), 0)
     if not count:
         return dict.fromkeys((limit.name for limit in limits), shortage(work, POINTS[-1] * each * values))
-    space = np.geomspace if low > 0.0 else np.linspace
-    todo = [low, *(float(value) for value in space(low, high, FIRST_GRID)[1:-1]), high]
+    todo = axis.grid(FIRST_GRID)
     names = [limit.name for limit in limits]
     found: dict[float, dict[str, Array]] = {}
     ended, before = "", work.ledger.total

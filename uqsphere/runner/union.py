@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.moved import evaluate_at, moved_study, strength_solved
+from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.rare import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.runner.sampling import Sampled
 from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, evaluate_points, with_answered
-from uqsphere.study import ENERGY, Limit, Study
+from uqsphere.study import Limit, Study
 from uqsphere.uq.estimates import Estimate
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.law import Law
@@ -150,14 +150,14 @@ def union_curve(
     """Probability of fracture by any limit over the free scalar of the margins; empty where there is no such curve."""
     asked = work.study.margins
     grid = _grid([margins[limit.name].curve for limit in limits if limit.name in margins])
-    if asked is None or len(grid) < 2 or len(limits) < 2 or strength_solved(asked.solve) is not None:
+    if asked is None or len(grid) < 2 or len(limits) < 2 or not asked.axis.moves_rows:
         return {}
     if len(grid) > CURVE_VALUES:
         grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, CURVE_VALUES).round().astype(int))]
     left = work.study.analysis.budget.evaluations - work.ledger.total
     if len(grid) * CURVE_POINTS * REPLICATES > left:
         return {}
-    table = np.array([_at_value(work, asked.solve, value, limits, factor) for value in grid])
+    table = np.array([_at_value(work, value, limits, factor) for value in grid])
     usable = np.isfinite(table).all(axis=1)
     if usable.sum() < 2:
         return {}
@@ -166,7 +166,7 @@ def union_curve(
         evaluations=len(grid) * CURVE_POINTS * REPLICATES,
     )  # fmt: skip
     return {
-        "solve": asked.solve,
+        "solve": asked.axis.path,
         "values": {f"{p:.15g}": estimate.as_dict() for p, estimate in found.values.items()},
         "curve": [list(point) for point in found.curve],
     }
@@ -182,9 +182,9 @@ def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
     return grid[max(open_at[0] - 1, 0) : open_at[-1] + 2] if open_at else []
 
 
-def _at_value(work: Work, name: str, value: float, limits: Sequence[Limit], factor: Array) -> Array:
+def _at_value(work: Work, value: float, limits: Sequence[Limit], factor: Array) -> Array:
     """Probability of the union in every replicate (R,), the same random numbers at every value."""
-    moved = work if name == ENERGY else replace(work, study=moved_study(work.study, name, value))
+    moved = replace(work, study=axis_of(work).move(work.study, value))
     sample = evaluate_at(work, value, start=0, count=CURVE_POINTS)
     state = union_state(union_at(moved, limits, factor, sample))
     found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]

@@ -6,9 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from uqsphere.study.axis import ENERGY, Axis, law_with_mean
 from uqsphere.study.resolve import load_study
 from uqsphere.study.study import (
-    ENERGY,
     Accuracy,
     Analysis,
     Budget,
@@ -21,13 +21,13 @@ from uqsphere.study.study import (
     ModelChoice,
     Source,
     Study,
-    law_with_mean,
 )
 
 __all__ = [
     "ENERGY",
     "Accuracy",
     "Analysis",
+    "Axis",
     "Budget",
     "Dependence",
     "EndImpedance",

@@ -7,12 +7,13 @@ from dataclasses import replace
 from typing import Final
 
 from uqsphere.quantities import Quantity, lookup
+from uqsphere.study.axis import ENERGY, SPEED, law_with_mean, make_axis
 from uqsphere.study.document import MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.requests import shares
 from uqsphere.study.scene import Scene
-from uqsphere.study.study import ENERGY, Family, Margins, Study, law_with_mean
+from uqsphere.study.study import Family, Margins, Study
 from uqsphere.uq.law import LawError
 
 __all__ = ["check_moved_mean", "read_margins"]
@@ -22,7 +23,7 @@ __all__ = ["check_moved_mean", "read_margins"]
 MOST_MEMBERS: Final = 12
 #: what curves can be had over beside the free scalar, and the scalars that go with it
 IMPOSED: Final = "specific_energy"
-SETS_ENERGY: Final = ("striker.speed", ENERGY)
+SETS_ENERGY: Final = (SPEED, ENERGY)
 
 
 def read_margins(
@@ -72,8 +73,8 @@ def read_margins(
         findings.add(("margins", "between"), f"found {first} and {second}: the lower value must come first")
         return None
     return Margins(
-        solve=table.solve, between=(low, high), for_probability=probabilities, family=family,
-        bars_elastic=table.bars_elastic, against=table.against,
+        axis=make_axis(table.solve, low, high, limits=limits, black_box=black_box), for_probability=probabilities,
+        family=family, bars_elastic=table.bars_elastic, against=table.against,
     )  # fmt: skip
 
 
@@ -177,7 +178,8 @@ def check_moved_mean(study: Study, findings: Findings) -> None:
         return
     if margins.family is not None:
         _check_moved(study, margins.family.path, margins.family.values, ("path", "values"), findings)
-    _check_moved(study, margins.solve, margins.between, ("solve", "between"), findings)
+    axis = margins.axis
+    _check_moved(study, axis.path, (axis.low, axis.high), ("solve", "between"), findings)
 
 
 def _check_moved(study: Study, name: str, values: Sequence[float], keys: tuple[str, str], findings: Findings) -> None:

@@ -8,17 +8,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
+from uqsphere.study.axis import Axis
+from uqsphere.uq.law import Law, nominal_mean
 
 if TYPE_CHECKING:
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Inputs
 
 __all__ = [
-    "ENERGY",
     "Accuracy",
     "Analysis",
     "Budget",
@@ -32,13 +32,8 @@ __all__ = [
     "Source",
     "Study",
     "ToleranceRequest",
-    "law_with_mean",
     "tie_of",
 ]
-
-
-#: free scalar of margins that is no number of the file: kinetic energy of the striker over the mass of the sphere
-ENERGY: Final = "striker.specific_energy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,14 +124,13 @@ class ModelChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """The inverse question: the values of `solve` (SI) with these probabilities of exceeding each limit.
+    """The inverse question: the values along the axis with these probabilities of exceeding each limit.
 
     `family` asks for a curve at each of some values of another number of the scene; `bars_elastic` for the value at
     which the bars yield; `against` for the curves over that quantity too.
     """
 
-    solve: str
-    between: tuple[float, float]
+    axis: Axis
     for_probability: tuple[float, ...] = (0.01, 0.1, 0.5, 0.9, 0.99)
     family: Family | None = None
     bars_elastic: bool = False
@@ -295,27 +289,6 @@ class Study:
         }
 
 
-def law_with_mean(study: Study, name: str, mean: float) -> Law:
-    """The law of a random input with another mean (SI), keeping sd or cov, whichever the file gives.
-
-    What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become spheres
-    of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a beta law are its own and
-    stay.
-
-    Raises
-    ------
-    LawError
-        Where the law is not given by its mean, or has no member with the new one.
-    """
-    law, given = study.random[name], study.given[name]
-    if "mean" not in given:
-        raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
-    cut = not LAWS[law.kind].bounded and given["mean"] > 0.0 and mean > 0.0
-    ratio = mean / given["mean"] if cut else 1.0
-    lower, upper = _bound(ratio * law.lower), _bound(ratio * law.upper)
-    return make_law(law.kind, {**given, "mean": mean}, lower=lower, upper=upper)
-
-
 def tie_of(group: Dependence) -> Tie:
     """A dependence as the uncertainty side reads it."""
     from uqsphere.uq.joint import Dependence as Tie
@@ -331,7 +304,9 @@ def _dependence_json(group: Dependence) -> dict[str, Any]:
 
 def _margins_json(margins: Margins) -> dict[str, Any]:
     """What was asked, and nothing else, as with dependence."""
-    table = _lists(asdict(margins))
+    axis = margins.axis
+    own = {"solve": axis.path, "between": (axis.low, axis.high)}
+    table = _lists({**own, **{key: value for key, value in asdict(margins).items() if key != "axis"}})
     return {key: value for key, value in table.items() if value not in (None, False)}
 
 
