@@ -54,9 +54,9 @@ def _scene(study: str, evaluations: int, *more: str, name: str = "", quick: bool
     return Case(name=name or study, study=f"studies/{study}.toml", settings=settings, quick=quick)
 
 
-def _box(study: str, function: str, *, quick: bool = False) -> Case:
-    folder = "tests/campaigns/studies"
-    return Case(name=study, study=f"{folder}/{study}.toml", model=f"{folder}/boxes.py:{function}", quick=quick)
+def _box(study: str, function: str, *settings: str, name: str = "", quick: bool = False) -> Case:
+    path, model = f"tests/campaigns/studies/{study}.toml", f"tests/campaigns/studies/boxes.py:{function}"
+    return Case(name=name or study, study=path, model=model, settings=settings, quick=quick)
 
 
 CASES = (
@@ -100,6 +100,13 @@ CASES = (
         quick=True,
     ),
     _box("expensive", "ishigami", quick=True),
+    _box(
+        "expensive",
+        "ishigami",
+        "margins={ solve = 'limits.high.strength', between = [1.0, 15.0], for_probability = [0.05, 0.5] }",
+        name="expensive_strength",
+    ),
+    _box("dependent", "beam", "dependence=null", "analysis.cost=10 s", name="expensive_beam"),
     _box("expensive_rare", "margin"),
     _box("expensive_rough", "rough"),
     _box("expensive_few", "rough"),
