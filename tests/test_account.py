@@ -11,13 +11,17 @@ import pytest
 from conftest import SUM
 
 import uqsphere
-from uqsphere import forecast as forecasts
-from uqsphere.forecast import CHEAPER, forecast
-from uqsphere.plan import plan_run, plan_text
-from uqsphere.runner import fracture, multifidelity, pilot, rare, union
+from uqsphere.runner import fidelity as pilot
+from uqsphere.runner import forecast as forecasts
+from uqsphere.runner import multifidelity
 from uqsphere.runner.account import FACTOR
 from uqsphere.runner.band import ASKED, KIND, Band, Stage, stage_of
-from uqsphere.runner.work import REPLICATES
+from uqsphere.runner.evaluate import REPLICATES
+from uqsphere.runner.forecast import CHEAPER, forecast
+from uqsphere.runner.plan import plan_run, plan_text
+from uqsphere.runner.questions import fracture
+from uqsphere.runner.questions import fracture as union
+from uqsphere.runner.questions import probabilities as rare
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"

@@ -22,8 +22,8 @@ from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.headings import measure_heading
-from uqsphere.runner.design import lost_designs
-from uqsphere.runner.stopping import NO_NUMBER, Cost, cost_of, out_of_reach
+from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
+from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
 from uqsphere.summary import summary_of
 from uqsphere.uq.blocks import Blocks
@@ -385,7 +385,7 @@ def test_indices_of_a_rare_step_cover_or_are_refused(tmp_path: Path) -> None:
 
 def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """More inputs than an expansion of 256 points takes: it is fitted to more."""
-    monkeypatch.setattr("uqsphere.runner.sensitivity.FITS", 2)
+    monkeypatch.setattr("uqsphere.runner.questions.indices.FITS", 2)
     laws = "\n".join(f'x{k} = {{ dist = "uniform", lower = -1, upper = 1 }}' for k in range(1, 66))
     accuracy = "accuracy = { mean = 0.001, quantile = 0.01, sobol = 0.05 }"
     text = f'[inputs]\n{laws}\n[outputs]\nnames = ["y"]\n[analysis]\nbudget = {{ evaluations = 13_000 }}\n{accuracy}\n'

@@ -18,8 +18,8 @@ import pytest
 from scipy.stats import norm
 
 import uqsphere
-from uqsphere.runner.sampling import sample_distributions
-from uqsphere.runner.work import Ledger, Work
+from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.questions.distributions import sample_distributions
 from uqsphere.study import Study
 
 TEXT = """\

@@ -16,8 +16,8 @@ from uqsphere.bench.fragility import straight_value, value_coverage
 from uqsphere.cli import main
 from uqsphere.report.margin_verdict import margin_answer
 from uqsphere.runner.curve_rows import shared
+from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.margins import find_margins
-from uqsphere.runner.work import Ledger, Work
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 from uqsphere.uq.row_fit import fit_rows

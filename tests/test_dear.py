@@ -19,18 +19,19 @@ from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.bench.dear import dear_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
-from uqsphere.plan import plan_run, plan_text
 from uqsphere.report.wording import without_failed
+from uqsphere.runner import evaluate as work
 from uqsphere.runner import price as pricing
-from uqsphere.runner import work
+from uqsphere.runner.campaign import Cost, cost_of, indices_missed
 from uqsphere.runner.dear_answers import Answers
 from uqsphere.runner.dear_end import Dear, blocks_of_runs
 from uqsphere.runner.dear_kept import keep_answers, keep_indices
-from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.sensitivity import Sensitivity
-from uqsphere.runner.stopping import Cost, cost_of, indices_missed
-from uqsphere.runner.work import Ledger, Work
+from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.plan import plan_run, plan_text
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.indices import Sensitivity
+from uqsphere.runner.questions.probabilities import LimitAnswer
+from uqsphere.runner.ways import CHEAP, choose_way
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
@@ -39,7 +40,6 @@ from uqsphere.uq.chaos import fit_chaos, germ_points, predict
 from uqsphere.uq.estimates import Estimate, describe
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.sampling import sobol_points
-from uqsphere.ways import CHEAP, choose_way
 
 MODELS = {model.name: model for model in coverage_models()}
 DEAR = """

@@ -26,7 +26,11 @@ from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
-from uqsphere.runner import pilot, sampling, sensitivity, stopping, work
+from uqsphere.runner import campaign as stopping
+from uqsphere.runner import evaluate as work
+from uqsphere.runner import fidelity as pilot
+from uqsphere.runner.questions import distributions as sampling
+from uqsphere.runner.questions import indices as sensitivity
 from uqsphere.study import document as schema
 from uqsphere.study import load_study
 from uqsphere.uq import indices

@@ -17,7 +17,7 @@ from uqsphere.report import build_report
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.energy_curve import energy_curve
-from uqsphere.runner.work import Ledger, Work
+from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 

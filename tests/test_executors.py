@@ -20,8 +20,8 @@ from uqsphere.bench.kills import answers_of
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.model import model_digest
 from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
-from uqsphere.runner.executors import LocalWorkers, TimeOver, WorkerDied, gather
-from uqsphere.runner.worker import Task
+from uqsphere.runner.remote import Task
+from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather
 from uqsphere.study import Study
 
 #: rows with 0.7 < x1 < 0.701 misbehave: a few in the first thousands
@@ -270,7 +270,7 @@ def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path
 
 @pytest.mark.parametrize("count", [2, 4])
 def test_a_dear_black_box_gets_processes(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    from uqsphere.runner import engine
+    from uqsphere.runner import workers as engine
 
     study, reference = box("dear", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
@@ -333,7 +333,7 @@ def test_a_model_that_never_answers_ends_every_policy(box: Any, tmp_path: Path) 
 
 def test_a_model_that_hangs_on_every_row_is_given_up(box: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Single rows from the first on, until they show it: one call of 64 rows would take two minutes."""
-    monkeypatch.setattr("uqsphere.runner.executors.HUNG", 6)
+    monkeypatch.setattr("uqsphere.runner.workers.HUNG", 6)
     study, reference = box("dead", "analysis.on_failure='bound'", "analysis.rows_per_call=64",
                            'analysis.time_limit="2 s"')  # fmt: skip
     began = time.monotonic()
@@ -392,7 +392,7 @@ def test_an_executor_that_is_lost_leaves_what_is_done(box: Any, tmp_path: Path) 
 
 
 def test_an_address_that_is_none_is_refused() -> None:
-    from uqsphere.runner.dask_cluster import dask_cluster
+    from uqsphere.runner.cluster import dask_cluster
 
     for address in ("localhost", "http://x", "tcp://", ""):
         with pytest.raises(UsageError, match="--dask"), dask_cluster(address, 1):
@@ -401,7 +401,7 @@ def test_an_address_that_is_none_is_refused() -> None:
 
 def test_a_cluster_gives_the_same_bytes_and_survives_its_workers(box: Any, tmp_path: Path, study_from: Any) -> None:
     pytest.importorskip("distributed")
-    from uqsphere.runner.dask_cluster import dask_cluster
+    from uqsphere.runner.cluster import dask_cluster
 
     study, reference = box("dear", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)

@@ -13,10 +13,10 @@ from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.runner.account import _slowest
+from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.heavy_shares import _admitted
-from uqsphere.runner.sampling import speed_rows
-from uqsphere.runner.sensitivity import Sensitivity
-from uqsphere.runner.stopping import indices_missed
+from uqsphere.runner.questions.distributions import speed_rows
+from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.uq.estimates import absent, describe, exact
 from uqsphere.uq.heavy_tails import (
     MEAN,

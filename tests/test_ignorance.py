@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.runner import run
+from uqsphere.runner.api import run
 from uqsphere.study import load_study
 from uqsphere.uq.fitting import LEAST_TESTS, possible_densities, possible_laws, possible_tails, weibull_estimates
 from uqsphere.uq.law import LawError, cdf, make_law, pdf, sf

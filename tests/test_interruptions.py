@@ -22,8 +22,8 @@ import uqsphere
 from uqsphere.bench.kills import answers_of, kill_runs, write_case
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, FolderError, UqsphereError
-from uqsphere.runner import gathering
-from uqsphere.runner.work import Ledger, Work, evaluate_points
+from uqsphere.runner import chunks as gathering
+from uqsphere.runner.evaluate import Ledger, Work, evaluate_points
 from uqsphere.store import open_store, write_json
 from uqsphere.study import Study
 
@@ -220,7 +220,7 @@ def test_a_resumed_scene_integrates_nothing_again(
 
     assert list((tmp_path / "r" / "evaluations").glob("fracture.loading.*"))
     monkeypatch.setattr("uqsphere.model.solve_scene", refuse)
-    monkeypatch.setattr("uqsphere.runner.pilot.solve_scene", refuse)
+    monkeypatch.setattr("uqsphere.runner.fidelity.solve_scene", refuse)
     monkeypatch.setattr("uqsphere.mechanics.fracture.first_fractures", refuse)
     assert answers_of(uqsphere.run(scene, out=tmp_path / "r").folder) == first
 

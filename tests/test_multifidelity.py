@@ -14,10 +14,10 @@ import pytest
 import uqsphere
 from uqsphere.bench.auto import compare
 from uqsphere.bench.auto import main as print_table
-from uqsphere.runner import Run
+from uqsphere.runner.api import Run
+from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.fidelity import Candidate, first_look
 from uqsphere.runner.multifidelity import HOPEFUL, WORTHWHILE, Plan, propose, weigh
-from uqsphere.runner.pilot import Candidate, first_look
-from uqsphere.runner.work import Ledger, Work
 from uqsphere.study import Study
 
 Build = Callable[..., Study]

@@ -16,8 +16,8 @@ from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.model import ROUTE_ASKED, ROUTE_BOTH, ROUTE_FULL, answer, is_answered, scene_of
-from uqsphere.runner import pilot
-from uqsphere.runner.work import Ledger, Work, draw, evaluate_points
+from uqsphere.runner import fidelity as pilot
+from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_points
 from uqsphere.study import Study
 
 Build = Callable[..., Study]

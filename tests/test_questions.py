@@ -22,11 +22,11 @@ from uqsphere.report.headings import accuracy_heading
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import course_finding, error_series, progress_finding
 from uqsphere.report.verdict import limits_are_accurate
-from uqsphere.runner import Run
+from uqsphere.runner.account import FURTHER, further_rows
+from uqsphere.runner.api import Run
 from uqsphere.runner.band import Band, Stage
-from uqsphere.runner.further import FURTHER, further_rows
+from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
-from uqsphere.runner.stopping import indices_missed
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 from uqsphere.uq.estimates import Description, Estimate, exact, lacking

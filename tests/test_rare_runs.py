@@ -15,9 +15,8 @@ import pytest
 from scipy.stats import norm
 
 import uqsphere
-from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.rare import _with_cost, narrower
-from uqsphere.runner.stopping import Cost, Missed
+from uqsphere.runner.campaign import Cost, Missed
+from uqsphere.runner.questions.probabilities import LimitAnswer, _with_cost, narrower
 from uqsphere.uq.estimates import Estimate
 
 TEXT = """\

@@ -240,7 +240,7 @@ def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: 
     from uqsphere.report.origins import inputs_table
     from uqsphere.report.sections import limits_table
     from uqsphere.report.verdict import cautions, verdicts
-    from uqsphere.runner import open_run
+    from uqsphere.runner.api import open_run
     from uqsphere.summary import summary_of
 
     whole = json.loads((folder / file).read_text())

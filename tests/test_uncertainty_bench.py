@@ -187,7 +187,7 @@ def test_plain_least_squares_finds_a_polynomial_and_refuses_too_many_terms() -> 
 
 
 def test_the_contact_time_jumps_and_the_engine_sees_it(tmp_path: Path) -> None:
-    from uqsphere.runner.work import draw
+    from uqsphere.runner.evaluate import draw
     from uqsphere.uq.joint import sub_inputs
 
     path = tmp_path / "grazing.toml"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere.model import evaluate
-    from uqsphere.runner import Run, open_run, run
+    from uqsphere.runner.api import Run, open_run, run
     from uqsphere.runner.deterministic import history_of as history
     from uqsphere.study import Study, load_study
 
@@ -22,13 +22,13 @@ __version__ = "0.1.0"
 
 #: where each public name lives; loaded when it is first used, since some take a second to import
 _HOMES = {
-    "Run": ("uqsphere.runner", "Run"),
+    "Run": ("uqsphere.runner.api", "Run"),
     "Study": ("uqsphere.study", "Study"),
     "evaluate": ("uqsphere.model", "evaluate"),
     "history": ("uqsphere.runner.deterministic", "history_of"),
     "load_study": ("uqsphere.study", "load_study"),
-    "open_run": ("uqsphere.runner", "open_run"),
-    "run": ("uqsphere.runner", "run"),
+    "open_run": ("uqsphere.runner.api", "open_run"),
+    "run": ("uqsphere.runner.api", "run"),
 }
 
 

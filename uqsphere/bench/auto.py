@@ -111,9 +111,9 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     from dataclasses import replace
 
     import uqsphere
-    from uqsphere.runner.design import pick_and_freeze
+    from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_sample
     from uqsphere.runner.index_control import width
-    from uqsphere.runner.work import Ledger, Work, draw, evaluate_sample
+    from uqsphere.runner.questions.indices import pick_and_freeze
     from uqsphere.uq.control import controlled_indices, describe_controlled
     from uqsphere.uq.estimates import describe
     from uqsphere.uq.sensitivity import sobol_indices

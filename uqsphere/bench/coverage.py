@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
-from uqsphere.runner.work import REPLICATES
+from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.uq.blocks import Blocks, uniform_halves
 from uqsphere.uq.estimates import Estimate, describe
 from uqsphere.uq.indices import SampledIndices, sampled_indices

@@ -265,7 +265,7 @@ def kill_workers(case: Path, times: int, *, workers: int = 2, seed: int = 1) -> 
     from distributed import LocalCluster
 
     import uqsphere
-    from uqsphere.runner.dask_cluster import dask_cluster
+    from uqsphere.runner.cluster import dask_cluster
 
     rng, found = random.Random(seed), Campaign()
     whole, seconds, evaluations = _whole(case)

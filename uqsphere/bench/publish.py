@@ -96,7 +96,7 @@ def _benchmark(folder: Path) -> Path:
 def _report(folder: Path, entry: Published) -> Path:
     """One study run elsewhere, and what is kept of it moved to `folder`."""
     from uqsphere.report import build_report
-    from uqsphere.runner import run
+    from uqsphere.runner.api import run
     from uqsphere.study import load_study, shipped_studies
 
     source = shipped_studies()[entry.study]

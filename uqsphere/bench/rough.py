@@ -103,7 +103,7 @@ def _truth(study: Study, count: int) -> tuple[dict[str, tuple[float, float]], Ar
     """Answers with their half-widths from `count` base points in each of 16 replicates, and the times (n,)."""
     from scipy.special import ndtri
 
-    from uqsphere.runner.work import REPLICATES
+    from uqsphere.runner.evaluate import REPLICATES
     from uqsphere.uq.blocks import Blocks, uniform_halves
     from uqsphere.uq.estimates import Estimate, describe, from_replicates
     from uqsphere.uq.indices import sampled_indices
@@ -146,7 +146,7 @@ def _answers_of(chaos: Chaos) -> tuple[dict[str, float], Array]:
 
 def _engine(study: Study) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Answers of a run, and what it says of its surrogate, its evaluations and what it missed."""
-    from uqsphere.runner import run
+    from uqsphere.runner.api import run
 
     with tempfile.TemporaryDirectory() as folder:
         results = run(study, out=Path(folder) / "rough").results
@@ -164,7 +164,7 @@ def _engine(study: Study) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
 
 def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     """Truth by heavy sampling, the best plain expansion, the engine's own expansion, and a run of the engine."""
-    from uqsphere.runner.work import draw
+    from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study
     from uqsphere.uq.chaos import fit_chaos, judge, predict, validation_error
     from uqsphere.uq.joint import physical_from_normal, sub_inputs

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.bench.kills import answers_of, write_case
-from uqsphere.runner.executors import LocalWorkers
+from uqsphere.runner.workers import LocalWorkers
 from uqsphere.study import load_study
 
 __all__ = ["measure"]
@@ -26,7 +26,7 @@ __all__ = ["measure"]
 @contextlib.contextmanager
 def _workers(count: int, dask: bool) -> Iterator[Any]:
     if dask:
-        from uqsphere.runner.dask_cluster import dask_cluster
+        from uqsphere.runner.cluster import dask_cluster
 
         with dask_cluster("local", count) as executor:
             yield executor

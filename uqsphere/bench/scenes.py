@@ -54,7 +54,7 @@ def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: i
 def _granite(count: int) -> Scene:
     """Rows of the shipped granite study, drawn from its own distributions."""
     from uqsphere.model import scene_of
-    from uqsphere.runner.work import draw, sub_inputs
+    from uqsphere.runner.evaluate import draw, sub_inputs
     from uqsphere.study import load_study, shipped_studies
 
     study = load_study(shipped_studies()["granite"])

@@ -20,8 +20,8 @@ def _run(path: Path, budget: int) -> dict[str, Any]:
     """Series of errors over what was asked, the budget's use, and what was missed."""
     from uqsphere.report.contents import read_contents
     from uqsphere.report.progress import error_series
-    from uqsphere.runner import run
-    from uqsphere.runner.further import FURTHER
+    from uqsphere.runner.account import FURTHER
+    from uqsphere.runner.api import run
     from uqsphere.study import load_study
 
     study = load_study(path, (f"analysis.budget.evaluations={budget}", 'analysis.budget.time="60 min"'))

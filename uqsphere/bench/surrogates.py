@@ -24,7 +24,7 @@ HELD_OUT: Final = 4096
 def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     """1 - Q² on held-out points, the error that each fit reports, and the verdict, by number of points and seed."""
     from uqsphere.model import answer
-    from uqsphere.runner.work import draw, sub_inputs
+    from uqsphere.runner.evaluate import draw, sub_inputs
     from uqsphere.study import load_study, shipped_studies
     from uqsphere.uq.chaos import fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.law import germs_of

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from uqsphere.model import answer
-from uqsphere.runner.pilot import first_look
-from uqsphere.runner.work import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_sample
+from uqsphere.runner.fidelity import first_look
 from uqsphere.store import open_store
 from uqsphere.study import Study, load_study
 

@@ -78,7 +78,7 @@ def _short(text: str, longest: int = 60) -> str:
 
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost."""
-    from uqsphere.plan import plan_run, plan_text
+    from uqsphere.runner.plan import plan_run, plan_text
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
@@ -136,7 +136,7 @@ def command_run(chosen: argparse.Namespace) -> int:
         if chosen.model is not None:
             opened.enter_context(last_words(KILLED))
         if chosen.dask is not None:
-            from uqsphere.runner.dask_cluster import dask_cluster
+            from uqsphere.runner.cluster import dask_cluster
 
             executor = opened.enter_context(dask_cluster(chosen.dask, chosen.jobs))
         found, interrupted = attend(

@@ -133,7 +133,7 @@ def _repeat(
     folder: Path, place: Path, found: dict[str, Any], faults: list[str], notes: list[str], asked: tuple[int, int, Any]
 ) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
-    from uqsphere.runner import open_run
+    from uqsphere.runner.api import open_run
     from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.rehearsal import rehearse, stored_study
     from uqsphere.runner.tables import tables

@@ -17,8 +17,8 @@ from uqsphere.console import Progress, say
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.runner import Run
-    from uqsphere.runner.executors import Executor
+    from uqsphere.runner.api import Run
+    from uqsphere.runner.workers import Executor
 
 __all__ = ["KILLED", "Patience", "Silence", "attend", "last_words"]
 
@@ -34,7 +34,7 @@ _NOTICE = "finishing what has been begun, then the report of what is there; Ctrl
 class Patience:
     """While it is in force the first Ctrl-C asks to stop, the second stops.
 
-    `asked` is what `uqsphere.runner.run` takes as `stop`.  Outside the main thread nothing changes.
+    `asked` is what `uqsphere.run` takes as `stop`.  Outside the main thread nothing changes.
     """
 
     def __init__(self, notice: str, say: Callable[[str], None] = say) -> None:
@@ -163,9 +163,9 @@ def attend(
 ) -> tuple[Run, bool]:
     """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early.
 
-    Parameters are those of `uqsphere.runner.run`, `jobs` its `threads`.
+    Parameters are those of `uqsphere.run`, `jobs` its `threads`.
     """
-    from uqsphere.runner import run
+    from uqsphere.runner.api import run
 
     budget = study.analysis.budget
     progress = Progress(

@@ -243,7 +243,7 @@ def _unit_of(name: str) -> tuple[str, float]:
 
 def _open(folder: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """results.json, manifest.json and study.resolved.json of a finished run."""
-    from uqsphere.runner import open_run
+    from uqsphere.runner.api import open_run
     from uqsphere.runner.shapes import RESOLVED, fault_of
     from uqsphere.store import read_json
 

@@ -43,7 +43,7 @@ def build_report(folder: Path) -> Path:
 
     Parameters
     ----------
-    folder : result folder of `uqsphere.runner.run`
+    folder : result folder of `uqsphere.run`
 
     Returns
     -------

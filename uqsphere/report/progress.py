@@ -12,8 +12,8 @@ from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Pic
 from uqsphere.report.contents import Contents
 from uqsphere.report.method import question_name
 from uqsphere.report.wording import limit_name, number_text, symbol
+from uqsphere.runner.account import FURTHER
 from uqsphere.runner.band import ASKED, METHOD
-from uqsphere.runner.further import FURTHER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.forecast import CHEAPER, forecast
-from uqsphere.runner.stopping import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND
-from uqsphere.runner.work import Work
+import numpy as np
+
+from uqsphere.quantities import format_value
+from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.forecast import CHEAPER, forecast
+from uqsphere.uq.estimates import Estimate
 
 if TYPE_CHECKING:
+    from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.results import Findings
 
-__all__ = ["FACTOR", "account"]
+__all__ = [
+    "FACTOR",
+    "FURTHER",
+    "SMALL",
+    "account",
+    "further_rows",
+    "questions",
+]
 
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
@@ -124,3 +139,207 @@ def _slowest(found: Findings, name: str) -> str:
         return "It"
     quantity, head = max(last, key=lambda key: last[key])
     return f"{told[head]} of {quantity.removeprefix('limits.')}"
+
+
+# --- Every accuracy that a run was asked for: what was reached, and what the rest would take.
+
+SMALL: Final = "so small that nothing hangs on it: no accuracy is pursued"
+
+
+def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> list[dict[str, Any]]:
+    """A row for every question: quantity, question, asked, reached, met, evaluations, needed, and the sentence.
+
+    `reached` is the half-width of the 95 % interval in the unit of what was asked; `met` is None where nothing hangs
+    on it.  `needed` and the sentence are those of the accuracies that were `missed`; `needed` is None where it is not
+    known of one of them.
+    """
+    rows = []
+    for quantity, question, asked, reached, evaluations, told, exempt in _asked(work, found, missed):
+        known = [one.cost.needed for one in told if one.cost.needed is not None]
+        late = bool(told) or reached is None or reached > asked
+        rows.append(
+            {
+                "quantity": quantity,
+                "question": question,
+                "asked": asked,
+                "reached": reached,
+                "met": None if late and not told and exempt else not late,
+                "evaluations": evaluations,
+                "needed": max(known) if known and len(known) == len(told) else None,
+                "text": "; ".join(one.text for one in told) if told else (exempt if late else ""),
+            }
+        )
+    return rows
+
+
+_Row = tuple[str, str, float, float | None, int | None, Sequence[Missed], str]
+
+
+def _asked(work: Work, found: Findings, missed: Sequence[Missed]) -> Iterator[_Row]:
+    """What is asked, what of it was missed, and why a shortfall without a sentence is none."""
+    asked = work.study.analysis.accuracy
+    told: defaultdict[tuple[str, str], list[Missed]] = defaultdict(list)
+    for one in missed:
+        told[one.subject, one.kind].append(one)
+    for name, described in found.sampled.descriptions.items():
+        if not described.scale > 0.0:
+            continue
+        counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
+        if described.mean.value is not None:
+            yield (name, f"mean, over {described.scale_name}", asked.mean, *_worst([described.mean], described.scale),
+                   told[name, "mean"], "")  # fmt: skip
+        if counted:
+            yield (name, f"worst quantile, over {described.scale_name}", asked.quantile,
+                   *_worst(counted, described.scale), told[name, "quantile"], "")  # fmt: skip
+    for name, indices in found.sensitivity.items():
+        refused = indices.text if not indices.missed else ""
+        yield (name, "worst index", asked.sobol, *_worst(_indices(indices), 1.0), told[name, "indices"], refused)
+    for name, limit in found.sampled.limits.items():
+        for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
+            estimate: Estimate = getattr(limit, which)
+            said = "of missing the aim" if which == "miss" else "of exceedance"
+            reached = _worst([estimate], estimate.value or math.nan)
+            yield (f"limits.{name}", f"probability {said}, over itself", asked.probability, *reached,
+                   told[f"limits.{name}", which], SMALL if limit.beneath(which) else "")  # fmt: skip
+    for name, margin in found.margins.items():
+        for at, band in {"": margin.band, **margin.bands}.items():
+            if band is not None:
+                curve = _curve(name, at, "band", band.missed(), band.table()["needed"])
+                yield (curve.subject, "band of the curve, over the smaller side", band.asked, band.half_width,
+                       band.course[-1].evaluations, [curve] * bool(band.missed()), "")  # fmt: skip
+        for at, steps in {"": margin.coarse, **margin.steps}.items():
+            if steps is not None:
+                curve = _curve(name, at, "steps", steps.missed(), rounded(steps.needed))
+                yield (curve.subject, "largest step of the curve, in normal scores", steps.asked, steps.step,
+                       steps.evaluations, [curve], "")  # fmt: skip
+
+
+def _curve(name: str, at: str, kind: str, text: str, needed: int | None) -> Missed:
+    """What is said of the curve of a limit, or of one of its family."""
+    subject, head = (f"margins.{name} at {at}", f"{name}: at {at}") if at else (f"margins.{name}", name)
+    return Missed(subject=subject, kind=kind, said=f"margins {head}: {text}", cost=Cost(needed=needed))
+
+
+def _worst(estimates: Sequence[Estimate], scale: float) -> tuple[float | None, int | None]:
+    """The largest half-width over a scale, and the evaluations behind it; None where there is no answer."""
+    known = [(e.half_width / scale, e.evaluations) for e in estimates if e.value is not None and scale > 0.0]
+    known = [pair for pair in known if math.isfinite(pair[0])]
+    return max(known, default=(None, None))
+
+
+def _indices(found: Sensitivity) -> list[Estimate]:
+    rows = [found.first, found.total, found.second, found.group_first, found.group_total, found.shapley]
+    return [e for row in (*rows, *found.kucherenko.values()) for e in row.values()]
+
+
+# --- Rows of the speed-error table for the answers that no stage pursues: they have the error that they come out with.
+
+#: what each kind of error is called, and the accuracy of the study that it is measured by
+FURTHER: Final[dict[str, str]] = {
+    "half-width of the worst value over the spread of the curve": "quantile",
+    "half-width of the probability of fracture over itself": "probability",
+    "largest half-width of a share of the limits": "sobol",
+    "half-width of the worst median at fracture over its spread": "quantile",
+    "largest half-width of Borgonovo's delta": "sobol",
+    "largest half-width of PAWN": "sobol",
+    "largest half-width of an index of missing the aim": "sobol",
+    "half-width of the worst mean of an input where the aim is missed, over its standard deviation": "mean",
+}
+_VALUE, _FRACTURE, _SHARE, _MEDIAN, _DELTA, _PAWN, _MISSING, _THERE = FURTHER
+#: one standard deviation to either side of a median, and what the 5 and 95 % quantiles lie apart in those
+_LOW, _HIGH, _APART = 0.1587, 0.8413, 3.29
+
+
+def further_rows(results: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """(part of the run, row) for every answer of results.json that has an interval and no course."""
+    rows: list[tuple[str, dict[str, Any]]] = []
+
+    def add(part: str, quantity: str, kind: str, estimates: Iterable[Any], scale: float | None = 1.0) -> None:
+        known = [e for e in estimates if e and e.get("value") is not None and e.get("low") is not None]
+        if not known or not scale or not scale > 0.0:
+            return
+        worst = max(known, key=_half)
+        if _half(worst) > 0.0:
+            rows.append(
+                (
+                    part,
+                    {
+                        "method": worst["method"],
+                        "quantity": quantity,
+                        "evaluations": int(worst["evaluations"]),
+                        "error": _half(worst) / scale,
+                        "error_kind": kind,
+                    },
+                )
+            )
+
+    for name, entry in results["margins"].items():
+        for at, curve in _curves(entry):
+            add("margins", f"margins.{name}{at}", _VALUE, curve["values"].values(), _spread(curve["curve"]))
+    fracture = results.get("fracture") or {}
+    for key in ("union", "first_loading"):
+        estimate = fracture.get(key) or {}
+        # of one limit it is the limit's own
+        if key != "union" or len(fracture.get("limits", ())) > 1:
+            add("fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.get("value"))
+    if fracture.get("curve"):
+        add("fracture", "fracture.curve", _VALUE, fracture["values"].values(), _spread(fracture["curve"]))
+    if len(fracture.get("limits", ())) > 1:
+        add("fracture", "fracture.governed_by", _SHARE, (fracture.get("governed_by") or {}).values())
+    for name in ("time", "force", "energy", "imbalance", "t10"):
+        found = fracture.get(name) or {}
+        low, high = ((found.get("quantiles", {}).get(p) or {}).get("value") for p in ("0.05", "0.95"))
+        if low is not None and high is not None:
+            add("fracture", f"fracture.{name}", _MEDIAN, [found["median"]], (float(high) - float(low)) / _APART)
+    for name, entry in results["sensitivity"].items():
+        add("drivers", name, _DELTA, (entry.get("delta") or {}).values())
+        add("drivers", name, _PAWN, (entry.get("pawn") or {}).values())
+    for name, limit in results["limits"].items():
+        drivers = limit.get("drivers") or {}
+        add(
+            "drivers",
+            f"limits.{name}",
+            _MISSING,
+            [e for k in ("first", "total") for e in (drivers.get(k) or {}).values()],
+        )
+        add("drivers", f"limits.{name}", _MISSING, [drivers.get("explained")])
+        means = [_over(one) for one in (drivers.get("given_failure") or {}).values()]
+        add("drivers", f"limits.{name}", _THERE, means)
+    return rows
+
+
+def _half(estimate: Mapping[str, Any]) -> float:
+    return 0.5 * float(estimate["high"] - estimate["low"])
+
+
+def _curves(entry: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The curve of a limit, and those of its family, by what is added to its name."""
+    yield "", entry
+    family = entry.get("family")
+    if not family:
+        return
+    for member in family["members"]:
+        yield f" at {family['path']} {format_value(member['value'], family['path'])}", member
+
+
+def _spread(curve: Sequence[Sequence[float]]) -> float | None:
+    """Half of what lies between the two values a standard deviation to either side; None where it does not rise so."""
+    if len(curve) < 2:
+        return None
+    values, probabilities = (np.array([row[k] for row in curve], dtype=float) for k in (0, 1))
+    if probabilities[0] > probabilities[-1]:
+        values, probabilities = values[::-1], probabilities[::-1]
+    if not probabilities[0] <= _LOW < _HIGH <= probabilities[-1]:
+        return None
+    order = np.argsort(probabilities, kind="stable")
+    low, high = np.interp([_LOW, _HIGH], probabilities[order], values[order])
+    return 0.5 * abs(float(high - low))
+
+
+def _over(described: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The mean of an input over its standard deviation."""
+    mean: Mapping[str, Any] = described.get("mean") or {}
+    sd = (described.get("sd") or {}).get("value")
+    if not sd or mean.get("value") is None or mean.get("low") is None:
+        return None
+    return {**mean, **{key: mean[key] / sd for key in ("value", "low", "high")}}

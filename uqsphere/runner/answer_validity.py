@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
+from uqsphere.runner.chunks import remembered
 from uqsphere.runner.design_margins import study_at
+from uqsphere.runner.evaluate import Work, draw, sub_inputs
+from uqsphere.runner.fidelity import check_table
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import axis_of
-from uqsphere.runner.pilot import check_table
-from uqsphere.runner.remember import remembered
-from uqsphere.runner.work import Work, draw, sub_inputs
 from uqsphere.study import Limit
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import told_apart
+from uqsphere.runner.campaign import evaluations_needed, rounded
 from uqsphere.runner.curve_rows import half_widths
-from uqsphere.runner.stopping import evaluations_needed, rounded
 
 __all__ = ["ASKED", "KIND", "METHOD", "Band", "Stage", "stage_of"]
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.tables import csv_text
-from uqsphere.runner.work import Work
 from uqsphere.store import Store, write_atomically, write_json
 
 __all__ = ["force_band", "save_courses"]

@@ -16,8 +16,8 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.moved import draw_points, evaluate_at, limit_state, probabilities
-from uqsphere.runner.work import Work
 from uqsphere.study import Limit
 from uqsphere.uq.estimates import student
 from uqsphere.uq.reliability import LimitState, tails

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from uqsphere.runner.band import Band, Stage, stage_of
 from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
+from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
 from uqsphere.runner.moved import axis_of, evaluate_at, limit_state, probabilities
-from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced
 from uqsphere.uq.fitting import is_fitted, possible_laws

@@ -15,12 +15,12 @@ from uqsphere.runner.dear_answers import Answers, answers_of
 from uqsphere.runner.dear_course import BEFORE, UNEXPLAINED, Course, needed
 from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
 from uqsphere.runner.dear_fits import fit_design
+from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, none_answered
 from uqsphere.runner.learning import reserve
 from uqsphere.runner.price import FIRST_RUNS, Priced, enlarge
-from uqsphere.runner.sensitivity import CHAOS
-from uqsphere.runner.work import REPLICATES, OutOfBudget, Work, none_answered
+from uqsphere.runner.questions.indices import CHAOS
+from uqsphere.runner.ways import FIRST_SAMPLE
 from uqsphere.uq.augmented import MOST, Trusted
-from uqsphere.ways import FIRST_SAMPLE
 
 __all__ = ["LEAST_RUNS", "MOST_RUNS", "answer_dear"]
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
+from uqsphere.runner.campaign import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, cost_of
 from uqsphere.runner.dear_answers import Answers, widest
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.price import Priced
-from uqsphere.runner.sampling import METHOD, shortfalls, speed_rows
-from uqsphere.runner.sensitivity import note
-from uqsphere.runner.stopping import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, cost_of
-from uqsphere.runner.work import Work
+from uqsphere.runner.questions.distributions import METHOD, shortfalls, speed_rows
+from uqsphere.runner.questions.indices import note
 from uqsphere.uq import augmented
 
 __all__ = ["BEFORE", "UNEXPLAINED", "Course", "needed"]

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from uqsphere.runner.campaign import WORTHLESS, Cost, Missed, indices_missed
 from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_fits import fit_design, simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.dear_tails import dear_tails
+from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
-from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Priced, enlarge
-from uqsphere.runner.sampling import METHOD, Sampled, find_missed
-from uqsphere.runner.sensitivity import CHAOS, Sensitivity, dependent_names
-from uqsphere.runner.stopping import WORTHLESS, Cost, Missed, indices_missed
-from uqsphere.runner.work import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
+from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.questions.probabilities import LimitAnswer, limits_missed
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.estimates import Estimate, absent, describe

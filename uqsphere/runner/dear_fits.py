@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.price import FIRST_RUNS
-from uqsphere.runner.sensitivity import dependent_names
-from uqsphere.runner.work import Work
+from uqsphere.runner.questions.indices import dependent_names
 from uqsphere.uq.augmented import MOST, Trusted, trust
 
 if TYPE_CHECKING:

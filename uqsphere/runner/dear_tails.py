@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from uqsphere.runner.campaign import Missed
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.heavy_shares import shares_with_tails
-from uqsphere.runner.sampling import Sampled, find_missed
-from uqsphere.runner.sensitivity import Sensitivity
-from uqsphere.runner.stopping import Missed
-from uqsphere.runner.work import Work
+from uqsphere.runner.questions.distributions import Sampled, find_missed
+from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.uq.estimates import Description
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.law import tail_orders

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.dependent import TASK, Shared, orders_at
-from uqsphere.runner.limits import state_of, tie_strength
-from uqsphere.runner.sampling import Sampled
-from uqsphere.runner.sensitivity import Pairs, Sensitivity
-from uqsphere.runner.work import REPLICATES, Work, sub_inputs
+from uqsphere.runner.evaluate import REPLICATES, Work, sub_inputs
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.indices import Pairs, Sensitivity
+from uqsphere.runner.questions.probabilities import state_of, tie_strength
+from uqsphere.runner.questions.shapley import TASK, Shared, orders_at
 from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of
 from uqsphere.uq.blocks import Blocks

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.runner.campaign import WORTHLESS, indices_missed
 from uqsphere.runner.heavy_tails import tail_of
-from uqsphere.runner.stopping import WORTHLESS, indices_missed
 from uqsphere.uq.estimates import Estimate, absent
 from uqsphere.uq.heavy_tails import HeavyTail, of_variance, widened_share
 from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array
-    from uqsphere.runner.sampling import Sampled
-    from uqsphere.runner.sensitivity import Pairs, Sensitivity
-    from uqsphere.runner.work import Work
+    from uqsphere.runner.evaluate import Work
+    from uqsphere.runner.questions.distributions import Sampled
+    from uqsphere.runner.questions.indices import Pairs, Sensitivity
 
 __all__ = ["share_heavy", "shares_with_tails"]
 

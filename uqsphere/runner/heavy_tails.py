@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 
 if TYPE_CHECKING:
-    from uqsphere.runner.work import Work
+    from uqsphere.runner.evaluate import Work
     from uqsphere.uq.estimates import Description
     from uqsphere.uq.sample import Sample
 

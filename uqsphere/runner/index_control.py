@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.multifidelity import Control, Plan, needed, verdict, weigh
-from uqsphere.runner.pilot import Pilot
-from uqsphere.runner.work import Work
 from uqsphere.uq.control import controlled_indices
 from uqsphere.uq.estimates import Estimate
 

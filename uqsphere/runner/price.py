@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import BlackBox
-from uqsphere.runner.work import Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import Work, draw, evaluate_sample
+from uqsphere.runner.ways import Way, choose_way
 from uqsphere.uq.sample import Sample
-from uqsphere.ways import Way, choose_way
 
 __all__ = ["COST", "FIRST_RUNS", "Priced", "enlarge", "price"]
 

@@ -139,8 +139,8 @@ def rehearse(
     """
     from threadpoolctl import threadpool_limits
 
-    from uqsphere import runner
-    from uqsphere.runner.work import Ledger, Work
+    from uqsphere.runner.api import analyse
+    from uqsphere.runner.evaluate import Ledger, Work
 
     store = Rehearsal(folder=place, source=source, chosen=chosen)
     # a rehearsal has what an analysis asks of a store, and no more
@@ -151,7 +151,7 @@ def rehearse(
         (place / name).write_bytes((source.folder / name).read_bytes())
     try:
         with threadpool_limits(limits=1, user_api="blas"):
-            runner.analyse(work, standing_in)
+            analyse(work, standing_in)
     except Absent as error:
         return store, str(error)
     return store, ""

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
-from uqsphere.runner.sampling import Sampled
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.shapes import SAMPLES, fault_of
-from uqsphere.runner.work import Work
 from uqsphere.store import Store, read_json, write_atomically, write_json
 
 if TYPE_CHECKING:

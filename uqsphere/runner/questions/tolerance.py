@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.model import is_answered
-from uqsphere.runner.work import OutOfBudget, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.tolerance import tolerance_limits

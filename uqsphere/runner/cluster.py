@@ -16,7 +16,7 @@ __all__ = ["DaskExecutor", "as_executor", "dask_cluster"]
 
 #: seconds to wait for the scheduler to answer
 CONNECT: Final = 20.0
-#: workers' deaths that the scheduler itself bears before it reports them; `uqsphere.runner.executors` counts on
+#: workers' deaths that the scheduler itself bears before it reports them; `uqsphere.runner.workers` counts on
 DEATHS: Final = 3
 
 
@@ -108,7 +108,7 @@ def dask_cluster(address: str, workers: int | None) -> Iterator[DaskExecutor]:
         import distributed
     except ImportError as error:
         raise UsageError('--dask needs Dask: pip install "uqsphere[dask]"') from error
-    from uqsphere.runner.executors import processors
+    from uqsphere.runner.workers import processors
 
     make_cluster: Any = distributed.LocalCluster
     make_client: Any = distributed.Client

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
-from uqsphere.runner.remember import remembered
-from uqsphere.runner.work import Work, draw, sub_inputs
+from uqsphere.runner.chunks import remembered
+from uqsphere.runner.evaluate import Work, draw, sub_inputs
 from uqsphere.study import Study
 
 if TYPE_CHECKING:

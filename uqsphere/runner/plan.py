@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.errors import UsageError
-from uqsphere.forecast import CHEAPER, forecast, rough_quantities
 from uqsphere.model import scene_of
+from uqsphere.runner.forecast import CHEAPER, forecast, rough_quantities
+from uqsphere.runner.ways import FITS, OVERHEAD, choose_way
 from uqsphere.study import Study
 from uqsphere.study.faults import one_of
-from uqsphere.ways import FITS, OVERHEAD, choose_way
 
 __all__ = ["plan_run", "plan_text"]
 

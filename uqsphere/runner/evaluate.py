@@ -22,11 +22,9 @@ from uqsphere.model import (
     is_answered,
     status_text,
 )
-from uqsphere.runner.chunks import CHUNK, chosen_columns
-from uqsphere.runner.engine import Engine
-from uqsphere.runner.executors import Executor
-from uqsphere.runner.gathering import collect
-from uqsphere.runner.worker import Task
+from uqsphere.runner.chunks import CHUNK, chosen_columns, collect
+from uqsphere.runner.remote import Task
+from uqsphere.runner.workers import Engine, Executor
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.joint import Inputs, physical_from_normal, sub_inputs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uqsphere.forecast import FIRST_SAMPLE, forecast
+from uqsphere.runner.forecast import FIRST_SAMPLE, forecast
 from uqsphere.study import Study
 
 __all__ = ["CHEAP", "FIRST_SAMPLE", "FITS", "OVERHEAD", "Way", "choose_way"]

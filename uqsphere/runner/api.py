@@ -1,0 +1,460 @@
+"""From a study to a result folder: draw, evaluate, analyse, until the accuracy or the budget is reached."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.errors import FolderError, UsageError
+from uqsphere.files import refuse_links
+from uqsphere.model import BlackBox, load_black_box, model_digest
+from uqsphere.quantities import INPUTS, format_value
+from uqsphere.store import Store, open_store, read_json
+from uqsphere.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from uqsphere.runner.dear_end import Dear
+    from uqsphere.runner.evaluate import Work
+    from uqsphere.runner.fidelity import Pilot
+    from uqsphere.runner.price import Priced
+    from uqsphere.runner.results import Findings
+    from uqsphere.runner.workers import Executor
+
+__all__ = [
+    "Run",
+    "open_run",
+    "run",
+    "why_not_extended",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A finished run: its folder, the content of results.json and of manifest.json."""
+
+    folder: Path
+    results: dict[str, Any]
+    manifest: dict[str, Any]
+
+    @property
+    def met(self) -> bool:
+        """Whether every limit with a target meets it."""
+        return all(limit["met"] is True for limit in self.results["limits"].values() if limit["target"] is not None)
+
+    def _table(self, name: str) -> pd.DataFrame:
+        from uqsphere.runner.export import read_table
+
+        return read_table(self.folder, name)
+
+    def samples(self) -> pd.DataFrame:
+        """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
+        from uqsphere.runner.samples import load_samples
+
+        return load_samples(self.folder)
+
+    def indices(self) -> pd.DataFrame:
+        """First and total Sobol' indices with their intervals."""
+        return self._table("sensitivity")
+
+    def limits(self) -> pd.DataFrame:
+        """Probabilities and margins of every limit with their intervals."""
+        return self._table("limits")
+
+    def margins(self) -> pd.DataFrame:
+        """Values of the free scalar at the probabilities asked for."""
+        return self._table("margins")
+
+
+def open_run(folder: str | Path) -> Run:
+    """A finished run from its folder.
+
+    Raises
+    ------
+    FolderError
+        When the folder is no result folder, or its run has not finished.
+    """
+    from uqsphere.runner.results import damage_of
+    from uqsphere.runner.shapes import MANIFEST, fault_of
+
+    path = Path(folder)
+    if not path.is_dir():
+        raise FolderError(f"{path} is not a result folder")
+    refuse_links(path)
+    if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
+        raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
+    results = read_json(path / "results.json")
+    damage = damage_of(results)
+    if damage:
+        raise FolderError(f"{path / 'results.json'} is not what a run writes: {damage}")
+    mark = read_json(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
+    if isinstance(mark, dict) and mark.get("hash", results["study"].get("hash")) != results["study"].get("hash"):
+        raise FolderError(f"the run in {path} that extends another has not finished: run the study again")
+    manifest = read_json(path / "manifest.json")
+    damage = fault_of(manifest, MANIFEST)
+    if damage:
+        raise FolderError(f"{path / 'manifest.json'} is not what a run writes: {damage}")
+    return Run(folder=path, results=results, manifest=manifest)
+
+
+def run(
+    study: Study,
+    *,
+    out: str | Path | None = None,
+    executor: Executor | None = None,
+    model: str | BlackBox | None = None,
+    threads: int | None = None,
+    fresh: bool = False,
+    extend: bool = False,
+    seconds: float | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    notice: Callable[[str], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    reached: Callable[[list[dict[str, Any]]], None] | None = None,
+) -> Run:
+    """Run a study and write its result folder.
+
+    Parameters
+    ----------
+    study : Study
+    out : folder
+        Default: the study file's stem + "-results" in the current folder.  A folder of the same study is
+        resumed: what is stored there is not evaluated again.
+    executor : anything with submit(), optional
+        Takes the evaluations, such as a pool of `concurrent.futures` or a `distributed.Client`; the model must then
+        be a reference, not a function.  If None, the mechanics run here in threads, and a black box that is a
+        reference and proves dear in processes of its own.
+    model : "FILE.py:FUNCTION" or function
+        The black box of a black-box study.
+    threads : int, optional
+        Threads of the mechanics, or processes of a dear black box; all processors if None.  Results do not depend
+        on it.
+    fresh : bool
+        Drop what an earlier run of the same study stored.
+    extend : bool
+        Let a folder of another study with the same inputs be gone on with (`uqsphere.runner.api`).
+    seconds : float, optional
+        Time budget in place of the study's.
+    progress : callable(stage, done, total), optional
+    notice : callable(text), optional
+        Told the verdict on the limits as soon as it is known, before the sensitivities are refined.
+    stop : callable() -> bool, optional
+        Asked before every call of the model; once it is true the run ends with what is there, and its manifest says
+        `interrupted`.  The same study in the same folder goes on from there.
+    reached : callable(rows), optional
+        Told the errors of every stage: dicts with `quantity`, `error`, `error_kind`, `evaluations`.
+
+    Raises
+    ------
+    UqsphereError
+        One of its family: see `uqsphere.errors`.
+    KeyboardInterrupt
+        When `stop` ends the run before there is anything to report.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from uqsphere.model import NO_DAMPER
+    from uqsphere.runner.cluster import as_executor
+    from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
+    from uqsphere.runner.log import logged
+    from uqsphere.runner.workers import Engine
+
+    if study.receiving_damper is not None:
+        raise UsageError(NO_DAMPER)
+
+    if study.black_box and model is None:
+        raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
+    if not study.black_box and model is not None:
+        raise UsageError("--model serves black-box studies; this one describes an impact scene")
+    if executor is not None and callable(model):
+        raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
+    if study.analysis.time_limit is not None and callable(model):
+        raise UsageError("analysis.time_limit needs the model as FILE.py:FUNCTION: it is kept by ending a process")
+    reference = model if isinstance(model, str) else None
+    box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
+    check_range(study)
+    folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
+    digest = None if model is None else model_digest(model)
+    store = open_store(
+        folder,
+        {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference},
+        study.text,
+        study.hash,
+        fresh=fresh,
+        model=digest,
+        extension=why_not_extended if extend else None,
+    )
+    engine = Engine(
+        executor=as_executor(executor),
+        workers=threads,
+        can_spawn=reference is not None,
+        limited=study.analysis.time_limit is not None,
+    )
+    try:
+        work = Work(
+            study=study,
+            store=store,
+            ledger=Ledger(),
+            fidelity="full",
+            threads=threads,
+            model=reference,
+            black_box=box,
+            digest=digest,
+            engine=engine,
+            progress=progress,
+            seconds=study.analysis.budget.time if seconds is None else seconds,
+            stop=stop,
+            reached=reached,
+        )
+        # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
+        with threadpool_limits(limits=1, user_api="blas"), logged(folder, hash=study.hash, fresh=fresh) as log:
+            found = analyse(replace(work, progress=log.watch(progress)), store, log.listen(notice))
+            log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
+            return found
+    except OutOfBudget as nothing:
+        if work.ledger.interrupted:
+            raise KeyboardInterrupt from nothing
+        raise UsageError(
+            "the time budget ended before there was anything to answer with; what was evaluated is kept, and a longer "
+            "--budget goes on with it"
+        ) from nothing
+    finally:
+        engine.close()
+        store.close()
+
+
+def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
+    """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
+    from uqsphere.quantities import format_estimate
+    from uqsphere.runner.answer_validity import judge_answers
+    from uqsphere.runner.dear import answer_dear
+    from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
+    from uqsphere.runner.drivers import find_drivers
+    from uqsphere.runner.fidelity import first_look
+    from uqsphere.runner.heavy_shares import share_heavy
+    from uqsphere.runner.index_control import IndexControl
+    from uqsphere.runner.margins import band_history, find_margins
+    from uqsphere.runner.multifidelity import propose
+    from uqsphere.runner.price import price
+    from uqsphere.runner.questions.distributions import sample_distributions
+    from uqsphere.runner.questions.fracture import find_fracture
+    from uqsphere.runner.questions.indices import dependent_names, find_sensitivity
+    from uqsphere.runner.questions.probabilities import refine_limits
+    from uqsphere.runner.questions.shapley import share_variance
+    from uqsphere.runner.questions.tolerance import find_tolerance
+    from uqsphere.runner.results import Findings
+
+    ledger = work.ledger
+    pilot = first_look(work)
+    work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
+    ledger.evaluations.update(pilot.evaluations)
+    priced = price(work)
+    ledger.close("pilot")
+    whole, dear = work, None
+    if priced.way.surrogate:
+        work = priced.bounded(work)
+        dear = answer_dear(work, priced)
+        ledger.close("surrogate")
+        if dear.sampled is not None:
+            return _write(whole, store, priced, dear, findings_of_dear(work, pilot, dear))
+    proposed = propose(pilot)
+    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
+    ledger.close("sampling")
+    sampled = refine_limits(work, sampled)
+    if dear is not None:
+        sampled = keep_answers(work, sampled, dear)
+    ledger.close("rare events")
+    if notice is not None:
+        for name, limit in sampled.limits.items():
+            if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
+                interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high, most=5)
+                notice(f"limit {name}: probability of missing its aim {interval}")
+    tolerance = find_tolerance(work)
+    ledger.close("tolerance intervals")
+    margins = find_margins(work, sampled)
+    if dear is not None:
+        margins = keep_margins(work, margins, dear)
+    margins = judge_answers(work, margins)
+    ledger.close("margins")
+    band_rows, band_seconds = band_history(margins)
+    fracture = find_fracture(work, sampled, margins)
+    ledger.close("fracture")
+    sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
+        work, sampled, IndexControl(plan=proposed.plan)
+    )
+    shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
+    if shared is not None:
+        sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
+    sensitivity = share_heavy(work, sampled, sensitivity, pairs)
+    if dear is not None:
+        sensitivity = keep_indices(sensitivity, dear)
+    ledger.close("sensitivity")
+    drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
+    ledger.close("drivers")
+    found = Findings(
+        pilot=pilot,
+        sampled=sampled,
+        sensitivity=sensitivity,
+        drivers=drivers,
+        index_control=index_control,
+        margins=margins,
+        fracture=fracture,
+        tolerance=tolerance,
+        history=(dear.history if dear else []) + sampled.history + band_rows + history,
+        seconds=(dear.seconds if dear else []) + sampled.seconds + band_seconds + seconds,
+        stops={"sampling": sampled.stopped, "sensitivity": stopped},
+        paper=compare_with_paper(work.study),
+    )
+    if notice is not None and store.damaged:
+        notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
+    return _write(whole, store, priced, dear, found)
+
+
+def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    from uqsphere.runner.account import account, further_rows
+    from uqsphere.runner.courses import save_courses
+    from uqsphere.runner.datafiles import keep_data
+    from uqsphere.runner.results import build_manifest, build_results, write_results
+    from uqsphere.runner.samples import save_points
+
+    way = priced.way
+    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
+    plan = {
+        "way": taken,
+        "why": way.why if dear is None else dear.why,
+        "sampling_evaluations": way.sampling,
+        "surrogate_evaluations": way.runs,
+        "parts": account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
+    }
+    found = replace(found, plan=plan)
+    store.settle()
+    save_points(work, store, found.sampled)
+    save_courses(work, store, found.sampled)
+    keep_data(work.study, store.folder)
+    results = build_results(work, found)
+    further = further_rows(results)
+    results["speed_error"] = [*results["speed_error"], *(row for _, row in further)]
+    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
+    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends])
+    manifest["plan"] = {
+        "cost_seconds_per_evaluation": priced.cost,
+        "crossover_seconds_per_evaluation": way.crossover,
+        "balance_seconds_per_evaluation": way.balance,
+        "affordable_evaluations": way.affordable,
+    }
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
+    """What the surrogate way found, as every run writes it."""
+    from uqsphere.runner.dear_tails import settle_heavy
+    from uqsphere.runner.questions.tolerance import find_tolerance
+    from uqsphere.runner.results import Findings
+
+    assert dear.sampled is not None
+    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity, dear.believed, dear.tails)
+    tolerance = find_tolerance(work)
+    work.ledger.close("tolerance intervals")
+    return Findings(
+        pilot=pilot,
+        sampled=sampled,
+        sensitivity=sensitivity,
+        margins=dear.margins,
+        tolerance=tolerance,
+        history=dear.history,
+        seconds=dear.seconds,
+        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
+    )
+
+
+def check_range(study: Study) -> None:
+    """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
+    if study.margins is None or study.black_box:
+        return
+    from uqsphere.mechanics.scene import STATUS
+    from uqsphere.model import scene_of
+
+    axis = study.margins.axis
+    name = axis.path
+    if name not in INPUTS:
+        return
+    for value in (axis.low, axis.high):
+        code = int(scene_of(study, {name: np.array([value])}).status[0])
+        if code:
+            raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
+
+
+def compare_with_paper(study: Study) -> list[dict[str, Any]]:
+    """Rows of as printed, corrected and full answers at the means, where the study asks for them."""
+    if study.black_box or not study.model.compare_with_paper:
+        return []
+    from uqsphere.mechanics.as_printed import compare
+    from uqsphere.model import scene_of
+
+    return [
+        {
+            "quantity": row.quantity,
+            "unit": row.unit,
+            "as_printed": row.as_printed,
+            "corrected": row.corrected,
+            "full": row.full,
+            "note": row.note,
+        }
+        for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
+    ]
+
+
+# --- When a study may go on with the evaluations of another one.
+
+#: what has to be the same: the rest is what is asked of the evaluations, and how precisely
+_SAME: Final = ("kind", "seed", "fixed", "options", "outputs", "record")
+_SAME_MODEL: Final = ("tolerance", "first_loading_only", "horizon")
+
+
+def why_not_extended(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """What keeps a study from extending another, from what both mean (`Study.resolved`); empty if nothing does.
+
+    The seed, every number of the scene, their laws in their order, and how precisely the motion is computed must be
+    the same.  Accuracy, budget, limits, quantities, quantiles, methods and margins may change.  That is a rule for
+    people: a stored evaluation is used only where the very same one is due, whatever this says.
+
+    >>> why_not_extended({"seed": 1}, {"seed": 2})
+    'the seed differs'
+    """
+    for key in _SAME:
+        if before.get(key) != now.get(key):
+            which = _which(before.get(key), now.get(key))
+            return f"{which or f'the {key}'} differs"
+    laws_before, laws_now = _scene_laws(before), _scene_laws(now)
+    if laws_before != laws_now:
+        return f"{_which(laws_before, laws_now)} differs"
+    if list(laws_before) != list(laws_now):
+        return "the order of the random inputs differs"
+    for key in _SAME_MODEL:
+        if (before.get("model") or {}).get(key) != (now.get("model") or {}).get(key):
+            return f"model.{key} differs"
+    return ""
+
+
+def _scene_laws(resolved: dict[str, Any]) -> dict[str, Any]:
+    """The laws of the model's own inputs: strengths and model factors belong to limits."""
+    laws = resolved.get("random")
+    if not isinstance(laws, dict):
+        return {}
+    order = resolved.get("order", list(laws))
+    return {name: laws.get(name) for name in order if not str(name).startswith("limits.")}
+
+
+def _which(before: Any, now: Any) -> str:
+    """The first name whose entry differs."""
+    if not isinstance(before, dict) or not isinstance(now, dict):
+        return ""
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return str(names[0]) if names else ""
