@@ -26,8 +26,8 @@ from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
 from uqsphere.summary import summary_of
-from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.estimates import from_replicates
+from uqsphere.uq.estimate import from_replicates
+from uqsphere.uq.indices import Blocks
 from uqsphere.uq.surrogate import expansion_indices
 
 Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]

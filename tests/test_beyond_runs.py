@@ -16,13 +16,13 @@ from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import reaching, trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.beyond_runs import shares_within, within_runs
-from uqsphere.uq.chaos import fit_chaos, germ_points, predict
-from uqsphere.uq.chaos.borders import Border
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.expansion import fit_chaos, germ_points, predict
+from uqsphere.uq.expansion.expansion import Border
 from uqsphere.uq.joint import Inputs
 from uqsphere.uq.law import make_law
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.released import believed
-from uqsphere.uq.sampling import sobol_points
 
 NORMAL = ("normal", "normal")
 

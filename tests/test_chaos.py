@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from uqsphere.uq.chaos import (
+from uqsphere.uq.estimate import student
+from uqsphere.uq.expansion import (
     chaos_indices,
     chaos_moments,
     fit_again,
@@ -26,9 +27,8 @@ from uqsphere.uq.chaos import (
     predict,
     validation_error,
 )
-from uqsphere.uq.chaos.indices import error_with_tails
-from uqsphere.uq.estimates import student
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.expansion.shares import error_with_tails
+from uqsphere.uq.points import sobol_points
 
 SCATTER = np.array([0.3, 0.2, 0.1, 0.4])
 
@@ -88,7 +88,7 @@ def test_polynomials_are_orthonormal(germ: str) -> None:
 def test_chaospy_leaves_logging_and_randomness_as_they_were() -> None:
     code = (
         "import logging, sys, numpy as np; before = np.random.get_state()[1].copy()\n"
-        "from uqsphere.uq.chaos import orthonormal_values\n"
+        "from uqsphere.uq.expansion import orthonormal_values\n"
         "assert 'chaospy' not in sys.modules\n"
         "orthonormal_values('normal', np.zeros(2), 3)\n"
         "assert 'chaospy' in sys.modules\n"

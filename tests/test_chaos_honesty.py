@@ -10,11 +10,11 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import t as student_t
 
 from uqsphere.bench.chaos_models import MODELS, ChaosModel
-from uqsphere.uq.chaos import fit_chaos, germ_points, predict
-from uqsphere.uq.chaos.bases import orthonormal_values
-from uqsphere.uq.chaos.choice import compete, lowered, prepare
-from uqsphere.uq.chaos.honesty import blended, leaned, left_one_out, neglected, refits, steadied
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.expansion import fit_chaos, germ_points, predict
+from uqsphere.uq.expansion.choice import compete, lowered, prepare
+from uqsphere.uq.expansion.germs import orthonormal_values
+from uqsphere.uq.expansion.solvers import blended, leaned, left_one_out, neglected, refits, steadied
+from uqsphere.uq.points import sobol_points
 
 EXACT = 1e-9
 

@@ -7,10 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from uqsphere.uq.chaos.bases import orthonormal_values
-from uqsphere.uq.chaos.choice import deal
-from uqsphere.uq.chaos.solvers import SOLVERS, Task, least_angles, solve_rows
-from uqsphere.uq.chaos.truncation import grown, hyperbolic_indices, nested, products, skipping
+from uqsphere.uq.expansion.choice import deal
+from uqsphere.uq.expansion.germs import grown, hyperbolic_indices, nested, orthonormal_values, products, skipping
+from uqsphere.uq.expansion.solvers import SOLVERS, Task, least_angles, solve_rows
 
 SPARSE = ("matching pursuit", "forward selection", "least angles", "subspace pursuit")
 

@@ -9,11 +9,10 @@ import pytest
 from scipy.special import ndtri
 
 from uqsphere.bench.chaos_models import MODELS, checked, design
-from uqsphere.uq.chaos import (
+from uqsphere.uq.expansion import (
     Germ,
     chaos_indices,
     chaos_moments,
-    enrichment,
     fit_chaos,
     fit_outputs,
     forecast,
@@ -27,9 +26,10 @@ from uqsphere.uq.chaos import (
     predict,
     validation_error,
 )
-from uqsphere.uq.chaos.outputs import possible_transforms
-from uqsphere.uq.chaos.splits import _Data, _left_by_cuts
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.expansion import fit as enrichment
+from uqsphere.uq.expansion.expansion import possible_transforms
+from uqsphere.uq.expansion.splits import _Data, _left_by_cuts
+from uqsphere.uq.points import sobol_points
 
 
 def points(n: int, germs: tuple, replicate: int = 0) -> np.ndarray:

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from uqsphere.uq.control import best_ratio, control, describe_controlled, predicted_cost, probability
-from uqsphere.uq.estimates import describe
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.describe import describe
+from uqsphere.uq.points import sobol_points
 
 Array = npt.NDArray[np.float64]
 

@@ -23,8 +23,8 @@ from uqsphere.uq.elliptical import (
 )
 from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores, rest_given, strength_tie, sub_inputs
 from uqsphere.uq.law import LawError, make_law
-from uqsphere.uq.reliability import LimitState, exceedance
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.limit_state import LimitState, exceedance
+from uqsphere.uq.points import sobol_points
 
 UNIT = make_law("normal", {"mean": 0.0, "sd": 1.0})
 

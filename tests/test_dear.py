@@ -36,10 +36,11 @@ from uqsphere.study import Study
 from uqsphere.summary import summary_of
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
-from uqsphere.uq.chaos import fit_chaos, germ_points, predict
-from uqsphere.uq.estimates import Estimate, describe
+from uqsphere.uq.describe import describe
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.expansion import fit_chaos, germ_points, predict
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import sobol_points
 
 MODELS = {model.name: model for model in coverage_models()}
 DEAR = """
@@ -706,7 +707,7 @@ def fitted(name: str, n: int, seed: int = 3) -> Any:
 def test_what_is_left_out_is_what_a_fit_without_it_says() -> None:
     from dataclasses import replace
 
-    from uqsphere.uq.chaos import fit_again
+    from uqsphere.uq.expansion import fit_again
 
     model, points, outputs = fitted("g-function", 64)
     chaos = fit_chaos(points, outputs, model.germs, plain=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, piece_rows, trust
 from uqsphere.uq.augmented_indices import (
@@ -24,11 +24,10 @@ from uqsphere.uq.augmented_indices import (
     trusted_indices,
 )
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.chaos import Chaos, chaos_indices, fit_again, fit_chaos, germ_points
-from uqsphere.uq.chaos.sampled import law_shares
-from uqsphere.uq.chaos.truncation import Combination, products
-from uqsphere.uq.estimates import Flags
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.expansion import Chaos, chaos_indices, fit_again, fit_chaos, germ_points
+from uqsphere.uq.expansion.germs import Combination, products
+from uqsphere.uq.expansion.shares import law_shares
+from uqsphere.uq.points import sobol_points
 
 MODELS = {model.name: model for model in coverage_models()}
 

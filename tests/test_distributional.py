@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq.distributional import delta_estimates, pawn_estimates
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
+from uqsphere.uq.points import sobol_points
 
 WEIGHTS = np.array([1.0, 0.5, 0.2, 0.0])
 SD = float(np.sqrt(WEIGHTS @ WEIGHTS))

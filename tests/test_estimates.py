@@ -10,8 +10,9 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.estimates import Estimate, absent, describe, from_replicates, hazen, lacking, share
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.describe import describe, hazen, lacking
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, share
+from uqsphere.uq.points import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
 REPETITIONS = 120

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from uqsphere.uq.failure_shares import BY_DIRECTION, BY_INFORMATION, failure_shares
+from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION, failure_shares
 
 
 def scores(dimension: int, count: int = 2**15) -> np.ndarray:

@@ -14,14 +14,14 @@ from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data, study_text
 from uqsphere.given.ties import ties_of
-from uqsphere.uq.alone import sd_alone
+from uqsphere.uq.beyond_variance import rank_indices
 from uqsphere.uq.elliptical import dependent_scores, make_copula
+from uqsphere.uq.estimate import sd_alone
 from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, quantile_interval, rank_correlations, tied
 from uqsphere.uq.law import make_law, pdf
 from uqsphere.uq.law import mean as law_mean
 from uqsphere.uq.law import sd as law_sd
-from uqsphere.uq.ranks import rank_indices
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.points import random_generator
 
 
 def written(path: Path, columns: dict[str, np.ndarray]) -> Path:

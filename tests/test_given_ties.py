@@ -13,7 +13,7 @@ from uqsphere.given import Data, analyse_data
 from uqsphere.given.answers import _answer, leaning, reach, spanned
 from uqsphere.given.ties import left_open, rank_influence, ties_of, with_ties
 from uqsphere.uq.elliptical import dependent_scores, make_copula
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import fit_marginal, plausible_laws
 from uqsphere.uq.joint import make_inputs
 from uqsphere.uq.law import make_law

@@ -15,10 +15,10 @@ from uqsphere.errors import TooManyFailures
 from uqsphere.study import load_study
 from uqsphere.uq.augmented import trust
 from uqsphere.uq.augmented_indices import trusted_indices
-from uqsphere.uq.chaos import fit_chaos
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.expansion import fit_chaos
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.released import believed
-from uqsphere.uq.sampling import sobol_points
 
 Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]
 

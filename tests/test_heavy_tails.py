@@ -17,7 +17,8 @@ from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.heavy_shares import _admitted
 from uqsphere.runner.questions.distributions import speed_rows
 from uqsphere.runner.questions.indices import Sensitivity
-from uqsphere.uq.estimates import absent, describe, exact
+from uqsphere.uq.describe import describe
+from uqsphere.uq.estimate import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD, absent, exact
 from uqsphere.uq.heavy_tails import (
     MEAN,
     VARIANCE,
@@ -28,9 +29,8 @@ from uqsphere.uq.heavy_tails import (
     without_moments,
 )
 from uqsphere.uq.law import Law, make_law, ppf
-from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.released import stretched
-from uqsphere.uq.sampling import sobol_points
 
 
 def tail(law_order: float, growth: float, doubt: float) -> HeavyTail:

@@ -16,8 +16,8 @@ STUDIES = ROOT.parent / "studies"
 HEAVY = ("scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba")
 #: the files that may import each of these
 HOMES = {
-    "chaospy": {"uq/chaos/bases.py"},
-    "numpoly": {"uq/chaos/bases.py"},
+    "chaospy": {"uq/expansion/germs.py"},
+    "numpoly": {"uq/expansion/germs.py"},
     "SALib": {"uq/sensitivity.py", "bench/overhead.py"},  # the second as a rival
     "numba": {"mechanics/integrator/compiled.py", "mechanics/integrator/vectors.py"},
 }

@@ -10,9 +10,16 @@ import numpy as np
 import pytest
 
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
-from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.indices import ESTIMATORS, choice_text, index_estimates, ordered, sampled_indices
+from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.indices import (
+    ESTIMATORS,
+    Blocks,
+    choice_text,
+    index_estimates,
+    ordered,
+    sampled_indices,
+    uniform_halves,
+)
 
 MODELS = {model.name: model for model in coverage_models()}
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from uqsphere.uq import margins
+from uqsphere.uq.limit_state import LimitState, exceedance
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.reliability import LimitState, exceedance
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.points import sobol_points
 
 TARGETS = (0.01, 0.1, 0.5, 0.9, 0.99)
 MEDIAN, SCATTER = 1.2, 0.25

@@ -18,7 +18,7 @@ from uqsphere.report.headings import failure_heading
 from uqsphere.report.swings import Swing, _swing_bar, waterfall_heading
 from uqsphere.report.verdict import verdicts
 from uqsphere.summary import _governing
-from uqsphere.uq.failure_shares import BY_DIRECTION
+from uqsphere.uq.failure_indices import BY_DIRECTION
 
 
 def with_limit(folder: Path, **more: Any) -> Contents:

@@ -20,9 +20,9 @@ from uqsphere.quantities import UNITS, UnitError, parse_value
 from uqsphere.runner.tables import csv_text
 from uqsphere.store import open_store, write_json
 from uqsphere.study import load_study
-from uqsphere.uq.estimates import describe
+from uqsphere.uq.describe import describe
 from uqsphere.uq.law import LawError, cdf, isf, make_law, ppf, sf
-from uqsphere.uq.reliability import reliability_index
+from uqsphere.uq.limit_state import reliability_index
 from uqsphere.uq.tolerance import attained_confidence, least_runs
 
 #: the machine may be busy: an example has no time limit, the number of examples is the cost

@@ -29,7 +29,8 @@ from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
-from uqsphere.uq.estimates import Description, Estimate, exact, lacking
+from uqsphere.uq.describe import Description, lacking
+from uqsphere.uq.estimate import Estimate, exact
 
 Array = npt.NDArray[np.float64]
 #: what is asked of the sum here: more than its budget reaches, and curves at two values of the other input

@@ -13,24 +13,31 @@ from scipy.stats import chi2, norm
 
 from uqsphere.bench.rare import integrate_plane
 from uqsphere.bench.rare_models import PROBLEMS, problem
-from uqsphere.uq.rare.active import learn_probability
-from uqsphere.uq.rare.adapt import Pool, collect, pooled_weights
-from uqsphere.uq.rare.auto import find_probability
-from uqsphere.uq.rare.directional import directional_simulation
+from uqsphere.uq.rare.active import fit_kriging, learn_probability, predict
+from uqsphere.uq.rare.auto import _paths, find_probability
 from uqsphere.uq.rare.form import find_design_points
 from uqsphere.uq.rare.importance import (
+    Pool,
     around_design_points,
+    collect,
     defended,
     importance_sampling,
+    pooled_weights,
     tail_shape,
     wide_mixture,
 )
-from uqsphere.uq.rare.kriging import fit_kriging, predict
-from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, fit_mixture, log_density
-from uqsphere.uq.rare.modes import _paths
+from uqsphere.uq.rare.mixture import (
+    Component,
+    Mixture,
+    Radial,
+    allocate,
+    draw_mixture,
+    draw_radial,
+    fit_mixture,
+    log_density,
+    radial_density,
+)
 from uqsphere.uq.rare.problem import Evaluator, FailedEvaluation, LimitFunction
-from uqsphere.uq.rare.radial import Radial, draw_radial, radial_density
-from uqsphere.uq.rare.sorm import correct
 from uqsphere.uq.rare.subset import subset_simulation
 
 Array = npt.NDArray[np.float64]
@@ -90,29 +97,6 @@ def test_what_has_no_slope_is_said_not_to_converge() -> None:
 def test_the_search_keeps_to_its_share_of_evaluations() -> None:
     bumpy = evaluator(lambda u: 5.0 - u[:, 0] + np.sin(9.0 * u[:, 1]), 2)
     assert find_design_points(bumpy, seed=3, most=200).evaluations <= 210
-
-
-def test_second_order_is_exact_in_its_limit_for_a_parabola() -> None:
-    # failure u1 > b + k/2 u2^2: Breitung's formula is the limit of large b; Hohenbichler's is close at once
-    k, beta = 0.4, 4.0
-    bowl = evaluator(lambda u: beta - u[:, 0] + 0.5 * k * u[:, 1] ** 2, 2)
-    answer = correct(bowl, find_design_points(bowl, seed=3).points[0])
-    exact = integrate_plane(lambda u: beta - u[:, 0] + 0.5 * k * u[:, 1] ** 2, panels=180, grid=401)
-    assert answer.curvatures == pytest.approx([k], rel=1e-3)
-    assert answer.hohenbichler == pytest.approx(exact, rel=0.02)
-    assert answer.tvedt == pytest.approx(exact, rel=0.03)
-    assert answer.breitung == pytest.approx(exact, rel=0.05)
-    assert abs(float(ndtr(-beta)) / exact - 1.0) > 0.4
-
-
-def test_a_curvature_outside_of_the_formula_gives_no_number() -> None:
-    # u1 = 2 - u2^2: at (2, 0) the limit bends round the origin faster than a circle does
-    tight = evaluator(lambda u: 2.0 - u[:, 0] - u[:, 1] ** 2, 2)
-    points = find_design_points(tight, seed=3).points
-    saddle = [p for p in points if abs(p.point[1]) < 0.1]
-    for point in saddle:
-        assert correct(tight, point).breitung is None
-    assert abs(points[0].beta) == pytest.approx(math.sqrt(1.75), abs=1e-2)
 
 
 # --- densities ------------------------------------------------------------------------------------
@@ -352,29 +336,7 @@ def test_references_in_closed_form() -> None:
     assert problem("shell").reference == pytest.approx(float(chi2.sf(50.0, 8)), rel=1e-9)
 
 
-# --- directions -----------------------------------------------------------------------------------
-
-
-def test_directions_are_exact_for_a_shell_and_cover_for_two_sides() -> None:
-    shell = directional_simulation(evaluator(lambda u: 40.0 - (u**2).sum(axis=1), 5), seed=2).estimate
-    assert shell.value == pytest.approx(float(chi2.sf(40.0, 5)), rel=2e-3)
-    exact, covered = 2.0 * float(ndtr(-4.0)), 0
-    for seed in range(20):
-        e = directional_simulation(evaluator(lambda u: 4.0 - np.abs(u[:, 0]), 3), seed=seed).estimate
-        assert e.low is not None
-        assert e.high is not None
-        covered += e.low <= exact <= e.high
-    assert covered >= 16
-
-
-def test_directions_that_meet_nothing_give_a_bound() -> None:
-    e = directional_simulation(evaluator(lambda u: np.ones(len(u)), 3), seed=2).estimate
-    assert e.value is None
-    assert e.high is not None
-    assert "no direction" in str(e.reason)
-
-
-# --- dear models ----------------------------------------------------------------------------------
+# --- few calls -------------------------------------------------------------------------------------
 
 
 def test_few_calls_see_both_sides_and_the_interval_holds_the_answer() -> None:

@@ -17,7 +17,7 @@ from scipy.stats import norm
 import uqsphere
 from uqsphere.runner.campaign import Cost, Missed
 from uqsphere.runner.questions.probabilities import LimitAnswer, _with_cost, narrower
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 
 TEXT = """\
 title = "Rare"

@@ -9,17 +9,10 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.law import cdf, make_law
-from uqsphere.uq.reliability import (
-    LimitState,
-    exceedance,
-    margin_quantiles,
-    miss,
-    reliability_index,
-    target_met,
-)
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.limit_state import LimitState, exceedance, margin_quantiles, miss, reliability_index, target_met
+from uqsphere.uq.points import sobol_points
 
 SCATTER = 0.1
 

@@ -14,12 +14,11 @@ import uqsphere
 from uqsphere.bench.coverage_models import coverage_models
 from uqsphere.errors import StudyError
 from uqsphere.study import Study
-from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.chaos import fit_chaos, germ_points
-from uqsphere.uq.estimates import student
-from uqsphere.uq.indices import sampled_indices
-from uqsphere.uq.sampling import sobol_points
-from uqsphere.uq.surrogate import Surrogate, chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
+from uqsphere.uq.estimate import student
+from uqsphere.uq.expansion import fit_chaos, germ_points
+from uqsphere.uq.indices import Blocks, Surrogate, sampled_indices, uniform_halves
+from uqsphere.uq.points import sobol_points
+from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
 
 MODELS = {model.name: model for model in coverage_models()}
 ISHIGAMI = """
@@ -250,7 +249,7 @@ def test_indices_of_an_expansion_are_those_of_its_terms() -> None:
 def test_the_mean_of_expansions_is_the_mean_of_their_values() -> None:
     fits = expansion("borehole", 1, points=128)
     points = germ_points(np.random.default_rng(1).standard_normal((50, 8)), MODELS["borehole"].germs)
-    from uqsphere.uq.chaos import predict
+    from uqsphere.uq.expansion import predict
 
     each = np.mean([predict(fit, points) for fit in fits], axis=0)
     assert predict(mean_expansion(fits), points) == pytest.approx(each, rel=1e-10)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqsphere.uq.sampling import MOST_DIMENSIONS, random_generator, sobol_points
+from uqsphere.uq.points import MOST_DIMENSIONS, random_generator, sobol_points
 
 
 def draw(count: int, start: int = 0, dimension: int = 3, seed: int = 7, task: str = "t", replicate: int = 0):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.estimates import from_replicates
-from uqsphere.uq.indices import index_estimates
+from uqsphere.uq.estimate import from_replicates
+from uqsphere.uq.indices import Blocks, index_estimates
 from uqsphere.uq.sensitivity import (
     agree,
     cross_check,

@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 from uqsphere.uq.elliptical import conditional_score
 from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores
 from uqsphere.uq.law import make_law
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sensitivity import saltelli_points
 from uqsphere.uq.target import (
     given_failure,

@@ -21,7 +21,7 @@ from uqsphere.cli import main
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.report.canvas import render, style
 from uqsphere.study import load_study, shipped_studies
-from uqsphere.uq.chaos import chaos_moments, fit_chaos, judge, predict
+from uqsphere.uq.expansion import chaos_moments, fit_chaos, judge, predict
 
 
 def silent(text: str) -> None:

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import ndtr, owens_t
 
 from uqsphere.uq.law import make_law
-from uqsphere.uq.reliability import LimitState, exceedance
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.limit_state import LimitState, exceedance
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.union import (
     draw_breaking,
     make_union,

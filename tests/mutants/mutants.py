@@ -141,8 +141,8 @@ MUTANTS: list[tuple[str, str, str, str]] = [
     ),
     (ESTIMATES, "max(p * total - 0.5 - lower, 0.0)", "max(p * total + 0.5 - lower, 0.0)", "test_estimates.py"),
     (ESTIMATES, "elif estimate.half_width > max(", "elif estimate.half_width < max(", "test_estimates.py"),
-    (MOMENTS, "math.sqrt(one) / second.scale", "math.sqrt(one) * second.scale", "test_estimates.py test_streaming.py"),
-    (MOMENTS, "three - 3.0 * one * two", "three - 2.0 * one * two", "test_estimates.py test_streaming.py"),
+    (MOMENTS, "math.sqrt(one) / second.scale", "math.sqrt(one) * second.scale", "test_estimates.py"),
+    (MOMENTS, "three - 3.0 * one * two", "three - 2.0 * one * two", "test_estimates.py"),
     (ESTIMATORS, "block_mean(b * (ab - a))", "block_mean(a * (ab - a))", "test_indices.py test_sensitivity.py"),
     (
         ESTIMATORS,

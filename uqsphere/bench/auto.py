@@ -115,7 +115,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     from uqsphere.runner.index_control import width
     from uqsphere.runner.questions.indices import pick_and_freeze
     from uqsphere.uq.control import controlled_indices, describe_controlled
-    from uqsphere.uq.estimates import describe
+    from uqsphere.uq.describe import describe
     from uqsphere.uq.sensitivity import sobol_indices
 
     study = uqsphere.load_study(path)

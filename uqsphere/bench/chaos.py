@@ -18,7 +18,7 @@ import numpy as np
 
 from uqsphere.bench.chaos_models import CHECKED, MODELS, checked, design, relative_error
 from uqsphere.bench.chaos_rival import Rival, rival_fit, rival_present, same_design, stored
-from uqsphere.uq.chaos import fit_chaos, predict
+from uqsphere.uq.expansion import fit_chaos, predict
 
 __all__ = ["CHECKED", "EXACT", "SEEDS", "Measured", "measure", "rival_present", "table", "verdicts"]
 

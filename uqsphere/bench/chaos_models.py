@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import germ_points
-from uqsphere.uq.sampling import random_generator, sobol_points
+from uqsphere.uq.expansion import germ_points
+from uqsphere.uq.points import random_generator, sobol_points
 
 __all__ = ["CHECKED", "MODELS", "ChaosModel", "checked", "design", "inputs_of", "relative_error"]
 

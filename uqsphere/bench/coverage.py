@@ -17,9 +17,9 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
 from uqsphere.runner.evaluate import REPLICATES
-from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.estimates import Estimate, describe
-from uqsphere.uq.indices import SampledIndices, sampled_indices
+from uqsphere.uq.describe import describe
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.indices import Blocks, SampledIndices, sampled_indices, uniform_halves
 
 __all__ = ["CoverageRow", "Hit", "coverage_rows", "coverage_table", "coverage_text", "pooled", "surrogate_rows"]
 
@@ -124,7 +124,7 @@ def coverage_rows(
     progress: Callable[[int], None] | None = None,
 ) -> list[CoverageRow]:
     """Cells and pooled rows of moments, quantiles and indices by sampling."""
-    from uqsphere.uq.sampling import sobol_points
+    from uqsphere.uq.points import sobol_points
 
     chosen = coverage_models() if models is None else tuple(models)
     inputs = max(model.dimension for model in chosen)
@@ -161,9 +161,9 @@ def surrogate_rows(
     """
     from scipy.special import ndtri
 
-    from uqsphere.uq.chaos import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
-    from uqsphere.uq.chaos.indices import error_with_tails
-    from uqsphere.uq.sampling import sobol_points
+    from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.expansion.shares import error_with_tails
+    from uqsphere.uq.points import sobol_points
     from uqsphere.uq.surrogate import mean_expansion
 
     tally = Tally()
@@ -322,4 +322,4 @@ def coverage_table(
 
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.expansion import Chaos

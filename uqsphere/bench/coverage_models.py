@@ -256,9 +256,8 @@ def reference(model: CoverageModel, *, count: int, replicates: int = 16) -> dict
     Each list holds (value, standard error): "moments" are mean and standard deviation.  The numbers that stand
     in this file came from 2^20 points in each of 16 replicates.
     """
-    from uqsphere.uq.blocks import Blocks
-    from uqsphere.uq.indices import index_estimates
-    from uqsphere.uq.sampling import sobol_points
+    from uqsphere.uq.indices import Blocks, index_estimates
+    from uqsphere.uq.points import sobol_points
 
     d = model.dimension
     blocks = Blocks(inputs_count=d, second=True)

@@ -12,10 +12,11 @@ from uqsphere.bench.coverage import CoverageRow, Hit, Tally, coverage_hit
 from uqsphere.bench.coverage_models import QUANTILES, CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import trusted_indices
-from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points
-from uqsphere.uq.estimates import Description, Estimate, describe, from_replicates
+from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import Estimate, from_replicates
+from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.released import Believed, believed, held
-from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["MODELS", "SIZES", "dear_rows"]
 

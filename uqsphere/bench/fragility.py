@@ -20,7 +20,7 @@ from uqsphere.runner.margins import limit_values
 from uqsphere.runner.moved import evaluate_at, probabilities
 from uqsphere.runner.questions.probabilities import state_of
 from uqsphere.study import Limit, Study, load_study
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 
 __all__ = ["Coverage", "CurveCost", "curve_cost", "straight_value", "value_coverage"]
 

@@ -13,10 +13,10 @@ from uqsphere.bench.coverage import LEAST, POOLED, CoverageRow, Hit, Tally, cove
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.bench.given_models import BUILT, GivenModel
 from uqsphere.given import Data, analyse_data
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Inputs, physical_from_normal
 from uqsphere.uq.law import make_law
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.points import random_generator
 
 if TYPE_CHECKING:
     from uqsphere.report.canvas import Picture

@@ -12,8 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.runner.evaluate import REPLICATES
-from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.indices import sampled_indices
+from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
 
 if TYPE_CHECKING:
     from uqsphere.report.canvas import Picture

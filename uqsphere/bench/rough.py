@@ -75,8 +75,8 @@ def plain_chaos(points: Array, outputs: Array, degree: int) -> Chaos:
 
     Raises ValueError where there are fewer points than terms.
     """
-    from uqsphere.uq.chaos import Chaos, Piece, hyperbolic_indices, orthonormal_values
-    from uqsphere.uq.chaos.truncation import products
+    from uqsphere.uq.expansion import Chaos, Piece, hyperbolic_indices, orthonormal_values
+    from uqsphere.uq.expansion.germs import products
 
     d = points.shape[1]
     indices = hyperbolic_indices(d, degree, 1.0, len(outputs))
@@ -104,9 +104,9 @@ def _truth(study: Study, count: int) -> tuple[dict[str, tuple[float, float]], Ar
     from scipy.special import ndtri
 
     from uqsphere.runner.evaluate import REPLICATES
-    from uqsphere.uq.blocks import Blocks, uniform_halves
-    from uqsphere.uq.estimates import Estimate, describe, from_replicates
-    from uqsphere.uq.indices import sampled_indices
+    from uqsphere.uq.describe import describe
+    from uqsphere.uq.estimate import Estimate, from_replicates
+    from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
     from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
     inputs, blocks = sub_inputs(study.inputs(), _INPUTS), Blocks(inputs_count=2)
@@ -130,8 +130,8 @@ def _answers_of(chaos: Chaos) -> tuple[dict[str, float], Array]:
     """The same off an expansion: distribution from 2^17 points, indices off its coefficients; and the values."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.chaos import chaos_moments, index_of, predict
-    from uqsphere.uq.sampling import sobol_points
+    from uqsphere.uq.expansion import chaos_moments, index_of, predict
+    from uqsphere.uq.points import sobol_points
 
     u = sobol_points(dimension=2, count=2**17, seed=77, task="rough: expansion", replicate=0)
     values = predict(chaos, np.asarray(ndtri(u)))
@@ -166,7 +166,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     """Truth by heavy sampling, the best plain expansion, the engine's own expansion, and a run of the engine."""
     from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study
-    from uqsphere.uq.chaos import fit_chaos, judge, predict, validation_error
+    from uqsphere.uq.expansion import fit_chaos, judge, predict, validation_error
     from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
     with tempfile.TemporaryDirectory() as folder:
@@ -276,4 +276,4 @@ def figures(content: dict[str, Any]) -> list[Picture]:
 
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.expansion import Chaos

@@ -26,7 +26,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     from uqsphere.model import answer
     from uqsphere.runner.evaluate import draw, sub_inputs
     from uqsphere.study import load_study, shipped_studies
-    from uqsphere.uq.chaos import fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.expansion import fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.law import germs_of
 
     study = load_study(shipped_studies()[STUDY])

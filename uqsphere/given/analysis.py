@@ -15,7 +15,7 @@ from uqsphere.errors import UsageError
 from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, trusted_from
 from uqsphere.given.table import Data, combinations
 from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.joint import Inputs
 from uqsphere.uq.law import Law, LawError, germs_of
 
@@ -121,7 +121,7 @@ def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
 
 def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
     """Laws fitted to the runs."""
-    from uqsphere.uq.sampling import random_generator
+    from uqsphere.uq.points import random_generator
 
     marginals: dict[str, Any] = {}
     columns, laws, others, unknown = [], [], [], []
@@ -264,8 +264,8 @@ def _answered(
     data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """What is known of one output: its distribution, and what drives it."""
-    from uqsphere.uq.ranks import rank_indices
-    from uqsphere.uq.sampling import random_generator
+    from uqsphere.uq.beyond_variance import rank_indices
+    from uqsphere.uq.points import random_generator
 
     name = data.outputs[column]
     y = data.y[:, column]
@@ -332,7 +332,7 @@ def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
 
 def _output(values: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of independent runs."""
-    from uqsphere.uq.alone import mean_alone, sd_alone
+    from uqsphere.uq.estimate import mean_alone, sd_alone
     from uqsphere.uq.fitting import quantile_interval
 
     n = values.size
@@ -355,7 +355,7 @@ def _expansion(
     data: Data, y: Array, laws: _Laws, ties: Sequence[TiedPair], key: tuple[int, str]
 ) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """What an expansion tells, where it passes its check, and what there is to say about it."""
-    from uqsphere.uq.sampling import random_generator
+    from uqsphere.uq.points import random_generator
 
     def refused(reason: str, error: float | None = None) -> tuple[None, dict[str, Any]]:
         return None, {"usable": False, "error": error, "reason": reason}

@@ -20,14 +20,14 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust
 from uqsphere.uq.augmented_indices import with_reach
-from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.elliptical import independent_scores, members_of
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points, predict
+from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Inputs, blocks_of, normal_scores
 from uqsphere.uq.law import Law, cdf, from_normal, sf
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.released import believed
-from uqsphere.uq.sampling import random_generator, sobol_points
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 
 __all__ = [

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.quantities import display_unit, format_value
 from uqsphere.report import canvas, event
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
@@ -24,7 +24,6 @@ from uqsphere.report.wording import (
     probability_text,
     rounded,
 )
-from uqsphere.uq.estimates import Flags
 
 __all__ = ["fracture_finding", "fracture_table", "interplay_figure", "interplay_remarks"]
 

@@ -23,7 +23,7 @@ from uqsphere.report.wording import (
     the_input,
     value_text,
 )
-from uqsphere.uq.failure_shares import BY_INFORMATION
+from uqsphere.uq.failure_indices import BY_INFORMATION
 
 __all__ = ["Glance", "allowed_value", "glances"]
 

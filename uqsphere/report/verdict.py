@@ -34,7 +34,7 @@ from uqsphere.report.wording import (
     value_text,
     without_failed,
 )
-from uqsphere.uq.failure_shares import BY_DIRECTION, BY_INFORMATION
+from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION
 
 __all__ = ["Verdict", "cautions", "ignorance_text", "verdicts"]
 

@@ -13,7 +13,7 @@ from uqsphere.quantities import format_value
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import CHEAPER, forecast
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
     from uqsphere.runner.questions.indices import Sensitivity

@@ -20,11 +20,11 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import LimitAnswer, state_of, told_by_runs
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import is_fitted, laws_of_more_tests
 from uqsphere.uq.law import Law, LawError, make_law, mean, sd
-from uqsphere.uq.reliability import LimitState, miss, target_met
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.limit_state import LimitState, miss, target_met
+from uqsphere.uq.points import random_generator
 
 __all__ = ["MOST_TESTS", "few_rows", "fewest_tests", "find_assumed", "is_decided", "other_family", "with_scatter"]
 

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.moved import draw_points, evaluate_at, limit_state, probabilities
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import student
-from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.estimate import student
+from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.row_fit import RowBasis, RowFit, fit_rows
 from uqsphere.uq.sample import Sample
 

@@ -13,7 +13,7 @@ from uqsphere.runner.curve_rows import CurveRows, Judge, judge_of
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget
 from uqsphere.runner.moved import evaluate_at
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import Estimate, student
+from uqsphere.uq.estimate import Estimate, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.sample import Sample
 

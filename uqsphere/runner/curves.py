@@ -24,9 +24,9 @@ from uqsphere.study.axis import spaced
 from uqsphere.uq.fitting import is_fitted, possible_laws
 from uqsphere.uq.fragility import interpolate_rows
 from uqsphere.uq.law import Law, LawError
-from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.limit_state import LimitState, tails
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Found", "Look", "find_rows", "law_curves", "shortage"]
 

@@ -131,4 +131,4 @@ def _hopeless(courses: Sequence[Sequence[tuple[int, float]]], wanted: float, mos
 
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.expansion import Chaos

@@ -26,11 +26,11 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
-from uqsphere.uq.estimates import Description, Estimate, absent
-from uqsphere.uq.reasons import OUT_OF_REACH
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import OUT_OF_REACH, Estimate, absent
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.released import Believed, believed, held, shifted
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator
 
 __all__ = ["Answers", "answers_of", "dear_sets", "demands_of", "limits_of_runs", "widest"]
 
@@ -52,7 +52,7 @@ class Answers:
 
 def demands_of(work: Work, trusted: Mapping[str, Trusted]) -> dict[str, tuple[Demand, float, float]]:
     """For every quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
-    from uqsphere.uq.chaos import germ_points, predict
+    from uqsphere.uq.expansion import germ_points, predict
 
     germs = work.germs
 
@@ -128,7 +128,7 @@ def _described(
 
     Last whether these points leave too little room.
     """
-    from uqsphere.uq.chaos import germ_points
+    from uqsphere.uq.expansion import germ_points
 
     d, quantiles = len(work.scene_names), work.study.analysis.quantiles
     large = draw(work.drawn, seed=work.study.seed, task="dear.large", start=0, count=size)

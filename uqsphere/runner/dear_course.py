@@ -106,7 +106,7 @@ class Course:
 
 def needed(errors: Sequence[tuple[int, float]], wanted: float) -> int | None:
     """Runs that an error is forecast to take, or None where it is not to be reached or nothing can be said."""
-    from uqsphere.uq.chaos import forecast
+    from uqsphere.uq.expansion import forecast
 
     known = _finite(errors)
     if len(known) < 2:

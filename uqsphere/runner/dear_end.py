@@ -21,7 +21,8 @@ from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_name
 from uqsphere.runner.questions.probabilities import LimitAnswer, limits_missed
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
-from uqsphere.uq.estimates import Estimate, absent, describe
+from uqsphere.uq.describe import describe
+from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.sample import Sample
 
 __all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]
@@ -275,5 +276,5 @@ def _sensitivity(end: End, quantity: str) -> Sensitivity:
 
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.expansion import Chaos
     from uqsphere.uq.heavy_tails import HeavyTail

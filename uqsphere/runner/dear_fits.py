@@ -11,7 +11,7 @@ from uqsphere.runner.questions.indices import dependent_names
 from uqsphere.uq.augmented import MOST, Trusted, trust
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
+    from uqsphere.uq.expansion import Chaos
     from uqsphere.uq.sample import Sample
 
 __all__ = ["fit_design", "simpler_fits"]
@@ -24,7 +24,7 @@ def fit_design(
 
     `most` is the error from which on simpler ones may take their place (`fit_chaos`).
     """
-    from uqsphere.uq.chaos import fit_outputs, germ_points
+    from uqsphere.uq.expansion import fit_outputs, germ_points
 
     d, germs = len(work.scene_names), work.germs
     whole = ~design.failed[0]

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from uqsphere.runner.margins import MarginAnswer
     from uqsphere.runner.questions.indices import Sensitivity
     from uqsphere.runner.questions.probabilities import LimitAnswer
-    from uqsphere.uq.estimates import Description, Estimate
+    from uqsphere.uq.describe import Description
+    from uqsphere.uq.estimate import Estimate
 
 __all__ = ["keep_answers", "keep_indices", "keep_margins"]
 

@@ -22,13 +22,13 @@ from uqsphere.runner.questions.probabilities import SEEN, state_of
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.law import LawError
 from uqsphere.uq.margins import Fragility, fragility
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["dear_margins"]
 
@@ -94,7 +94,7 @@ def _nothing(reason: str) -> MarginAnswer:
 
 def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
     """Demands in proportion, as if the strength were what the study says."""
-    from uqsphere.uq.chaos import germ_points, predict
+    from uqsphere.uq.expansion import germ_points, predict
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
@@ -107,7 +107,7 @@ def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
 
 def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
     """Demands of the surrogate over the free scalar: the same normal scores and residuals' numbers at every value."""
-    from uqsphere.uq.chaos import germ_points, predict
+    from uqsphere.uq.expansion import germ_points, predict
 
     d = len(work.scene_names)
     large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
@@ -125,7 +125,7 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.chaos import fit_outputs, germ_points
+    from uqsphere.uq.expansion import fit_outputs, germ_points
 
     study = work.study
     axis = axis_of(work)

@@ -12,10 +12,10 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.heavy_shares import shares_with_tails
 from uqsphere.runner.questions.distributions import Sampled, find_missed
 from uqsphere.runner.questions.indices import Sensitivity
-from uqsphere.uq.estimates import Description
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import NOT_KNOWN, OUT_OF_REACH
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.law import tail_orders
-from uqsphere.uq.reasons import NOT_KNOWN, OUT_OF_REACH
 
 if TYPE_CHECKING:
     from uqsphere.uq.augmented import Trusted
@@ -29,7 +29,7 @@ def dear_tails(work: Work, design: Sample, trusted: Mapping[str, Trusted]) -> di
 
     A surrogate that may be used takes the scatter of the other inputs off: few runs show the growth all the same.
     """
-    from uqsphere.uq.chaos import germ_points, predict
+    from uqsphere.uq.expansion import germ_points, predict
 
     d = len(work.scene_names)
     normals, physical = design.scores[0, :, :d], design.inputs[0, :, :d]

@@ -23,14 +23,14 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import find_design, state_of
 from uqsphere.study import Limit
 from uqsphere.study.axis import SPEED, strength_name
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
 from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.law import Law, LawError, median, ppf
+from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.reliability import LimitState
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator
 
 __all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
 

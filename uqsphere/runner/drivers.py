@@ -17,16 +17,15 @@ from uqsphere.runner.questions.probabilities import state_of, tie_strength
 from uqsphere.runner.questions.shapley import TASK, Shared, orders_at
 from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of
-from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.distributional import delta_estimates, pawn_estimates
-from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
+from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.fitting import count_tests
-from uqsphere.uq.indices import sampled_indices
+from uqsphere.uq.indices import Blocks, sampled_indices
 from uqsphere.uq.joint import normal_scores, tied_names
 from uqsphere.uq.law import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
-from uqsphere.uq.reliability import LimitState, score_given_inputs, tails
+from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample, without
-from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.target import (
     explained_share,
     given_failure,

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from uqsphere.quantities import lookup
 from uqsphere.runner.curve_rows import CurveRows, judge_of
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
+from uqsphere.uq.limit_state import tails
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.reliability import tails
 from uqsphere.uq.row_fit import RowFit, fit_rows
 
 __all__ = ["EnergyCurve", "energy_curve", "energy_table", "not_known"]

@@ -29,8 +29,8 @@ from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.joint import Inputs, physical_from_normal, sub_inputs
 from uqsphere.uq.law import germs_of
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import sobol_points
 
 __all__ = [
     "CHUNK",

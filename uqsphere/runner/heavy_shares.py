@@ -10,9 +10,8 @@ import numpy as np
 
 from uqsphere.runner.campaign import WORTHLESS, indices_missed
 from uqsphere.runner.heavy_tails import tail_of
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, Estimate, absent
 from uqsphere.uq.heavy_tails import HeavyTail, of_variance, widened_share
-from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN
 
 if TYPE_CHECKING:
     from uqsphere.arrays import Array

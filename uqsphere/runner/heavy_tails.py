@@ -8,7 +8,7 @@ from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 
 if TYPE_CHECKING:
     from uqsphere.runner.evaluate import Work
-    from uqsphere.uq.estimates import Description
+    from uqsphere.uq.describe import Description
     from uqsphere.uq.sample import Sample
 
 __all__ = ["describe_heavy", "tail_of"]

@@ -22,9 +22,9 @@ from uqsphere.study import Limit
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_densities, possible_tails
 from uqsphere.uq.joint import conditional_normal, tied_names
 from uqsphere.uq.law import Law, LawError, cdf, is_steps
-from uqsphere.uq.reliability import shifted_tails, strength_tails
+from uqsphere.uq.limit_state import shifted_tails, strength_tails
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator
 
 __all__ = ["find_ignorance"]
 

@@ -13,7 +13,7 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.multifidelity import Control, Plan, needed, verdict, weigh
 from uqsphere.uq.control import controlled_indices
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 
 __all__ = ["IndexControl", "report_of", "sharpen"]
 

@@ -22,7 +22,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.stepwise import Coarse, stepwise_curves
 from uqsphere.study import Limit
 from uqsphere.study.axis import with_number
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.fragility import LognormalCurve, fit_lognormal_curve
 from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.sample import Sample

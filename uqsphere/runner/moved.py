@@ -13,9 +13,9 @@ from uqsphere.runner.evaluate import REPLICATES, Work, evaluate_points, with_ans
 from uqsphere.runner.questions.probabilities import state_of
 from uqsphere.study import Axis, Limit
 from uqsphere.uq.joint import physical_from_normal
-from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.limit_state import LimitState, tails
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import sobol_points
 
 __all__ = [
     "at_strength",

@@ -14,9 +14,10 @@ from uqsphere.runner.fidelity import Candidate, Pilot
 from uqsphere.runner.questions.probabilities import LimitAnswer, state_of
 from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
-from uqsphere.uq.estimates import Description, Estimate
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.law import Law
-from uqsphere.uq.reliability import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
+from uqsphere.uq.limit_state import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
 from uqsphere.uq.sample import Sample
 
 __all__ = ["Control", "Plan", "follow", "needed", "propose", "verdict", "weigh"]

@@ -30,7 +30,7 @@ from uqsphere.runner.tables import tables
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins
 from uqsphere.study.axis import limit_of, quantity_of
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.law import mean, sd
 
 __all__ = [

@@ -20,11 +20,11 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import Chaos, chaos_indices, validation_error
-from uqsphere.uq.chaos.bases import orthonormal_values
-from uqsphere.uq.chaos.surrogate import Piece
-from uqsphere.uq.chaos.truncation import products
-from uqsphere.uq.estimates import Description, Estimate, absent, none_of, student
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import Estimate, absent, none_of, student
+from uqsphere.uq.expansion import Chaos, chaos_indices, validation_error
+from uqsphere.uq.expansion.expansion import Piece
+from uqsphere.uq.expansion.germs import orthonormal_values, products
 
 __all__ = [
     "METHOD",

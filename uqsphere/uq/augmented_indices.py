@@ -20,13 +20,13 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, piece_rows, piece_values
 from uqsphere.uq.beyond_runs import shares_within
-from uqsphere.uq.chaos import Chaos, predict
-from uqsphere.uq.chaos.sampled import Companion, active_inputs, law_points, law_shares
-from uqsphere.uq.chaos.surrogate import Piece
-from uqsphere.uq.estimates import Estimate, Flags, absent, exact, student
+from uqsphere.uq.estimate import Estimate, absent, exact, student
+from uqsphere.uq.expansion import Chaos, predict
+from uqsphere.uq.expansion.expansion import Piece
+from uqsphere.uq.expansion.shares import Companion, active_inputs, law_points, law_shares
 
 __all__ = [
     "DESIGNS",

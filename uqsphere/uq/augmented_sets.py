@@ -21,9 +21,9 @@ from uqsphere.uq.augmented_indices import (
     standard_errors,
 )
 from uqsphere.uq.beyond_runs import shares_within
-from uqsphere.uq.chaos import Chaos
-from uqsphere.uq.chaos.sampled import law_shares
-from uqsphere.uq.estimates import Estimate, absent
+from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.expansion import Chaos
+from uqsphere.uq.expansion.shares import law_shares
 
 __all__ = ["group_indices", "pair_indices"]
 

@@ -14,12 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.augmented import Trusted
-from uqsphere.uq.chaos import Chaos, predict
-from uqsphere.uq.chaos.bases import orthonormal_values
-from uqsphere.uq.chaos.sampled import law_points
-from uqsphere.uq.estimates import Flags
+from uqsphere.uq.expansion import Chaos, predict
+from uqsphere.uq.expansion.germs import orthonormal_values
+from uqsphere.uq.expansion.shares import law_points
 
 __all__ = ["shares_within", "within_runs"]
 

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Description, Estimate, absent, share, student
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import Estimate, absent, share, student
 
 __all__ = [
     "Controlled",
@@ -149,7 +150,7 @@ def probability(
     """A probability from those of the replicates (R,); None where it comes out at 0 or 1, which shows nothing.
 
     `sizes` are n and m; `counted` if rows either exceed or do not, so that resolution limits the error.  The
-    interval is symmetric in logits, as that of `uqsphere.uq.reliability`.
+    interval is symmetric in logits, as that of `uqsphere.uq.limit_state`.
     """
     found = control(dear, cheap, cheap_many, SHARE_ALPHA if counted else (-math.inf, math.inf))
     replicates, (n, m) = len(dear), sizes

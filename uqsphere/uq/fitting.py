@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.empirical import bandwidth
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.law import Law, LawError, cdf, make_law, pdf, sf
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.weibull import KINDS, StrengthTests, fitted_parameters, make_tests, pivots
 
 __all__ = [

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Estimate, absent, student
+from uqsphere.uq.estimate import Estimate, absent, student
 
 __all__ = ["LognormalCurve", "fit_lognormal_curve", "interpolate_rows"]
 

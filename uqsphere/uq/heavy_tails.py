@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Description, Estimate, absent
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD, Estimate, absent
 from uqsphere.uq.law import Law, tail_orders
-from uqsphere.uq.reasons import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD
 
 __all__ = [
     "MEAN",

@@ -1,15 +1,18 @@
 """Sobol' indices by pick and freeze: first, total, second order and groups, for all replicates and inputs at once.
 
-Write a, b, ab, ba for the outputs on the blocks A, B, AB_j, BA_j of a design (`uqsphere.uq.blocks`), about their common
-mean, and V for their variance.  Every estimator is a ratio of two means over the points of a replicate.  The value is
-the ratio of the means over all replicates, and the interval that of the linearised ratio, Student's with R - 1 degrees
-of freedom: the replicates' own ratios would each carry the bias of a ratio of few points.
+A design has two independent halves A and B (N, d) and blocks mixed from them: AB_u is A with the columns u of B,
+BA_u is B with the columns u of A; Owen's estimator adds AC_u, with the columns of a third half C.
+
+Write a, b, ab, ba for the outputs on the blocks A, B, AB_j, BA_j, about their common mean, and V for their variance.
+Every estimator is a ratio of two means over the points of a replicate.  The value is the ratio of the means over all
+replicates, and the interval that of the linearised ratio, Student's with R - 1 degrees of freedom: the replicates' own
+ratios would each carry the bias of a ratio of few points.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final, TypeAlias
@@ -17,21 +20,259 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.blocks import Blocks, Outputs
-from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
-from uqsphere.uq.estimators import ESTIMATORS, Ratio, block_mean, jansen_total
-from uqsphere.uq.surrogate import Surrogate, corrected
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
+from uqsphere.uq.points import sobol_points
 
 __all__ = [
     "ESTIMATORS",
     "LARGE",
     "METHOD",
+    "Blocks",
+    "Outputs",
+    "Ratio",
     "SampledIndices",
+    "Surrogate",
+    "block_mean",
     "choice_text",
+    "corrected",
     "index_estimates",
+    "jansen_total",
     "ordered",
     "sampled_indices",
+    "uniform_halves",
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """The blocks of a design: A, AB_1 ... AB_d, B, then BA_1 ... BA_d (`second`), AB_g of groups, AC_j (`third`).
+
+    Evaluations for each base point: d + 2, and d more for second order, one more for each group, and d more for
+    the third half C of Owen's estimator, which also takes the blocks of second order.
+
+    >>> Blocks(inputs_count=3).count, Blocks(inputs_count=3, second=True, groups=((0, 1),)).count
+    (5, 9)
+    """
+
+    inputs_count: int
+    second: bool = False
+    groups: tuple[tuple[int, ...], ...] = ()
+    third: bool = False
+
+    def __post_init__(self) -> None:
+        if self.third and not self.second:
+            raise ValueError("the third half is used with the blocks of second order: set second as well")
+        for group in self.groups:
+            if not group or len(set(group)) != len(group) or not all(0 <= k < self.inputs_count for k in group):
+                raise ValueError(f"a group names inputs from 0 to {self.inputs_count - 1}, each once; found {group}")
+
+    @property
+    def count(self) -> int:
+        """Evaluations for each base point."""
+        d = self.inputs_count
+        return d + 2 + d * self.second + len(self.groups) + d * self.third
+
+    @property
+    def halves(self) -> int:
+        """Independent halves that the design is mixed from."""
+        return 3 if self.third else 2
+
+    def mix(self, *halves: Array) -> Array:
+        """Blocks (N, count, d) of halves A, B (and C), (N, d) each; of uniforms or of what they are mapped to.
+
+        >>> rows = Blocks(inputs_count=2, second=True).mix(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]))
+        >>> rows[0].tolist()
+        [[1.0, 2.0], [3.0, 2.0], [1.0, 4.0], [3.0, 4.0], [1.0, 4.0], [3.0, 2.0]]
+        """
+        d = self.inputs_count
+        if len(halves) != self.halves or any(half.shape != halves[0].shape or half.shape[1] != d for half in halves):
+            raise ValueError(f"{self.halves} halves (N, {d}) are due, found {[half.shape for half in halves]}")
+        a, b = halves[:2]
+        inputs = np.arange(d)
+        blocks = np.repeat(a[:, None, :], self.count, axis=1)
+        blocks[:, inputs + 1, inputs] = b
+        blocks[:, d + 1] = b
+        at = d + 2
+        if self.second:
+            blocks[:, at : at + d] = b[:, None, :]
+            blocks[:, at + inputs, inputs] = a
+            at += d
+        for group in self.groups:
+            blocks[:, at, list(group)] = b[:, list(group)]
+            at += 1
+        if self.third:
+            blocks[:, at + inputs, inputs] = halves[2]
+        return blocks
+
+    def split(self, outputs: Array) -> Outputs:
+        """The outputs (R, N, count) by block, about their common mean; refuses what is not finite."""
+        d = self.inputs_count
+        outputs = np.asarray(outputs, dtype=float)
+        if outputs.ndim != 3 or outputs.shape[2] != self.count or outputs.shape[1] < 2 or outputs.shape[0] < 2:
+            raise ValueError(f"outputs must have shape (R, N, {self.count}), R >= 2, N >= 2; found {outputs.shape}")
+        if not np.isfinite(outputs).all():
+            bad = int((~np.isfinite(outputs)).sum())
+            raise ValueError(f"{bad} outputs are not finite: indices of them mean nothing; drop those rows first")
+        base = outputs[:, :, [0, d + 1]]
+        centre, largest = float(base.mean()), float(np.abs(base).max())
+        varies = bool(np.ptp(base) > 1e-14 * largest)
+        # Scaled by a power of two, which is exact, so that outputs of 1e300 have squares.
+        scale = 2.0 ** -np.frexp(np.abs(base - centre).max())[1] if varies and np.isfinite(centre) else 1.0
+        y = (outputs - centre) * scale
+        at = d + 2
+        ba = y[:, :, at : at + d] if self.second else None
+        at += d * self.second
+        groups = y[:, :, at : at + len(self.groups)]
+        at += len(self.groups)
+        return Outputs(
+            a=y[:, :, :1],
+            ab=y[:, :, 1 : d + 1],
+            b=y[:, :, d + 1 : d + 2],
+            ba=ba,
+            groups=groups,
+            ac=y[:, :, at:] if self.third else None,
+            varies=varies,
+            evaluations=outputs.size,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Centred outputs by block: a, b (R, N, 1), ab, ba, ac (R, N, d) and groups (R, N, G)."""
+
+    a: Array
+    b: Array
+    ab: Array
+    ba: Array | None
+    groups: Array
+    ac: Array | None
+    varies: bool
+    evaluations: int
+
+
+def uniform_halves(
+    blocks: Blocks, *, count: int, seed: int, task: str, replicate: int, start: int = 0
+) -> tuple[Array, ...]:
+    """Uniform halves A, B (and C), (count, d) each, of one replicate; `start` continues the same design.
+
+    They are the columns of one scrambled Sobol' sequence, so that all halves together are evenly spread.
+    """
+    d = blocks.inputs_count
+    points = sobol_points(
+        dimension=blocks.halves * d, count=count, start=start, seed=seed, task=task, replicate=replicate
+    )
+    return tuple(points[:, k * d : (k + 1) * d] for k in range(blocks.halves))
+
+
+# --- estimators -----------------------------------------------------------------------------------
+
+#: Numerators and denominators of replicates, (R, m) each, of m indices that are their ratios.
+Ratio: TypeAlias = tuple[Array, Array]
+
+
+def block_mean(rows: Array) -> Array:
+    """Means (R, m) over the points of (R, N, m)."""
+    return np.asarray(rows.mean(axis=1))
+
+
+def _variance(a: Array, b: Array, like: Array) -> Array:
+    """V of every replicate about the common mean, repeated for as many indices as `like` has blocks."""
+    return np.repeat(0.5 * block_mean(a * a + b * b), like.shape[2], axis=1)
+
+
+def _saltelli_first(a: Array, b: Array, ab: Array) -> Ratio:
+    """<b (ab - a)> / V (Saltelli et al., Comput. Phys. Commun. 181, 2010, 259, table 2 (b))."""
+    return block_mean(b * (ab - a)), _variance(a, b, ab)
+
+
+def _jansen_first(a: Array, b: Array, ab: Array) -> Ratio:
+    """1 - <(b - ab)²> / 2V (Jansen, Comput. Phys. Commun. 117, 1999, 35; Saltelli's table 2 (c))."""
+    v = _variance(a, b, ab)
+    return v - 0.5 * block_mean((b - ab) ** 2), v
+
+
+def jansen_total(a: Array, b: Array, ab: Array) -> Ratio:
+    """<(a - ab)²> / 2V (Jansen 1999; Saltelli's table 2 (f))."""
+    return 0.5 * block_mean((a - ab) ** 2), _variance(a, b, ab)
+
+
+def _pairs(y: Array, z: Array) -> Ratio:
+    """<y z> / <(y² + z²)/2> about the common mean of the pair, for runs that share some inputs.
+
+    Janon, Klein, Lagnoux, Nodet, Prieur, ESAIM: Prob. Stat. 18, 2014, 342, equation (6).  Numerator and
+    denominator share their noise: little of it is left where the index is near 1.
+    """
+    mean = 0.5 * (y.mean(axis=(0, 1)) + z.mean(axis=(0, 1)))
+    y, z = y - mean, z - mean
+    return block_mean(y * z), 0.5 * block_mean(y * y + z * z)
+
+
+def _janon_first(a: Array, b: Array, ab: Array) -> Ratio:
+    return _pairs(b, ab)
+
+
+def _janon_total(a: Array, b: Array, ab: Array) -> Ratio:
+    product, square = _pairs(a, ab)
+    return square - product, square
+
+
+def _martinez(y: Array, z: Array) -> Ratio:
+    """Pearson's correlation of pairs, each about its own mean and in its own scale.
+
+    J.-M. Martinez, GdR MASCOT-NUM, 2011; the statistic is that of Baudin et al., arXiv 1606.01746.
+    """
+    y, z = y - y.mean(axis=(0, 1)), z - z.mean(axis=(0, 1))
+    vy, vz = block_mean(y * y), block_mean(z * z)
+    # The root of the product of two means, linearised about their pooled values, is a mean over replicates again.
+    py, pz = vy.mean(axis=0), vz.mean(axis=0)
+    root = np.sqrt(py * pz)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return block_mean(y * z), np.where(root > 0.0, 0.5 * root * (vy / py + vz / pz), 0.0)
+
+
+def _martinez_first(a: Array, b: Array, ab: Array) -> Ratio:
+    return _martinez(b, ab)
+
+
+def _martinez_total(a: Array, b: Array, ab: Array) -> Ratio:
+    product, root = _martinez(a, ab)
+    return root - product, root
+
+
+def _azzini_scale(a: Array, b: Array, ab: Array, ba: Array) -> Array:
+    return block_mean((a - b) ** 2 + (ba - ab) ** 2)
+
+
+def _azzini_first(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
+    """2 <(ba - b)(a - ab)> / <(a - b)² + (ba - ab)²> (Azzini, Mara, Rosati, MethodsX 8, 2021, 101201)."""
+    return 2.0 * block_mean((ba - b) * (a - ab)), _azzini_scale(a, b, ab, ba)
+
+
+def _azzini_total(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
+    """<(b - ba)² + (a - ab)²> / <(a - b)² + (ba - ab)²> (the same)."""
+    return block_mean((b - ba) ** 2 + (a - ab) ** 2), _azzini_scale(a, b, ab, ba)
+
+
+def _owen_first(a: Array, b: Array, ac: Array, ba: Array) -> Ratio:
+    """<(a - ac)(ba - b)> / V: "correlation 2" of Owen (ACM Trans. Model. Comput. Simul. 23, 2013, article 11).
+
+    Both factors vanish with the effect of the input, so that the error of a small index is small beside it.
+    """
+    return block_mean((a - ac) * (ba - b)), _variance(a, b, ba)
+
+
+#: Estimator -> order -> ratio of what it needs: a, b, ab; "azzini_rosati" also ba; "owen" a, b, ac, ba.
+ESTIMATORS: Final[Mapping[str, Mapping[str, Callable[..., Ratio]]]] = {
+    "saltelli": {"first": _saltelli_first, "total": jansen_total},
+    "jansen": {"first": _jansen_first, "total": jansen_total},
+    "janon_monod": {"first": _janon_first, "total": _janon_total},
+    "martinez": {"first": _martinez_first, "total": _martinez_total},
+    "azzini_rosati": {"first": _azzini_first, "total": _azzini_total},
+    "owen": {"first": _owen_first},
+}
+
+
+# --- indices of a design --------------------------------------------------------------------------
 
 #: Inputs whose total index is above this have their indices read off the correlation of pairs.
 LARGE: Final = 0.5
@@ -135,6 +376,41 @@ def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str,
 
 
 @dataclass(frozen=True, kw_only=True)
+class Surrogate:
+    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
+    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
+    """
+
+    outputs: Array
+    indices: Mapping[str, Array]
+
+
+def corrected(rows: Array, gaps: Array) -> tuple[float, float, float]:
+    """Where the regression of answers (R,) on the surrogate's errors (R,) meets no error, the standard error there, and
+    the slope.
+
+    The standard error is the jackknife's, each replicate left out in turn.  That of ordinary regression supposes that
+    what is left scatters alike everywhere; but a replicate that holds a rare sample is off in both, and on skewed
+    outputs such intervals held the truth in 88 % of the cases.  R - 2 degrees of freedom.
+
+    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
+    >>> value, error, slope = corrected(1.0 + 2.0 * noise, noise)
+    >>> round(value, 12), error < 1e-12, round(slope, 12)
+    (1.0, True, 2.0)
+    """
+    count, mean = len(rows), float(gaps.mean())
+    centred = gaps - mean
+    spread = float(centred @ centred)
+    if not spread > 0.0:
+        return float(rows.mean()), float(np.std(rows, ddof=1)) / math.sqrt(count), 0.0
+    slope = float(centred @ rows) / spread
+    rest = rows - rows.mean() - slope * centred
+    leverage = np.minimum(1.0 / count + centred**2 / spread, 1.0 - 1e-9)
+    left_out = (1.0 / count - mean * centred / spread) * rest / (1.0 - leverage)
+    return float(rows.mean()) - slope * mean, math.sqrt(float(left_out @ left_out)), slope
+
+
+@dataclass(frozen=True, kw_only=True)
 class SampledIndices:
     """Indices of one output.
 
@@ -162,7 +438,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.
 
     With a `surrogate` every index is corrected by what the same points make of the surrogate's, whose truth is known
-    (`uqsphere.uq.surrogate.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
+    (`uqsphere.uq.indices.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
     as it was fitted to other points.  It needs four replicates.
 
     Parameters, absent answers and ValueError as of `index_estimates`.

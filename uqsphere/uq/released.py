@@ -1,6 +1,6 @@
 """The law of a dear output off its surrogate, with intervals for what this says beyond its runs.
 
-The inverse of a logarithm, root or reciprocal is held within a range around the runs (`chaos.outputs`), since the
+The inverse of a logarithm, root or reciprocal is held within a range around the runs (`expansion.Transform`), since the
 exponential of a polynomial has no bounds of its own.  What lies beyond is then known to be more, and not by how much:
 the expansion without its bounds is the other end of what it may be.  Where it is extrapolated, the expansion drawn in
 to the range of the runs is (`beyond_runs`).
@@ -17,12 +17,12 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.augmented import METHOD, Trusted, joined, widened, with_residuals
 from uqsphere.uq.beyond_runs import within_runs
-from uqsphere.uq.chaos import Chaos, predict
-from uqsphere.uq.chaos.surrogate import Piece
-from uqsphere.uq.estimates import Description, Estimate, absent, describe
+from uqsphere.uq.describe import Description, describe
+from uqsphere.uq.estimate import NOT_KNOWN, Estimate, absent
+from uqsphere.uq.expansion import Chaos, predict
+from uqsphere.uq.expansion.expansion import Piece
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
-from uqsphere.uq.reasons import NOT_KNOWN
 
 __all__ = ["Believed", "believed", "drawn_in", "held", "released", "shifted", "stretched"]
 

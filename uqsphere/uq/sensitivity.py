@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Estimate, absent, from_replicates
-from uqsphere.uq.sampling import sobol_points
+from uqsphere.uq.estimate import Estimate, absent, from_replicates
+from uqsphere.uq.points import sobol_points
 
 __all__ = [
     "agree",

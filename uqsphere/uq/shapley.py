@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Estimate, absent, from_replicates
+from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.joint import Inputs, normal_scores, physical_from_scores, rest_given
-from uqsphere.uq.sampling import random_generator, sobol_points
+from uqsphere.uq.points import random_generator, sobol_points
 
 __all__ = [
     "BLOCK",

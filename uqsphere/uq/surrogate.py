@@ -7,53 +7,17 @@ that of the model.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.blocks import Blocks
-from uqsphere.uq.chaos import Chaos, germ_points, predict
+from uqsphere.uq.expansion import Chaos, germ_points, predict
+from uqsphere.uq.indices import Blocks, Surrogate
 
-__all__ = ["Surrogate", "chaos_outputs", "chaos_surrogate", "corrected", "expansion_indices", "mean_expansion"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Surrogate:
-    """A cheap model whose indices are known: its outputs (R, N, blocks.count) on the model's own blocks, and the
-    indices of `expansion_indices` by "first", "total", "second", "group_first" and "group_total".
-    """
-
-    outputs: Array
-    indices: Mapping[str, Array]
-
-
-def corrected(rows: Array, gaps: Array) -> tuple[float, float, float]:
-    """Where the regression of answers (R,) on the surrogate's errors (R,) meets no error, the standard error there, and
-    the slope.
-
-    The standard error is the jackknife's, each replicate left out in turn.  That of ordinary regression supposes that
-    what is left scatters alike everywhere; but a replicate that holds a rare sample is off in both, and on skewed
-    outputs such intervals held the truth in 88 % of the cases.  R - 2 degrees of freedom.
-
-    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
-    >>> value, error, slope = corrected(1.0 + 2.0 * noise, noise)
-    >>> round(value, 12), error < 1e-12, round(slope, 12)
-    (1.0, True, 2.0)
-    """
-    count, mean = len(rows), float(gaps.mean())
-    centred = gaps - mean
-    spread = float(centred @ centred)
-    if not spread > 0.0:
-        return float(rows.mean()), float(np.std(rows, ddof=1)) / math.sqrt(count), 0.0
-    slope = float(centred @ rows) / spread
-    rest = rows - rows.mean() - slope * centred
-    leverage = np.minimum(1.0 / count + centred**2 / spread, 1.0 - 1e-9)
-    left_out = (1.0 / count - mean * centred / spread) * rest / (1.0 - leverage)
-    return float(rows.mean()) - slope * mean, math.sqrt(float(left_out @ left_out)), slope
+__all__ = ["chaos_outputs", "chaos_surrogate", "expansion_indices", "mean_expansion"]
 
 
 def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:

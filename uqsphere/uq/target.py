@@ -16,7 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.elliptical import log_density
-from uqsphere.uq.estimates import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.joint import Inputs, blocks_of
 
 __all__ = [

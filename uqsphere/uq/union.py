@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.elliptical import conditional_scores
-from uqsphere.uq.estimates import Estimate, Flags, none_of, student
+from uqsphere.uq.estimate import Estimate, none_of, student
 from uqsphere.uq.law import Law, from_normal, make_law
-from uqsphere.uq.reliability import LimitState, tails
+from uqsphere.uq.limit_state import LimitState, tails
 
 __all__ = [
     "Breaking",

@@ -14,7 +14,8 @@ from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, draw, evalua
 from uqsphere.runner.heavy_tails import describe_heavy
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.questions.probabilities import LimitAnswer, judge_limits, limits_missed, takes_over
-from uqsphere.uq.estimates import Description, absent, describe, exact, lacking
+from uqsphere.uq.describe import Description, describe, lacking
+from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.sample import Sample
 
 __all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]

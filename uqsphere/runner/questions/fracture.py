@@ -25,13 +25,13 @@ from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import DOUBTFUL, LEAST, MOST, RARE, SHARE, narrower, state_of
 from uqsphere.study import Limit, Study
-from uqsphere.uq.estimates import Estimate, absent, student
+from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.law import Law
+from uqsphere.uq.limit_state import LimitState, exceedance, pick_replicates
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.reliability import LimitState, exceedance, pick_replicates
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
-from uqsphere.uq.sampling import random_generator
 from uqsphere.uq.union import (
     Breaking,
     Union,

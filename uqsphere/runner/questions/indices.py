@@ -17,15 +17,14 @@ from uqsphere.runner.campaign import INDEX_KIND, WORTHLESS, Cost, Missed, index_
 from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.uq.blocks import Blocks, uniform_halves
-from uqsphere.uq.estimates import Estimate, absent
-from uqsphere.uq.indices import METHOD, SampledIndices, ordered, sampled_indices
+from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.indices import METHOD, Blocks, SampledIndices, ordered, sampled_indices, uniform_halves
 from uqsphere.uq.joint import tied_names
 from uqsphere.uq.sample import without
 
 if TYPE_CHECKING:
-    from uqsphere.uq.chaos import Chaos
-    from uqsphere.uq.surrogate import Surrogate
+    from uqsphere.uq.expansion import Chaos
+    from uqsphere.uq.indices import Surrogate
 
 __all__ = [
     "Pairs",
@@ -178,8 +177,8 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     Empty and None where they are refused.  The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
-    from uqsphere.uq.chaos import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
-    from uqsphere.uq.chaos.indices import error_with_tails
+    from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.expansion.shares import error_with_tails
     from uqsphere.uq.surrogate import mean_expansion
 
     d = len(work.scene_names)

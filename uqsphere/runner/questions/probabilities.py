@@ -15,14 +15,11 @@ from uqsphere.quantities import told_apart
 from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.study import Limit
-from uqsphere.uq.estimates import Estimate, absent, exact
-from uqsphere.uq.failure_shares import BY_DIRECTION, failure_shares
+from uqsphere.uq.estimate import Estimate, absent, exact
+from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
 from uqsphere.uq.law import Law, cdf, from_normal
-from uqsphere.uq.rare.auto import RareAnswer, find_probability
-from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
-from uqsphere.uq.rare.problem import Evaluator, LimitFunction
-from uqsphere.uq.reliability import (
+from uqsphere.uq.limit_state import (
     LimitState,
     exceedance,
     margin_quantiles,
@@ -33,6 +30,9 @@ from uqsphere.uq.reliability import (
     tails,
     target_met,
 )
+from uqsphere.uq.rare.auto import RareAnswer, find_probability
+from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
+from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 from uqsphere.uq.sample import Sample
 
 if TYPE_CHECKING:

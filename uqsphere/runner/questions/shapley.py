@@ -12,7 +12,7 @@ from uqsphere.model import is_answered
 from uqsphere.runner.campaign import INDEX_KIND, Cost, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.runner.questions.indices import Pairs, Sensitivity, note
-from uqsphere.uq.estimates import Estimate
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.sample import without
 from uqsphere.uq.shapley import (
     MOST_EXACT,

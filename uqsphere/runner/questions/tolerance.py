@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.model import is_answered
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.uq.joint import physical_from_normal
-from uqsphere.uq.sampling import random_generator
+from uqsphere.uq.points import random_generator
 from uqsphere.uq.tolerance import tolerance_limits
 
 __all__ = ["find_tolerance"]

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
-from uqsphere.uq.sampling import sobol_points
 
 __all__ = ["DesignPoint", "FormAnswer", "find_design_points"]
 

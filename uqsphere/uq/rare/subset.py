@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimates import Estimate, absent, student
+from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
-from uqsphere.uq.sampling import random_generator, sobol_points
 
 __all__ = ["SubsetAnswer", "subset_simulation"]
 

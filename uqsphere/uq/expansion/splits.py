@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos.borders import Border, Side, score_features
-from uqsphere.uq.chaos.choice import Basis, Contest, deal
-from uqsphere.uq.chaos.honesty import left_one_out, steadied
-from uqsphere.uq.chaos.solvers import Task, forward_selection, solve_rows
-from uqsphere.uq.chaos.truncation import Indices
+from uqsphere.uq.expansion.choice import Basis, Contest, deal
+from uqsphere.uq.expansion.expansion import Border, Side, score_features
+from uqsphere.uq.expansion.germs import Indices
+from uqsphere.uq.expansion.solvers import Task, forward_selection, left_one_out, solve_rows, steadied
 
 __all__ = ["PROPOSALS", "Split", "find_split"]
 

@@ -16,11 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos.bases import GermLike, most_degree, orthonormal_values
-from uqsphere.uq.chaos.honesty import neglected, steadied
-from uqsphere.uq.chaos.outputs import Transform, identity, possible_transforms
-from uqsphere.uq.chaos.solvers import SOLVERS, Task, solve_rows
-from uqsphere.uq.chaos.truncation import Indices, grown, nested, products, skipping
+from uqsphere.uq.expansion.expansion import Transform, identity, possible_transforms
+from uqsphere.uq.expansion.germs import (
+    GermLike,
+    Indices,
+    grown,
+    most_degree,
+    nested,
+    orthonormal_values,
+    products,
+    skipping,
+)
+from uqsphere.uq.expansion.solvers import SOLVERS, Task, neglected, solve_rows, steadied
 
 __all__ = ["Basis", "Contest", "Found", "compete", "deal", "lowered", "prepare", "spread_of"]
 
@@ -70,7 +77,7 @@ class Found:
     """One contender: multi-indices (k, d) kept and their rows (k, n), with the K-fold error in output units.
 
     `reported` is that error and a standard error more: the least of many errors is a lucky one.  `steady` is the same
-    without what a single sample decides (`honesty`).  `without` are the multi-indices that were chosen without each
+    without what a single sample decides (`steadied`).  `without` are the multi-indices that were chosen without each
     fold, empty where the folds choose nothing of their own.  `ended`: more terms allowed would have changed nothing.
     """
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.uq.archimedean import FARTHEST
+from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.elliptical import Tie, conditional_score
-from uqsphere.uq.estimates import Estimate, Flags, absent, quantile_estimates, student
+from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.law import Law, cdf, is_steps, ppf, sf
 
 __all__ = [
@@ -218,7 +219,7 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
 def exceedance(state: LimitState) -> Estimate:
     """Probability that the demand exceeds the strength.
 
-    >>> from uqsphere.uq.law import make_law
+    >>> from uqsphere.uq.laws import make_law
     >>> law = make_law("uniform", {}, 0.0, 1.0)
     >>> demands = np.full((4, 8), 0.25)
     >>> exceedance(LimitState(demands=demands, strength=law)).value

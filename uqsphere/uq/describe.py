@@ -1,193 +1,185 @@
-"""Estimates with intervals, and the description of a sample drawn in independent randomisations.
+"""The description of a sample drawn in independent randomisations: mean, standard deviation and quantiles.
 
 Samples come as (R, n): R independent randomisations of n points each.  The spread over the R rows is the
 only thing that an interval rests on, so that it is right for quasi-random points as for random ones.
+
+Moments are made in two passes, the same to the last bit however the rows come: sums are taken over pieces of `PIECE`
+points of every replicate and added in their order.  The second pass works about the mean of all samples: no
+cancellation, whatever the offset of the quantity.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TypeAlias
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.quantities import told_apart
-from uqsphere.uq.moments import Moments, finish, first_sums, merge_first, merge_second, pieces, second_sums, skewness
-from uqsphere.uq.reasons import NO_CONVERGENCE, OUT_OF_REACH
+from uqsphere.uq.estimate import NO_CONVERGENCE, OUT_OF_REACH, Estimate, absent, from_replicates, share, student
 
 __all__ = [
     "LEAST_BEYOND",
     "Description",
-    "Estimate",
-    "Flags",
-    "absent",
     "describe",
     "describe_moments",
-    "exact",
-    "from_replicates",
     "hazen",
     "hazen_ranks",
     "lacking",
-    "none_of",
     "quantile_estimates",
-    "share",
-    "student",
+    "skewness",
     "woodruff_reach",
 ]
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
+# --- moments --------------------------------------------------------------------------------------
 
-LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
+#: points of every replicate that are summed together
+PIECE: Final = 65_536
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A number with its 95 % interval; an absent answer has value None and a reason.
+class FirstSums:
+    """Of every replicate, (R,): how many samples and their sum; of all together the least and the largest."""
 
-    `evaluations` counts the model evaluations that it rests on.
+    counts: Array
+    sums: Array
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SecondSums:
+    """Sums (R, 3) of q, q², q³ with q = (x - centre)² / scale, scale a power of two, and the largest q."""
+
+    centre: float
+    scale: float
+    powers: Array
+    largest: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moments:
+    """Means and standard deviations of the replicates, (R,), and of all samples together.
+
+    `largest_share` is the share of the variance that one sample makes, `skewness` that of the squared deviations.
     """
 
-    value: float | None
-    low: float | None
-    high: float | None
-    std_error: float | None
-    method: str
-    evaluations: int
-    reason: str | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("value", "low", "high", "std_error"):
-            number = getattr(self, name)
-            if number is not None and not math.isfinite(number):
-                raise ValueError(f"{name} of an estimate must be finite or absent, found {number}")
-        if self.value is None and not self.reason:
-            raise ValueError("an absent estimate needs a reason")
-
-    @property
-    def half_width(self) -> float:
-        """Half the length of the interval; inf where an end is absent."""
-        if self.low is None or self.high is None:
-            return math.inf
-        return 0.5 * (self.high - self.low)
-
-    def as_dict(self) -> dict[str, float | int | str | None]:
-        """Ready for JSON: value, low, high, std_error, method, evaluations, and reason where there is one."""
-        table: dict[str, float | int | str | None] = {
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "std_error": self.std_error,
-            "method": self.method,
-            "evaluations": self.evaluations,
-        }
-        return table if self.reason is None else {**table, "reason": self.reason}
+    means: Array
+    mean: float
+    deviations: Array
+    deviation: float
+    largest_share: float
+    skewness: float
 
 
-def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
-    """A number without uncertainty: the answer of a scene in which nothing is random."""
-    return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
+def pieces(blocks: Iterable[Array]) -> Iterator[Array]:
+    """The same points of blocks (R, any) in pieces (R, PIECE), the last one shorter."""
+    held: list[Array] = []
+    size = 0
+    for block in blocks:
+        at = 0
+        while at < block.shape[1]:
+            part = block[:, at : at + PIECE - size]
+            held.append(part)
+            at, size = at + part.shape[1], size + part.shape[1]
+            if size == PIECE:
+                yield held[0] if len(held) == 1 else np.concatenate(held, axis=1)
+                held, size = [], 0
+    if held:
+        yield held[0] if len(held) == 1 else np.concatenate(held, axis=1)
 
 
-def absent(reason: str, method: str, evaluations: int) -> Estimate:
-    """An answer that cannot be given, and why."""
-    return Estimate(
-        value=None,
-        low=None,
-        high=None,
-        std_error=None,
-        method=method,
-        evaluations=evaluations,
-        reason=reason,
-    )
+def _kept(piece: Array) -> tuple[Array, bool]:
+    """Which samples count, those that are not nan, and whether all do."""
+    kept = ~np.isnan(piece)
+    return kept, bool(kept.all())
 
 
-def student(replicates: float) -> float:
-    """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are replicates."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(replicates - 1, 0.975))
-
-
-def from_replicates(
-    values: Array,
-    method: str,
-    evaluations: int,
-    pooled: float | None = None,
-    floor: float = 0.0,
-) -> Estimate:
-    """Estimate from the answers (R,) of independent replicates.
-
-    The value is `pooled` if given (the answer of all samples together), else the mean of the replicates;
-    the interval is Student's with R - 1 degrees of freedom.  `floor` is the least standard error: what
-    the resolution of the method leaves even where all replicates agree.
-
-    >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
-    >>> estimate.value, round(estimate.std_error, 12)
-    (2.0, 0.57735026919)
-    """
-    values = np.asarray(values, dtype=float)
-    if values.ndim != 1 or values.size < 2:
-        return absent("an interval needs at least two independent replicates", method, evaluations)
-    if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
-        return absent("a replicate gave no finite answer", method, evaluations)
-    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating point
-    power = int(np.frexp(np.abs(values).max())[1])
-    deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
+def first_sums(piece: Array) -> FirstSums:
+    """Of a piece (R, n); nan marks a sample that is left out."""
+    kept, whole = _kept(piece)
+    values = piece if whole else np.where(kept, piece, 0.0)
+    inside = piece if whole else piece[kept]
     with np.errstate(over="ignore", invalid="ignore"):
-        value = float(np.mean(values)) if pooled is None else float(pooled)
-        error = max(deviation / math.sqrt(values.size), floor)
-    half = student(values.size) * error
-    if not (math.isfinite(value) and math.isfinite(value - half) and math.isfinite(value + half)):
-        return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(
-        value=value,
-        low=value - half,
-        high=value + half,
-        std_error=error,
-        method=method,
-        evaluations=evaluations,
+        sums = np.ascontiguousarray(values).sum(axis=1)
+    return FirstSums(
+        counts=kept.sum(axis=1).astype(float),
+        sums=sums,
+        low=float(inside.min(initial=math.inf)),
+        high=float(inside.max(initial=-math.inf)),
     )
 
 
-def none_of(total: int, method: str = "share of the samples") -> Estimate:
-    """A share of which none was seen in `total` samples: 0 with its one-sided 95 % bound."""
-    return Estimate(
-        value=0.0,
-        low=0.0,
-        high=-math.expm1(math.log(0.05) / total),
-        std_error=1.0 / total,
-        method=f"{method}, one-sided 95 % bound",
-        evaluations=total,
+def merge_first(one: FirstSums, other: FirstSums) -> FirstSums:
+    """Both together; the order decides the last bit."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        sums = one.sums + other.sums
+    return FirstSums(
+        counts=one.counts + other.counts, sums=sums, low=min(one.low, other.low), high=max(one.high, other.high)
     )
 
 
-def share(flags: Flags, method: str = "share of the samples") -> Estimate:
-    """Share of True in (R, n), within [0, 1]; none or all True gets the one-sided 95 % bound on the count."""
-    replicates, n = flags.shape
-    per_replicate = flags.mean(axis=1)
-    count = int(flags.sum())
-    bound = -math.expm1(math.log(0.05) / flags.size)
-    if count == 0:
-        return none_of(flags.size, method)
-    if count == flags.size:
-        none = none_of(flags.size, method)
-        return replace(none, value=1.0, low=1.0 - bound, high=1.0)
-    plain = from_replicates(per_replicate, method, flags.size, floor=0.3 / n / math.sqrt(replicates))
-    if plain.value is None or plain.low is None or plain.high is None:
-        return plain
-    return Estimate(
-        value=plain.value,
-        low=max(0.0, plain.low),
-        high=min(1.0, plain.high),
-        std_error=plain.std_error,
-        method=method,
-        evaluations=flags.size,
+def second_sums(piece: Array, first: FirstSums) -> SecondSums:
+    """Of a piece (R, n), about the mean of all samples."""
+    centre = float(first.sums.sum() / first.counts.sum())
+    reach = max(first.high - centre, centre - first.low)
+    # A power of two: dividing by it rounds nothing, and keeps the squares of 1e300 inside floating point.
+    root = 2.0 ** -np.frexp(reach)[1] if 0.0 < reach < math.inf else 1.0
+    kept, whole = _kept(piece)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = ((piece - centre) * root) ** 2
+    squares = np.ascontiguousarray(squares if whole else np.where(kept, squares, 0.0))
+    powers = np.stack([squares.sum(axis=1), (squares**2).sum(axis=1), (squares**3).sum(axis=1)], axis=1)
+    return SecondSums(centre=centre, scale=root, powers=powers, largest=float(squares.max(initial=0.0)))
+
+
+def merge_second(one: SecondSums, other: SecondSums) -> SecondSums:
+    """Both together, of one centre and scale."""
+    return SecondSums(
+        centre=one.centre,
+        scale=one.scale,
+        powers=one.powers + other.powers,
+        largest=max(one.largest, other.largest),
     )
+
+
+def finish(first: FirstSums, second: SecondSums) -> Moments:
+    """The moments that the sums of both passes give."""
+    counts, total = first.counts, float(first.counts.sum())
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        means = first.sums / counts
+        # Each replicate about its own mean: a common offset of the replicates is not scatter of the quantity.
+        offsets = ((means - second.centre) * second.scale) ** 2
+        deviations = np.sqrt(np.maximum(second.powers[:, 0] / counts - offsets, 0.0)) / second.scale
+        one, two, three = (float(x) for x in second.powers.sum(axis=0) / total)
+        deviation = math.sqrt(one) / second.scale if one >= 0.0 else math.nan
+    spread = two - one * one
+    bent = (three - 3.0 * one * two + 2.0 * one**3) / spread**1.5 if spread > 1e-12 * two else 0.0
+    return Moments(
+        means=means,
+        mean=second.centre,
+        deviations=deviations,
+        deviation=deviation,
+        largest_share=second.largest / (one * total) if one > 0.0 else 0.0,
+        skewness=bent,
+    )
+
+
+def skewness(values: Array) -> float:
+    """Third moment of values (R,) about their mean over their deviation to the third power; 0 if they agree."""
+    rest = values - values.mean()
+    scale = float(np.abs(rest).max(initial=0.0))
+    if not 0.0 < scale < math.inf:
+        return 0.0
+    rest = rest / scale
+    return float(np.mean(rest**3) / np.mean(rest**2) ** 1.5)
+
+
+LEAST_BEYOND = 5  # samples that must lie beyond a quantile for it to be estimated at all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,9 +303,6 @@ def _skew_reach(found: Moments, count: float) -> float:
     size = len(found.deviations)
     g = min(max(skewness(found.deviations), found.skewness / math.sqrt(count), 0.0), 3.0)
     return g * (1.0 + 2.0 * student(size) ** 2) / (6.0 * math.sqrt(size))
-
-
-# --- quantiles ------------------------------------------------------------------------------------
 
 
 def hazen_ranks(p: float, total: int) -> tuple[int, int]:
