@@ -16,6 +16,9 @@ from uqsphere.study import Study
 #: `tests.fuzz` is run as a program too, and goes by its whole name
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
+#: programs, each run by a command of its own (docs/validation.md)
+collect_ignore = ["campaigns"]
+
 #: heavy enough for both faces, reflections and every analysis; light enough to be run in a second or two
 SMALL = """\
 title = "Small"
