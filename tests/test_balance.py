@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.history import states_at, waves_at
+from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
@@ -46,10 +46,9 @@ class Balance:
         half = 0.5 * np.diff(cuts)
         times = (cuts[:-1] + half)[:, None] + half[:, None] * NODES
         weights = (half[:, None] * WEIGHTS).ravel()
-        waves = waves_at(self.scene, 0, self.motion, times.ravel(), fidelity=self.fidelity)
-        back = self.scene.reflections[0, 0] * waves_at(
-            self.scene, 0, self.motion, times.ravel() - trips[0], fidelity=self.fidelity
-        ).leaving_a * (times.ravel() > trips[0])  # fmt: skip
+        waves = waves_at(self.motion, times.ravel())
+        earlier = waves_at(self.motion, times.ravel() - trips[0]).leaving_a
+        back = self.scene.reflections[0, 0] * earlier * (times.ravel() > trips[0])
         courses = np.stack([waves.incident - back, waves.leaving_a, waves.leaving_b])
         return np.stack([courses @ weights, courses**2 @ weights])
 
@@ -59,7 +58,7 @@ class Balance:
         (R_1, R_3), (T_1, T_3) = self.scene.reflections[0], self.scene.round_trips[0]
         whole = self.integrals(0.0, time)
         early_a, early_b = self.integrals(0.0, time - T_1)[:, 1], self.integrals(0.0, time - T_3)[:, 2]
-        alpha_1, alpha_2, w = states_at(self.scene, 0, self.motion, np.array([time]))[0]
+        alpha_1, alpha_2, w = self.motion.states_at(np.array([time]))[0]
         Z, M, beta = scales.impedance[0], scales.mass[0], scales.hertz_constant[0]
         if self.fidelity == "linear":
             stiffness = scales.force[0] / scales.approach[0]

@@ -12,7 +12,7 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.damper import Damper, damper_from_impedance, reflected_wave
 from uqsphere.mechanics.field import field_at
 from uqsphere.mechanics.gauges import wave_energies
-from uqsphere.mechanics.history import states_at, trace
+from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.scene import Scene
 
 BASE = {
@@ -42,11 +42,11 @@ def test_a_number_given_as_a_table_is_that_number(R):
     number = trace(scene, tolerance=1e-9)
     table = trace(scene, damper=Damper(frequency=FREQUENCY, coefficient=np.full(FREQUENCY.shape, R, dtype=complex)))
     times = np.linspace(0.0, 1.2e-3, 700)
-    one, other = (states_at(scene, 0, found.solution.motion, times) for found in (number, table))
+    one, other = (found.motion.states_at(times) for found in (number, table))
     assert (np.abs(other - one) / np.abs(one).max(axis=0)).max() < 2e-6
     assert table.record_end == pytest.approx(number.record_end, rel=1e-6)
     for bar in ("incident", "receiving"):
-        seen = [field_at(found, bar, 0.2, times[20:]).stress for found in (number, table)]
+        seen = [field_at(found.motion, bar, 0.2, times[20:]).stress for found in (number, table)]
         near = np.abs(seen[1] - seen[0]) < 1e-6 * np.abs(seen[0]).max()
         # an instant at a front of the pulse is on either side of it
         assert near.mean() > 0.995
@@ -70,7 +70,7 @@ def test_sphere_and_damper_are_coupled():
     """The far end obeys its own equation of motion in the field that the coupled solution leaves."""
     found = trace(scene_with(), damper=mass_and_dashpot())
     times = np.linspace(0.0, 1.15e-3, 40_001)
-    end = field_at(found, "receiving", 0.5, times)
+    end = field_at(found.motion, "receiving", 0.5, times)
     force = -end.stress * np.pi * 0.02**2
     # m (v(t) - v(0)) = ∫ force - c v: the impulse, which needs no derivative
     impulse = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(times) * (force[1:] + force[:-1]))])
@@ -79,7 +79,7 @@ def test_sphere_and_damper_are_coupled():
         impulse - DASHPOT * Z * given, TAU * Z * end.velocity, atol=2e-5 * TAU * Z * np.abs(end.velocity).max()
     )
     # and energy is lost in the dashpot alone
-    assert wave_energies(found, 1.1e-3).absorbed > -1e-9
+    assert wave_energies(found.motion, 1.1e-3).absorbed > -1e-9
     plain = trace(scene_with(), tolerance=1e-8)
     assert abs(found.first_peak.pressure / plain.first_peak.pressure - 1.0) > 1e-6
 
@@ -134,7 +134,7 @@ def test_history_follows_a_damper_and_a_run_refuses_it(study_from, damped, tmp_p
     study = study_from(text=damped)
     assert "receiving_damper" in study.resolved()
     found = uqsphere.history(study)
-    assert found.solution.returning is not None
+    assert found.motion.returning is not None
     assert any("history alone" in warning for warning in study.warnings)
     with pytest.raises(UsageError, match="as a number, receiving_end"):
         uqsphere.evaluate(study, {"striker.speed": np.array([5.0])}, quantities=("p_max",))

@@ -9,7 +9,6 @@ from test_gauges import BASE, C0, Z, history_with
 from uqsphere import history, load_study
 from uqsphere.mechanics.contact import hertz_force
 from uqsphere.mechanics.field import field_at, field_grid, first_tension, tension_level
-from uqsphere.mechanics.history import states_at
 from uqsphere.study import shipped_studies
 
 SCENES = {
@@ -30,8 +29,8 @@ def test_the_far_ends_reflect_as_said(scene):
     _, history = scene
     times = np.linspace(0.0, 0.9 * history.horizon, 400)
     for bar, length, end in (("incident", 1.5, "incident_end"), ("receiving", 1.2, "receiving_end")):
-        R = history.solution.scene.columns[f"bars.{end}"][0]
-        found = field_at(history, bar, length, times[times > 0.9 / C0])
+        R = history.motion.scene.columns[f"bars.{end}"][0]
+        found = field_at(history.motion, bar, length, times[times > 0.9 / C0])
         outwards = found.velocity if bar == "receiving" else -found.velocity
         # v0/2 and its stress are of the order one here
         np.testing.assert_allclose((1.0 + R) * found.stress / (7850.0 * C0), -(1.0 - R) * outwards, rtol=0.0, atol=2e-9)
@@ -40,13 +39,12 @@ def test_the_far_ends_reflect_as_said(scene):
 def test_the_faces_move_with_sphere_and_approach(scene):
     """d(alpha_1)/dt = v_A - w and d(alpha_2)/dt = w - v_B, from the field and from the states of the integrator."""
     _, history = scene
-    solution = history.solution
     t = np.linspace(0.03, 0.45, 150) * history.horizon + 1.234e-6
     h = 2e-8
-    states = states_at(solution.scene, 0, solution.motion, t)
-    rates = (states_at(solution.scene, 0, solution.motion, t + h)[:, :2]
-             - states_at(solution.scene, 0, solution.motion, t - h)[:, :2]) / (2.0 * h)  # fmt: skip
-    faces = [field_at(history, bar, 0.0, t).velocity for bar in ("incident", "receiving")]
+    states = history.motion.states_at(t)
+    rates = (history.motion.states_at(t + h)[:, :2]
+             - history.motion.states_at(t - h)[:, :2]) / (2.0 * h)  # fmt: skip
+    faces = [field_at(history.motion, bar, 0.0, t).velocity for bar in ("incident", "receiving")]
     expected = np.stack([faces[0] - states[:, 2], states[:, 2] - faces[1]], axis=1)
     # a jump of the waves within h of an instant spoils the difference quotient there
     error = np.abs(rates - expected)
@@ -61,8 +59,8 @@ def test_the_field_obeys_the_wave_equation(scene):
         low, high, begin, end = 0.31, 0.87, 1.3 / C0, 2.1 / C0
         d, t = low + 0.5 * (high - low) * (1 + points), begin + 0.5 * (end - begin) * (1 + points)
         width, span = 0.5 * (high - low), 0.5 * (end - begin)
-        late, early = (field_at(history, bar, d, np.full(400, when)) for when in (end, begin))
-        near, far = (field_at(history, bar, where, t) for where in (low, high))
+        late, early = (field_at(history.motion, bar, d, np.full(400, when)) for when in (end, begin))
+        near, far = (field_at(history.motion, bar, where, t) for where in (low, high))
         momentum = 7850.0 * width * (late.velocity - early.velocity) @ weights
         force = span * (far.stress - near.stress) @ weights * turn
         strain = width * (late.stress - early.stress) @ weights / 210e9
@@ -75,31 +73,31 @@ def test_the_field_obeys_the_wave_equation(scene):
 def test_the_grid_is_the_field_of_both_bars():
     history = history_with()
     places, times = np.array([-0.7, -0.1, 0.2, 1.1]), np.array([1e-4, 4e-4, 9e-4])
-    grid = field_grid(history, places, times)
+    grid = field_grid(history.motion, places, times)
     assert grid.stress.shape == grid.velocity.shape == (3, 4)
     for k, place in enumerate(places):
-        found = field_at(history, "incident" if place < 0 else "receiving", abs(place), times)
+        found = field_at(history.motion, "incident" if place < 0 else "receiving", abs(place), times)
         np.testing.assert_array_equal(grid.stress[:, k], found.stress)
         np.testing.assert_array_equal(grid.velocity[:, k], found.velocity)
 
 
 def test_tension_begins_where_the_tail_meets_the_reflection():
     """A rectangle's tail meets the front of its own reflection l_0 from the sphere, t_i/2 after first touch."""
-    found = first_tension(history_with(), "incident")
+    found = first_tension(history_with().motion, "incident")
     assert found.position == pytest.approx(BASE["striker.length"], rel=1e-7)
     assert found.time == pytest.approx(BASE["striker.length"] / C0, rel=1e-7)
 
 
 def test_tension_in_the_receiving_bar_against_a_plain_search():
     history = history_with()
-    found = first_tension(history, "receiving")
+    found = first_tension(history.motion, "receiving")
     level = 1e-6 * 0.5 * 7850.0 * C0
     d = np.linspace(0.0, 1.2, 2401)
     # nothing a little earlier anywhere, and tension at the place found a little later
     for share, some in ((0.999, False), (1.001, True)):
-        stress = field_at(history, "receiving", d, np.full(d.shape, share * found.time)).stress
+        stress = field_at(history.motion, "receiving", d, np.full(d.shape, share * found.time)).stress
         assert (stress > level).any() == some
-    there = field_at(history, "receiving", found.position, [found.time * (1.0 + 1e-5)]).stress[0]
+    there = field_at(history.motion, "receiving", found.position, [found.time * (1.0 + 1e-5)]).stress[0]
     assert there > 0.0
     assert found.time > 1.2 / C0
 
@@ -108,19 +106,19 @@ def test_tension_in_the_receiving_bar_against_a_plain_search():
 def test_tension_of_smooth_pulses_against_a_plain_search(shape):
     numbers = {"pulse_rise": 30e-6, "pulse_fall": 50e-6} if shape == "trapezoid" else {}
     history = history_with(shape, **numbers)
-    found = first_tension(history, "incident", share=0.01)
+    found = first_tension(history.motion, "incident", share=0.01)
     level = 0.01 * 0.5 * 7850.0 * C0
     d = np.linspace(0.0, 1.5, 3001)
     for share, some in ((0.995, False), (1.005, True)):
-        stress = field_at(history, "incident", d, np.full(d.shape, share * found.time)).stress
+        stress = field_at(history.motion, "incident", d, np.full(d.shape, share * found.time)).stress
         assert (stress > level).any() == some
 
 
 def test_no_tension_where_nothing_pulls():
     history = history_with("step", infinite=True, horizon=1e-3)
-    assert first_tension(history, "incident") is None
-    assert first_tension(history, "receiving") is None
-    assert first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4), "receiving") is None
+    assert first_tension(history.motion, "incident") is None
+    assert first_tension(history.motion, "receiving") is None
+    assert first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4).motion, "receiving") is None
 
 
 def test_tension_of_a_record_is_no_tension_of_the_bar():
@@ -129,27 +127,27 @@ def test_tension_of_a_record_is_no_tension_of_the_bar():
     With the level of an ideal pulse it is found in the first nanosecond.
     """
     found = history(load_study(shipped_studies()["gauge_records"]))
-    level = tension_level(found)
+    level = tension_level(found.motion)
     assert 1e-4 < level < 0.05
-    first, near = first_tension(found, "incident"), first_tension(found, "incident", share=2.0 * level)
-    assert first_tension(found, "incident", share=1e-6).time < 1e-9
+    first, near = first_tension(found.motion, "incident"), first_tension(found.motion, "incident", share=2.0 * level)
+    assert first_tension(found.motion, "incident", share=1e-6).time < 1e-9
     assert first.time == pytest.approx(near.time, rel=0.02)
     assert first.time > 50e-6
-    assert first_tension(found, "receiving") is None
-    assert tension_level(history_with()) == 1e-6
+    assert first_tension(found.motion, "receiving") is None
+    assert tension_level(history_with().motion) == 1e-6
 
 
 def test_endless_bars_have_a_field_at_any_distance():
     history = history_with(infinite=True, bars_incident_length=1e4, bars_receiving_length=1e4)
-    v = field_at(history, "receiving", 50.0, np.array([50.0 / C0 + 5e-5])).velocity[0]
-    approach = states_at(history.solution.scene, 0, history.solution.motion, np.array([5e-5]))[0, 1]
+    v = field_at(history.motion, "receiving", 50.0, np.array([50.0 / C0 + 5e-5])).velocity[0]
+    approach = history.motion.states_at(np.array([5e-5]))[0, 1]
     assert v == pytest.approx(hertz_force(approach, history.hertz_constant) / Z, rel=1e-6)
-    assert field_at(history, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
+    assert field_at(history.motion, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
 
 
 def test_wrong_places_are_refused():
     history = history_with()
     with pytest.raises(ValueError, match="not on the receiving bar"):
-        field_at(history, "receiving", [0.1, 1.3], [0.0, 0.0])
+        field_at(history.motion, "receiving", [0.1, 1.3], [0.0, 0.0])
     with pytest.raises(ValueError, match="unknown bar"):
-        first_tension(history, "left")
+        first_tension(history.motion, "left")

@@ -28,7 +28,7 @@ def test_the_grid_lies_within_the_bars_and_has_the_stress_of_the_field(view: Fie
     assert view.stress.shape == (40, 30)
     assert -view.reach[0] < view.places[0] < 0.0 < view.places[-1] < view.reach[1]
     assert view.begin < view.times[0] < view.times[-1] < view.last
-    assert np.array_equal(view.stress, field_grid(history, view.places, view.times).stress)
+    assert np.array_equal(view.stress, field_grid(history.motion, view.places, view.times).stress)
     # granite's bars are 1.5 m long; the struck end is free, the other one absorbs
     assert view.reach[0] == pytest.approx(1.5)
     assert view.returns[0] == pytest.approx(3.0 / view.wave_speed)

@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
-from uqsphere.mechanics.history import find_changes, states_at, trace, waves_at
+from uqsphere.mechanics.field import waves_at
+from uqsphere.mechanics.history import find_changes, trace
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 
@@ -129,7 +130,7 @@ def test_waves_obey_their_definitions(example):
     unit, (T_1, T_3) = scene.scales.time[0], scene.round_trips[0]
     inside = (motion.start + 0.5 * motion.length) * unit
     inside = inside[inside < motion.end * unit]
-    waves, states = waves_at(scene, 0, motion, inside), states_at(scene, 0, motion, inside)
+    waves, states = waves_at(motion, inside), motion.states_at(inside)
     Z, beta = scene.scales.impedance[0], scene.scales.hertz_constant[0]
     scale = scene.scales.force[0]
     np.testing.assert_allclose(
@@ -139,7 +140,7 @@ def test_waves_obey_their_definitions(example):
         Z * (waves.leaving_b - waves.returning), contact.hertz_force(states[:, 1], beta), atol=1e-12 * scale
     )
     # what comes back is what left one round trip ago
-    ago_a, ago_b = waves_at(scene, 0, motion, inside - T_1), waves_at(scene, 0, motion, inside - T_3)
+    ago_a, ago_b = waves_at(motion, inside - T_1), waves_at(motion, inside - T_3)
     pulse = np.where(inside < scene.pulse.end[0], 0.5, 0.0)
     np.testing.assert_allclose(waves.incident, pulse + ago_a.leaving_a * (inside > T_1), atol=1e-12)
     np.testing.assert_allclose(waves.returning, ago_b.leaving_b * (inside > T_3), atol=1e-12)
@@ -233,7 +234,7 @@ def test_first_touch_is_no_loss():
     for density in (100.0, 2650.0, 1e5):
         scene = granite(infinite=True, sphere_density=density, striker_length=2.0)
         motion = dynamics.motion(scene, 0, tolerance=1e-6)
-        changes = find_changes(scene, 0, motion, tolerance=1e-6)
+        changes = find_changes(motion, tolerance=1e-6)
         assert all(change.time > 0.1 * scene.scales.time[0] for change in changes)
 
 

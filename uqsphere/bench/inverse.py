@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.history import waves_at
+from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
 from uqsphere.records.inverse import Faces, Inverse, Rig, at_faces, invert
@@ -59,7 +59,7 @@ class Made:
         """True forces at both faces [N] at times after first touch [s]."""
         impedance = float(self.scene.scales.impedance[0])
         inside = np.clip(time, 0.0, None)
-        waves = waves_at(self.scene, 0, self.found, inside)
+        waves = waves_at(self.found, inside)
         force_a = impedance * (waves.incident - waves.leaving_a)
         return np.where(time >= 0.0, force_a, 0.0), np.where(time >= 0.0, impedance * waves.leaving_b, 0.0)
 
@@ -104,7 +104,7 @@ def make_test(scene: Scene, *, rng: np.random.Generator | None = None, noise: fl
     def waves(at: Array) -> tuple[Array, Array, Array]:
         """f, g_A and k_B at face times; nothing before first touch."""
         inside = np.clip(at, 0.0, horizon)
-        shown = waves_at(scene, 0, found, inside)
+        shown = waves_at(found, inside)
         touched = at >= 0.0
         f = np.where(touched, shown.incident, 0.0)
         force_a, force_b = impedance * (f - np.where(touched, shown.leaving_a, 0.0)), impedance * shown.leaving_b

@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
-from uqsphere.mechanics.history import states_at
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 
@@ -216,7 +215,7 @@ def _instants(scene: Scene, tolerance: float) -> list[Comparison]:
     def full(s: float) -> float | None:
         if s > found.end:
             return None
-        return float(states_at(scene, 0, found, np.array([s * time]))[0, :2].mean())
+        return float(found.states_at(np.array([s * time]))[0, :2].mean())
 
     rows = [Comparison(
         quantity="approach_at_t_c", unit="m",
@@ -247,4 +246,4 @@ def _settled(scene: Scene, tolerance: float) -> float:
     horizon = _SETTLED * max(1.0, float(scene.scales.mass_number[0])) * float(scene.scales.time[0])
     endless = replace(scene, columns=columns, shape="step", infinite=True, first_loading_only=False, horizon=horizon)
     found = motion(endless, 0, tolerance=tolerance)
-    return float(states_at(endless, 0, found, np.array([horizon]))[0, :2].mean())
+    return float(found.states_at(np.array([horizon]))[0, :2].mean())

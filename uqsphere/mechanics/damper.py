@@ -9,17 +9,17 @@ That serves one scene over time (`history`); a run takes a number.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import Solution, arriving, leaving
+from uqsphere.mechanics.field import arriving, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.scene import STATUS, Scene
 
-__all__ = ["Damper", "damper_from_impedance", "reflected_wave", "solve_with_damper"]
+__all__ = ["Damper", "damper_from_impedance", "move_with_damper", "reflected_wave"]
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -193,7 +193,7 @@ def _reflect(damper: Damper, weights: Array, wave: Array) -> Array:
     return np.asarray(damper.limit * wave + echo)
 
 
-def solve_with_damper(scene: Scene, row: int, damper: Damper) -> Solution:
+def move_with_damper(scene: Scene, row: int, damper: Damper) -> Motion:
     """The motion of one scene, `full` model, with a damper at the far end of the receiving bar.
 
     Round trip by round trip with DOP853 at a tolerance of 1e-9; waves are joined by cubic splines through 400 points
@@ -222,17 +222,18 @@ def solve_with_damper(scene: Scene, row: int, damper: Damper) -> Solution:
         )
     echo = _Echo(damper=damper, weights=_weights(damper, step, count + 1), step=step, back=back)
     window = step * int(min(trips[1], trips[0] if scene.reflections[row, 0] != 0.0 else np.inf) / step * (1.0 + 1e-12))
-    resting = Motion(start=np.zeros(1), length=np.ones(1), states=np.zeros((1, 3, _NODES)), end=0.0)
-    solution = Solution(scene=scene, row=row, motion=resting, returning=np.zeros_like)
+    motion = Motion(
+        scene=scene, row=row, start=np.zeros(1), length=np.ones(1), states=np.zeros((1, 3, _NODES)), end=0.0,
+        returning=np.zeros_like,
+    )  # fmt: skip
     state, begin = np.zeros(3), 0.0
     for end in _stops(scene, row, horizon, window):
-        found = _advance(solution, state, begin, end, step)
-        motion = found if begin == 0.0 else _joined(solution.motion, found)
+        found = _advance(motion, state, begin, end, step)
+        motion = found if begin == 0.0 else _joined(motion, found)
         state = found.states[-1].sum(axis=1)
-        solution = Solution(scene=scene, row=row, motion=motion, returning=solution.returning)
-        solution = Solution(scene=scene, row=row, motion=motion, returning=echo.course(solution, end))
+        motion = replace(motion, returning=echo.course(motion, end))
         begin = end
-    return solution
+    return motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,12 +245,12 @@ class _Echo:
     step: float
     back: int
 
-    def course(self, solution: Solution, known: float) -> Callable[[Array], Array]:
+    def course(self, motion: Motion, known: float) -> Callable[[Array], Array]:
         """h over time from all that left face B up to `known` [s]; it holds for one round trip more."""
         from scipy.interpolate import CubicSpline
 
         grid = np.asarray(self.step * np.arange(int(known / self.step * (1.0 + 1e-12)) + 1), dtype=float)
-        back = np.concatenate([np.zeros(self.back), _reflect(self.damper, self.weights, leaving(solution, 1, grid))])
+        back = np.concatenate([np.zeros(self.back), _reflect(self.damper, self.weights, leaving(motion, 1, grid))])
         spline = CubicSpline(self.step * np.arange(len(back)), back)
         return lambda times: np.where(times > 0.0, spline(times), 0.0)
 
@@ -267,17 +268,17 @@ def _stops(scene: Scene, row: int, horizon: float, window: float) -> Array:
     return np.asarray(found[np.append(np.diff(found) > 1e-9 * horizon, True)])
 
 
-def _advance(solution: Solution, state: Array, begin: float, end: float, step: float) -> Motion:
+def _advance(motion: Motion, state: Array, begin: float, end: float, step: float) -> Motion:
     """The motion from begin to end [s], between which no wave jumps, from a state in scaled variables."""
     from scipy.integrate import solve_ivp
     from scipy.interpolate import CubicSpline
 
-    scales, row = solution.scene.scales, solution.row
+    scales, row = motion.scene.scales, motion.row
     unit, mass = float(scales.time[row]), float(scales.mass_number[row])
-    speed = 0.5 * float(solution.scene.columns["striker.speed"][row])
+    speed = 0.5 * float(motion.scene.columns["striker.speed"][row])
     times = np.linspace(begin, end, max(int(np.ceil((end - begin) / step)), 8) + 1)
     sides = np.where(times < end, 1.0, -1.0)
-    waves = np.stack([arriving(solution, bar, times, sides=sides) for bar in (0, 1)], axis=1)
+    waves = np.stack([arriving(motion, bar, times, sides=sides) for bar in (0, 1)], axis=1)
     push = CubicSpline(times / unit, waves * [2.0 / speed, -2.0 / speed])
 
     def rates(s: float, y: Array) -> list[float]:
@@ -296,11 +297,13 @@ def _advance(solution: Solution, state: Array, begin: float, end: float, step: f
     start, length = found.t[:-1], np.diff(found.t)
     values = np.asarray(dense((start[:, None] + length[:, None] * shares).ravel())).T.reshape(len(start), _NODES, 3)
     powers = np.linalg.solve(np.vander(shares, increasing=True), values)
-    return Motion(start=start, length=length, states=np.swapaxes(powers, 1, 2), end=end / unit)
+    return replace(motion, start=start, length=length, states=np.swapaxes(powers, 1, 2), end=end / unit)
 
 
 def _joined(one: Motion, other: Motion) -> Motion:
-    return Motion(
-        start=np.concatenate([one.start, other.start]), length=np.concatenate([one.length, other.length]),
-        states=np.concatenate([one.states, other.states]), end=other.end,
-    )  # fmt: skip
+    return replace(
+        other,
+        start=np.concatenate([one.start, other.start]),
+        length=np.concatenate([one.length, other.length]),
+        states=np.concatenate([one.states, other.states]),
+    )

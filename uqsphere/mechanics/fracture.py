@@ -103,14 +103,14 @@ def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float,
     answers = empty_answers(n)
     only = np.array([row])
     found = march_rows(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
-    if status[row] != 0 or found is None or len(found.start) == 0:
+    if status[row] != 0 or found is None or len(found[0]) == 0:
         return None
     # contact may be lost inside the last step
     end = answers[row, ANSWER_END]
-    inside = found.start < end
-    start, states = found.start[inside], found.states[inside, :2]
-    length = np.minimum(found.length[inside], end - start)
-    states = states * (length / found.length[inside])[:, None, None] ** np.arange(states.shape[2])
+    inside = found[0] < end
+    start, whole, states = found[0][inside], found[1][inside], found[2][inside, :2]
+    length = np.minimum(whole, end - start)
+    states = states * (length / whole)[:, None, None] ** np.arange(states.shape[2])
     approach = np.maximum(states @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
     return _Course(
         start=start,

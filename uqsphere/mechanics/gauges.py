@@ -1,4 +1,4 @@
-"""What strain gauges on the bars see, and what is read off their signals: forces, equilibrium, energies.
+"""What strain gauges on the bars see, and what is read off the waves: forces at the faces, energies.
 
 The paper's (3.17) holds for gauges half-way along, bars of equal length and no reflection; here a gauge sits
 anywhere, and every reflection is in its signal.
@@ -12,28 +12,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import (
-    BARS,
-    Solution,
-    arriving,
-    check_position,
-    field_at,
-    force_at,
-    last_time,
-    leaving,
-    states_at,
-)
-from uqsphere.mechanics.history import History, largest
+from uqsphere.mechanics.field import BARS, arriving, check_position, field_at, last_time, leaving
+from uqsphere.mechanics.integrator.solve import Motion
 
 __all__ = [
     "BarForces",
     "Energies",
-    "Equilibrium",
     "GaugeRecord",
     "Overlap",
     "bar_forces",
     "default_positions",
-    "equilibrium",
     "force_imbalance",
     "gauge_record",
     "gauge_strain",
@@ -47,10 +35,8 @@ Array = npt.NDArray[np.float64]
 _OVER: Final = 0.01
 #: instants at which a wave is looked at to see when it is over
 _LOOKS: Final = 4000
-#: points of a step's quadrature, parts of a step that are scanned, halvings that leave nothing of one
+#: points of a step's Gauss quadrature, exact to degree 15
 _GAUSS: Final = 8
-_SCAN: Final = 16
-_HALVINGS: Final = 52
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,19 +96,6 @@ class BarForces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Equilibrium:
-    """When the imbalance is within `level`: at first, and from when on up to `until` [s]; None: never.
-
-    `until` is the time of the largest force before a reflected wave returns or contact is lost.
-    """
-
-    level: float
-    first: float | None
-    lasting: float | None
-    until: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Energies:
     """What the waves have carried past the faces up to some time, and what is left with the sphere [J]."""
 
@@ -140,7 +113,7 @@ class Energies:
 # --- signals ------------------------------------------------------------------------------------------
 
 
-def gauge_strain(history: History, bar: str, position: float, times: Any, *, sides: Array | None = None) -> Array:
+def gauge_strain(motion: Motion, bar: str, position: float, times: Any, *, sides: Array | None = None) -> Array:
     """Axial strain at a place of a bar, tension positive.
 
     At a distance d from the sphere, with c0 the wave speed of the bars:
@@ -149,7 +122,7 @@ def gauge_strain(history: History, bar: str, position: float, times: Any, *, sid
 
     Parameters
     ----------
-    history : History
+    motion : Motion
     bar : str
         `incident` or `receiving`.
     position : float
@@ -177,63 +150,63 @@ def gauge_strain(history: History, bar: str, position: float, times: Any, *, sid
 
     >>> from uqsphere import history, load_study
     >>> found = history(load_study("studies/granite.toml"))
-    >>> float(gauge_strain(found, "incident", 0.75, [-100e-6])[0]) * 1e6    # the pulse: -v0/(2 c0) once it has risen
+    >>> float(gauge_strain(found.motion, "incident", 0.75, [-100e-6])[0]) * 1e6    # -v0/(2 c0)
     -51.2989...
     """
-    check_position(history.solution, bar, position)
-    stress = field_at(history, bar, position, times, sides=sides).stress
-    return np.asarray(stress / float(history.solution.scene.columns["bars.E"][history.solution.row]))
+    check_position(motion, bar, position)
+    stress = field_at(motion, bar, position, times, sides=sides).stress
+    return np.asarray(stress / float(motion.scene.columns["bars.E"][motion.row]))
 
 
-def gauge_record(history: History, bar: str, position: float) -> GaugeRecord:
-    """The signal of a gauge from the arrival of the first wave to the end of what the history decides.
+def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
+    """The signal of a gauge from the arrival of the first wave to the end of what the motion decides.
+
+    On an even grid of so many `points`, with jumps twice on top.
 
     Raises
     ------
     ValueError
         For an unknown bar, or a place that is not on it.
     """
-    solution = history.solution
-    number = check_position(solution, bar, position)
-    delay = position / solution.wave_speed
-    begin, end = (-1.1 * delay if number == 0 else 0.0), float(last_time(solution, bar, position))
-    grid = np.linspace(begin, end, len(history.time))
-    jumps = _jumps(solution, number)
+    number = check_position(motion, bar, position)
+    delay = position / motion.wave_speed
+    begin, end = (-1.1 * delay if number == 0 else 0.0), float(last_time(motion, bar, position))
+    grid = np.linspace(begin, end, points)
+    jumps = _jumps(motion, number)
     jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
     jumps = jumps[(jumps > begin) & (jumps < end)]
     times = np.concatenate([grid, jumps, jumps])
     sides = np.concatenate([np.ones(len(grid)), -np.ones(len(jumps)), np.ones(len(jumps))])
     order = np.lexsort((sides, times))
     times, sides = times[order], sides[order]
-    strain = gauge_strain(history, bar, position, times, sides=sides)
+    strain = gauge_strain(motion, bar, position, times, sides=sides)
     return GaugeRecord(
-        bar=bar, position=position, time=times, strain=strain, overlaps=overlaps(history, bar, position),
-        clean_until=_clean_until(solution, number, delay),
+        bar=bar, position=position, time=times, strain=strain, overlaps=overlaps(motion, bar, position),
+        clean_until=_clean_until(motion, number, delay),
     )  # fmt: skip
 
 
-def default_positions(history: History) -> tuple[tuple[str, float], ...]:
+def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
     """Where gauges are put that nobody placed: half-way along, as in the paper; a bar without a length has none."""
-    solution = history.solution
     places = []
     for number, bar in enumerate(BARS):
-        half = 0.25 * solution.wave_speed * solution.round_trip(number)
+        half = 0.25 * motion.wave_speed * motion.round_trip(number)
         if np.isfinite(half):
             places.append((bar, half))
     return tuple(places)
 
 
-def _jumps(solution: Solution, number: int) -> Array:
+def _jumps(motion: Motion, number: int) -> Array:
     """When a wave of a bar jumps or bends at the face: the pulse, and what has come back of it."""
-    breaks = solution.scene.pulse.breaks[solution.row]
+    breaks = motion.scene.pulse.breaks[motion.row]
     breaks = breaks[np.isfinite(breaks)] if number == 0 else np.zeros(0)
-    if not solution.echoes(number):
+    if not motion.echoes(number):
         return np.asarray(breaks)
-    trips = np.arange(1 + int(min(solution.horizon / solution.round_trip(number), 16.0)))
-    return np.asarray((breaks[:, None] + trips * solution.round_trip(number)).ravel())
+    trips = np.arange(1 + int(min(motion.horizon / motion.round_trip(number), 16.0)))
+    return np.asarray((breaks[:, None] + trips * motion.round_trip(number)).ravel())
 
 
-def overlaps(history: History, bar: str, position: float) -> tuple[Overlap, ...]:
+def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     """Where a gauge sees two waves at once.
 
     The incident and the reflected wave overlap for position < c0 t_pulse/2; the wave that leaves the sphere is met by
@@ -244,34 +217,33 @@ def overlaps(history: History, bar: str, position: float) -> tuple[Overlap, ...]
     ValueError
         For an unknown bar, or a place that is not on it.
     """
-    solution = history.solution
-    number = check_position(solution, bar, position)
-    delay = position / solution.wave_speed
+    number = check_position(motion, bar, position)
+    delay = position / motion.wave_speed
     names = ("reflected", "its return from the struck end") if number == 0 else ("transmitted", "its return")
     found = []
-    if number == 0 and solution.pulse_end > 2.0 * delay:
+    if number == 0 and motion.pulse_end > 2.0 * delay:
         # a step overlaps to the end of what is known
-        end = min(solution.pulse_end - delay, float(last_time(solution, bar, position)))
+        end = min(motion.pulse_end - delay, float(last_time(motion, bar, position)))
         found.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
-    back = _clean_until(solution, number, delay)
-    if back < min(solution.round_trip(number), solution.horizon):
-        looks = np.linspace(0.0, min(solution.round_trip(number), solution.horizon), _LOOKS)
-        wave = np.abs(leaving(solution, number, looks, sides=-np.ones_like(looks)))
+    back = _clean_until(motion, number, delay)
+    if back < min(motion.round_trip(number), motion.horizon):
+        looks = np.linspace(0.0, min(motion.round_trip(number), motion.horizon), _LOOKS)
+        wave = np.abs(leaving(motion, number, looks, sides=-np.ones_like(looks)))
         above = looks[wave > _OVER * wave.max()]
         if above.size and above[-1] > back:
             found.append(Overlap(first=names[0], second=names[1], begin=back + delay, end=float(above[-1]) + delay))
     return tuple(found)
 
 
-def _clean_until(solution: Solution, number: int, delay: float) -> float:
+def _clean_until(motion: Motion, number: int, delay: float) -> float:
     """Time at the face [s] up to which the wave that leaves it passes a gauge before it has come back there."""
-    return np.inf if not solution.echoes(number) else solution.round_trip(number) - 2.0 * delay
+    return np.inf if not motion.echoes(number) else motion.round_trip(number) - 2.0 * delay
 
 
 # --- forces -------------------------------------------------------------------------------------------
 
 
-def bar_forces(history: History, incident_position: float, receiving_position: float, *, points: int = 2000,
+def bar_forces(motion: Motion, incident_position: float, receiving_position: float, *, points: int = 2000,
                ) -> BarForces:  # fmt: skip
     """Forces at the faces from the signals of two gauges, as an experimentalist takes them.
 
@@ -296,18 +268,17 @@ def bar_forces(history: History, incident_position: float, receiving_position: f
     -----
     G. T. Gray III, Classic split-Hopkinson pressure bar testing, ASM Handbook 8, 2000 (names of the analyses).
     """
-    solution = history.solution
-    check_position(solution, "incident", incident_position)
-    check_position(solution, "receiving", receiving_position)
-    delays = [position / solution.wave_speed for position in (incident_position, receiving_position)]
-    if not np.isfinite(solution.pulse_end):
+    check_position(motion, "incident", incident_position)
+    check_position(motion, "receiving", receiving_position)
+    delays = [position / motion.wave_speed for position in (incident_position, receiving_position)]
+    if not np.isfinite(motion.pulse_end):
         raise ValueError("a step never ends, so that incident and reflected wave overlap at any gauge")
-    if solution.pulse_end > 2.0 * delays[0] * (1.0 + 1e-12):
+    if motion.pulse_end > 2.0 * delays[0] * (1.0 + 1e-12):
         raise ValueError(
-            f"the pulse of {solution.pulse_end * 1e6:.6g} us overlaps with its reflection at {incident_position:g} m "
-            f"from the sphere: the gauge must be at least {0.5 * solution.wave_speed * solution.pulse_end:.4g} m away"
+            f"the pulse of {motion.pulse_end * 1e6:.6g} us overlaps with its reflection at {incident_position:g} m "
+            f"from the sphere: the gauge must be at least {0.5 * motion.wave_speed * motion.pulse_end:.4g} m away"
         )
-    end = min(solution.horizon, *(_clean_until(solution, bar, delays[bar]) for bar in (0, 1)))
+    end = min(motion.horizon, *(_clean_until(motion, bar, delays[bar]) for bar in (0, 1)))
     if not end > 0.0:
         raise ValueError("no time is left between a wave and its return: a gauge is at the far end of its bar")
     # up to the end and not with it, where the echo jumps in
@@ -315,10 +286,10 @@ def bar_forces(history: History, incident_position: float, receiving_position: f
     sides = np.where(times < end, 1.0, -1.0)
     incident = np.zeros_like(times)
     first = times < 2.0 * delays[0]
-    incident[first] = gauge_strain(history, "incident", incident_position, times[first] - delays[0])
-    reflected = gauge_strain(history, "incident", incident_position, times + delays[0], sides=sides)
-    transmitted = gauge_strain(history, "receiving", receiving_position, times + delays[1], sides=sides)
-    stiffness = float(solution.scene.columns["bars.E"][solution.row]) * solution.section
+    incident[first] = gauge_strain(motion, "incident", incident_position, times[first] - delays[0])
+    reflected = gauge_strain(motion, "incident", incident_position, times + delays[0], sides=sides)
+    transmitted = gauge_strain(motion, "receiving", receiving_position, times + delays[1], sides=sides)
+    stiffness = float(motion.scene.columns["bars.E"][motion.row]) * motion.section
     one, two = -stiffness * transmitted, -stiffness * (incident + reflected)
     return BarForces(time=times, one_wave=one, two_wave=two, three_wave=0.5 * (one + two), end=end)
 
@@ -336,60 +307,10 @@ def force_imbalance(force_a: Any, force_b: Any) -> Array:
     return np.asarray(2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0))
 
 
-def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
-    """When the two contact forces agree within a level of `force_imbalance`, up to the first loading's largest force.
-
-    Parameters
-    ----------
-    level : float
-        Largest imbalance that counts as equilibrium, between 0 and 2.
-
-    Raises
-    ------
-    ValueError
-        For a level outside its range.
-    """
-    if not 0.0 < level < 2.0:
-        raise ValueError(f"the level of equilibrium must lie between 0 and 2, found {level!r}")
-    solution = history.solution
-    loading = min(history.record_end, float(solution.scene.first_echo[solution.row]))
-    peak = largest(solution.scene, solution.row, solution.motion, 0.0, loading, fidelity=solution.fidelity)
-    if peak is None:
-        return Equilibrium(level=level, first=None, lasting=None, until=loading)
-    end = peak.time
-
-    def excess(times: Array) -> Array:
-        forces = _forces(solution, times)
-        # before first touch there is no equilibrium to speak of
-        return np.where(forces.sum(axis=1) > 0.0, force_imbalance(forces[:, 0], forces[:, 1]), 2.0) - level
-
-    unit = float(solution.scene.scales.time[solution.row])
-    motion = solution.motion
-    inner = ((motion.start[:, None] + motion.length[:, None] * np.arange(_SCAN) / _SCAN) * unit).ravel()
-    nodes = np.concatenate([[0.0], inner[(inner > 0.0) & (inner < end)], [end]])
-    outside = excess(nodes) > 0.0
-    entries = np.flatnonzero(outside[:-1] & ~outside[1:])
-    if len(entries) == 0:
-        return Equilibrium(level=level, first=None, lasting=None, until=end)
-    low, high = nodes[entries], nodes[entries + 1]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        above = excess(middle) > 0.0
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-    lasting = None if outside[-1] else float(high[-1])
-    return Equilibrium(level=level, first=float(high[0]), lasting=lasting, until=end)
-
-
-def _forces(solution: Solution, times: Array) -> Array:
-    """Contact forces at both faces [N], (m, 2)."""
-    approaches = states_at(solution.scene, solution.row, solution.motion, times)[:, :2]
-    return force_at(solution.scene, solution.row, approaches, solution.fidelity)
-
-
 # --- energies -----------------------------------------------------------------------------------------
 
 
-def wave_energies(history: History, time: float) -> Energies:
+def wave_energies(motion: Motion, time: float) -> Energies:
     """What the waves carried past the faces from first touch to `time`: Z ∫ v² dt of each, theory (6).
 
     Parameters
@@ -402,28 +323,27 @@ def wave_energies(history: History, time: float) -> Energies:
     ValueError
         For a time outside the history.
     """
-    solution = history.solution
-    if not 0.0 <= time <= solution.horizon * (1.0 + 1e-9):
-        raise ValueError(f"the history lasts from 0 to {solution.horizon:.6g} s, found {time!r}")
-    starts = solution.motion.start * float(solution.scene.scales.time[solution.row])
+    if not 0.0 <= time <= motion.horizon * (1.0 + 1e-9):
+        raise ValueError(f"the history lasts from 0 to {motion.horizon:.6g} s, found {time!r}")
+    starts = motion.start * motion.unit
     cuts = [starts, np.array([0.0, time])]
     for number in (0, 1):
-        cuts.append(_jumps(solution, 0))
-        if solution.echoes(number):
-            trips = np.arange(1, 2 + int(min(time / solution.round_trip(number), 64.0)))
+        cuts.append(_jumps(motion, 0))
+        if motion.echoes(number):
+            trips = np.arange(1, 2 + int(min(time / motion.round_trip(number), 64.0)))
             # the waves have the kinks of the forces of earlier round trips besides those of the present
-            cuts.append((starts[:, None] + trips * solution.round_trip(number)).ravel())
+            cuts.append((starts[:, None] + trips * motion.round_trip(number)).ravel())
     nodes = np.unique(np.concatenate(cuts))
     nodes = nodes[(nodes >= 0.0) & (nodes <= time)]
     points, weights = np.polynomial.legendre.leggauss(_GAUSS)
     half = 0.5 * np.diff(nodes)
     times = ((nodes[:-1] + half)[:, None] + half[:, None] * points).ravel()
-    share = (half[:, None] * weights).ravel() * solution.impedance
+    share = (half[:, None] * weights).ravel() * motion.impedance
 
     def energy(wave: Array) -> float:
         return float(np.square(wave) @ share)
 
     return Energies(
-        incident=energy(arriving(solution, 0, times)), reflected=energy(leaving(solution, 0, times)),
-        transmitted=energy(leaving(solution, 1, times)), returned=energy(arriving(solution, 1, times)),
+        incident=energy(arriving(motion, 0, times)), reflected=energy(leaving(motion, 0, times)),
+        transmitted=energy(leaving(motion, 1, times)), returned=energy(arriving(motion, 1, times)),
     )  # fmt: skip

@@ -9,47 +9,32 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.damper import Damper, solve_with_damper
-from uqsphere.mechanics.field import (
-    BARS,
-    Solution,
-    Tension,
-    Waves,
-    all_waves,
-    field_grid,
-    first_tension,
-    force_at,
-    pressure_at,
-    states_at,
-    waves_at,
-)
+from uqsphere.mechanics.damper import Damper, move_with_damper
+from uqsphere.mechanics.field import BARS, Tension, field_grid, first_tension, waves_at
+from uqsphere.mechanics.gauges import GaugeRecord, force_imbalance
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
 
-if TYPE_CHECKING:
-    from uqsphere.mechanics.gauges import GaugeRecord
-
 __all__ = [
     "ContactChange",
+    "Equilibrium",
     "FieldView",
     "History",
     "Peak",
-    "Waves",
+    "equilibrium",
     "extent",
     "find_changes",
     "force_courses",
     "largest",
     "shown_time",
-    "states_at",
     "trace",
     "view_field",
-    "waves_at",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -89,6 +74,19 @@ class Peak:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Equilibrium:
+    """When the imbalance is within `level`: at first, and from when on up to `until` [s]; None: never.
+
+    `until` is the time of the largest force before a reflected wave returns or contact is lost.
+    """
+
+    level: float
+    first: float | None
+    lasting: float | None
+    until: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class History:
     """One scene over time, SI.
 
@@ -115,7 +113,7 @@ class History:
     modulus, effective_radius, hertz_constant : float
         What `pressure_over_contact` needs [Pa, m, N/m^1.5].
     fidelity : str
-    solution : Solution
+    motion : Motion
         The integrated scene itself: `uqsphere.mechanics.gauges` and `field` read any place and instant off it.
     gauges : tuple of GaugeRecord
         Signals of the gauges of a study, or of one half-way along each bar; none from `trace` itself.
@@ -144,7 +142,7 @@ class History:
     effective_radius: float
     hertz_constant: float
     fidelity: str
-    solution: Solution = field(repr=False, compare=False)
+    motion: Motion = field(repr=False, compare=False)
     gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -163,7 +161,7 @@ class History:
     def hardest_contact(self) -> tuple[float, float]:
         """a/r and p_0 [Pa] at the largest contact pressure of either face; theory (15)."""
         pressure = max((peak.pressure for peak in (self.first_peak, self.later_peak) if peak is not None), default=0.0)
-        radius = float(self.solution.scene.columns["sphere.radius"][self.solution.row])
+        radius = float(self.motion.scene.columns["sphere.radius"][self.motion.row])
         # Hertz: p_0 = (2/pi) E* a/r_eff
         return pressure * 0.5 * np.pi * self.effective_radius / self.modulus / radius, pressure
 
@@ -210,24 +208,19 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     row = range(len(scene))[row]
     if damper is None:
         found = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
-        solution = Solution(scene=scene, row=row, motion=found, fidelity=fidelity)
     elif fidelity == "full":
-        solution = solve_with_damper(scene, row, damper)
-        found = solution.motion
+        found = move_with_damper(scene, row, damper)
     else:
         raise ValueError(f"a damper against frequency goes with the full model, found {fidelity}")
-    unit = float(scene.scales.time[row])
-    horizon = found.end * unit
-    changes = find_changes(scene, row, found, tolerance=tolerance)
+    horizon = found.horizon
+    changes = find_changes(found, tolerance=tolerance)
     lost = next((change.time for change in changes if change.kind == "lost"), np.inf)
-    first = largest(scene, row, found, 0.0, lost, fidelity=fidelity)
-    later = largest(scene, row, found, lost, horizon, fidelity=fidelity)
-    events = [event.time for event in (*changes, first, later) if event is not None]
-    times, sides = _instants(scene, row, horizon, points, events)
-    states = states_at(scene, row, found, times)
-    waves = all_waves(solution, times, sides=sides)
-    forces = [force_at(scene, row, states[:, face], fidelity) for face in (0, 1)]
-    pressures = [pressure_at(scene, row, force) for force in forces]
+    first, later = largest(found, 0.0, lost), largest(found, lost, horizon)
+    times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
+    states = found.states_at(times)
+    waves = waves_at(found, times, sides=sides)
+    forces = [found.force_at(states[:, face]) for face in (0, 1)]
+    pressures = [found.pressure_at(force) for force in forces]
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
@@ -238,8 +231,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         first_peak=first, later_peak=later, record_end=min(lost, horizon), horizon=horizon,
         mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
-        hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity,
-        solution=solution,
+        hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found,
     )  # fmt: skip
 
 
@@ -261,16 +253,14 @@ def force_courses(scene: Scene, times: Array, *, fidelity: str = "full", toleran
     found = np.full((len(scene), 2, len(times)), np.nan)
     for row in range(len(scene)):
         course = motion(scene, row, fidelity=fidelity, tolerance=tolerance)
-        known = times <= course.end * float(scene.scales.time[row])
-        states = states_at(scene, row, course, times[known])
-        for face in (0, 1):
-            found[row, face, known] = force_at(scene, row, states[:, face], fidelity)
+        known = times <= course.horizon
+        found[row][:, known] = course.forces_at(times[known]).T
     return found
 
 
-def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[float],
-              ) -> tuple[Array, Array]:  # fmt: skip
+def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, Array]:
     """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else 1."""
+    scene, row, horizon = found.scene, found.row, found.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row]
     breaks = breaks[np.isfinite(breaks)]
@@ -286,16 +276,11 @@ def _instants(scene: Scene, row: int, horizon: float, points: int, events: list[
     return times[order], sides[order]
 
 
-def _nodes(scene: Scene, row: int, found: Motion, begin: float, end: float) -> Array:
+def _nodes(found: Motion, begin: float, end: float) -> Array:
     """Ascending instants [s] from begin to end that divide every step into `_SCAN` parts."""
     shares = np.arange(_SCAN) / _SCAN
-    inner = (found.start[:, None] + found.length[:, None] * shares).ravel() * scene.scales.time[row]
+    inner = (found.start[:, None] + found.length[:, None] * shares).ravel() * found.unit
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
-
-
-def _course(scene: Scene, row: int, found: Motion, face: int) -> Course:
-    """The approach at one face as a function of time."""
-    return lambda times: states_at(scene, row, found, times)[:, face]
 
 
 def _bisect(function: Course, low: Array, high: Array) -> Array:
@@ -308,15 +293,14 @@ def _bisect(function: Course, low: Array, high: Array) -> Array:
     return high
 
 
-def find_changes(scene: Scene, row: int, found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
+def find_changes(found: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
     """Contacts lost and found again up to the end of the motion, in order of time.
 
     That an approach is zero at first touch is no loss; a face counts as touched from the first approach above
     the integrator's own error.
     """
-    end = found.end * float(scene.scales.time[row])
-    nodes = _nodes(scene, row, found, 0.0, end)
-    states = states_at(scene, row, found, nodes)
+    nodes = _nodes(found, 0.0, found.horizon)
+    states = found.states_at(nodes)
     changes = []
     for face, name in enumerate("AB"):
         approach = states[:, face]
@@ -326,30 +310,33 @@ def find_changes(scene: Scene, row: int, found: Motion, *, tolerance: float) -> 
         pressed = approach > 0.0
         pressed[: touched[0]] = True
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
-        times = _bisect(_course(scene, row, found, face), nodes[at], nodes[at + 1])
+        times = _bisect(_approach(found, face), nodes[at], nodes[at + 1])
         for time, before in zip(times, pressed[at], strict=True):
             changes.append(ContactChange(time=float(time), face=name, kind="lost" if before else "found"))
     return tuple(sorted(changes, key=lambda change: (change.time, change.face)))
 
 
-def largest(scene: Scene, row: int, found: Motion, begin: float, end: float, *, fidelity: str = "full",
-            ) -> Peak | None:  # fmt: skip
+def _approach(found: Motion, face: int) -> Course:
+    """The approach at one face as a function of time."""
+    return lambda times: found.states_at(times)[:, face]
+
+
+def largest(found: Motion, begin: float, end: float) -> Peak | None:
     """The largest contact pressure at either face between begin and end [s]; None if there is no force."""
-    end = min(end, found.end * float(scene.scales.time[row]))
+    end = min(end, found.horizon)
     if not begin < end:
         return None
-    nodes = _nodes(scene, row, found, begin, end)
+    nodes = _nodes(found, begin, end)
     best: Peak | None = None
     for face, name in enumerate("AB"):
-        approach = _course(scene, row, found, face)
+        approach = _approach(found, face)
         highest = int(np.argmax(approach(nodes)))
         time = _golden(approach, nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)])
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
-        force = float(force_at(scene, row, approach(np.array([time])), fidelity)[0])
+        force = float(found.force_at(approach(np.array([time])))[0])
         if force > 0.0 and (best is None or force > best.force):
-            pressure = float(pressure_at(scene, row, force))
-            best = Peak(time=float(time), face=name, pressure=pressure, force=force)
+            best = Peak(time=float(time), face=name, pressure=float(found.pressure_at(force)), force=force)
     return best
 
 
@@ -364,6 +351,42 @@ def _golden(function: Course, low: float, high: float) -> float:
         else:
             low = left
     return 0.5 * (low + high)
+
+
+def equilibrium(history: History, level: float = 0.05) -> Equilibrium:
+    """When the two contact forces agree within a level of `force_imbalance`, up to the first loading's largest force.
+
+    Parameters
+    ----------
+    level : float
+        Largest imbalance that counts as equilibrium, between 0 and 2.
+
+    Raises
+    ------
+    ValueError
+        For a level outside its range.
+    """
+    if not 0.0 < level < 2.0:
+        raise ValueError(f"the level of equilibrium must lie between 0 and 2, found {level!r}")
+    found = history.motion
+    loading = min(history.record_end, float(found.scene.first_echo[found.row]))
+    peak = largest(found, 0.0, loading)
+    if peak is None:
+        return Equilibrium(level=level, first=None, lasting=None, until=loading)
+
+    def excess(times: Array) -> Array:
+        forces = found.forces_at(times)
+        # before first touch there is no equilibrium to speak of
+        return np.where(forces.sum(axis=1) > 0.0, force_imbalance(forces[:, 0], forces[:, 1]), 2.0) - level
+
+    nodes = _nodes(found, 0.0, peak.time)
+    outside = excess(nodes) > 0.0
+    entries = np.flatnonzero(outside[:-1] & ~outside[1:])
+    if len(entries) == 0:
+        return Equilibrium(level=level, first=None, lasting=None, until=peak.time)
+    times = _bisect(excess, nodes[entries], nodes[entries + 1])
+    lasting = None if outside[-1] else float(times[-1])
+    return Equilibrium(level=level, first=float(times[0]), lasting=lasting, until=peak.time)
 
 
 # --- What a picture of the bars over place and time shows: how far it goes, the stress on a grid, and the fronts.
@@ -463,42 +486,42 @@ class FieldView:
 
 def shown_time(history: History) -> float:
     """How far pictures go in time [s]: the record, at least one round trip where something comes back."""
-    solution = history.solution
-    trips = [solution.round_trip(bar) for bar in (0, 1)]
-    echoes = [trip for bar, trip in enumerate(trips) if solution.echoes(bar)]
+    found = history.motion
+    trips = [found.round_trip(bar) for bar in (0, 1)]
+    echoes = [trip for bar, trip in enumerate(trips) if found.echoes(bar)]
     last = max(1.15 * history.record_end, 1.1 * max(echoes, default=0.0))
-    if not echoes and math.isfinite(solution.pulse_end):
-        last = min(last, 6.0 * solution.pulse_end)
+    if not echoes and math.isfinite(found.pulse_end):
+        last = min(last, 6.0 * found.pulse_end)
     return min(last, history.horizon)
 
 
 def extent(history: History) -> tuple[tuple[float, float], float]:
     """What a picture of the bars shows: length of each bar [m], as far as it goes, and the last instant [s]."""
-    solution, last = history.solution, shown_time(history)
-    trips = [solution.round_trip(bar) for bar in (0, 1) if solution.echoes(bar)]
+    found, last = history.motion, shown_time(history)
+    trips = [found.round_trip(bar) for bar in (0, 1) if found.echoes(bar)]
     # the regions can be told apart up to the second return
     last = min(last, 2.2 * max(trips, default=math.inf))
-    speed = solution.wave_speed
-    reach = [min(0.5 * speed * solution.round_trip(bar), 1.2 * speed * last) for bar in (0, 1)]
+    speed = found.wave_speed
+    reach = [min(0.5 * speed * found.round_trip(bar), 1.2 * speed * last) for bar in (0, 1)]
     return (reach[0], reach[1]), last
 
 
 def view_field(history: History, *, places: int = 300, times: int = 380) -> FieldView:
     """The view of a history on a grid of that many places and instants."""
-    solution = history.solution
+    found = history.motion
     reach, last = extent(history)
-    first, second = (solution.round_trip(bar) if solution.echoes(bar) else math.inf for bar in (0, 1))
-    found = (first_tension(history, bar) for bar in BARS)
+    first, second = (found.round_trip(bar) if found.echoes(bar) else math.inf for bar in (0, 1))
+    tensions = (first_tension(found, bar) for bar in BARS)
     view = FieldView(
         reach=reach,
-        begin=-reach[0] / solution.wave_speed,
+        begin=-reach[0] / found.wave_speed,
         last=last,
         stress=np.zeros((times, places)),
-        wave_speed=solution.wave_speed,
-        pulse_end=solution.pulse_end,
+        wave_speed=found.wave_speed,
+        pulse_end=found.pulse_end,
         record_end=history.record_end,
         returns=(first, second),
-        tensions=tuple(one for one in found if one is not None),
+        tensions=tuple(one for one in tensions if one is not None),
     )
-    view.stress[...] = field_grid(history, view.places, view.times).stress
+    view.stress[...] = field_grid(found, view.places, view.times).stress
     return view

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.dispersion import first_mode, transfer
-from uqsphere.mechanics.history import waves_at
+from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.pulses import NOISE_MODES, MeasuredPulse, noise_names, pulse_value
 from uqsphere.mechanics.scene import Scene
@@ -381,9 +381,9 @@ class _Fit:
         self.start = np.zeros(_COUNT)
         self.start[_MODULUS] = math.log(float(contact.reduced_modulus(
             columns["sphere.E"], columns["sphere.nu"], columns["bars.E"], columns["bars.nu"])))  # fmt: skip
-        self.kept: dict[bytes, tuple[Scene, Motion]] = {}
+        self.kept: dict[bytes, Motion] = {}
 
-    def motion(self, parameters: Array) -> tuple[Scene, Motion]:
+    def motion(self, parameters: Array) -> Motion:
         # what the baseline is off by lies under the whole pulse: a box, by its share of each mode of the noise
         scale = self.pulse.noise * self.pulse.peak
         box = parameters[_BASE] * self.faces.offset[0] / scale if scale > 0.0 else 0.0
@@ -404,7 +404,7 @@ class _Fit:
             scene = Scene(columns=columns, shape="measured", record=self.pulse, infinite=True, rigid_contact=True,
                           horizon=end)  # fmt: skip
             try:
-                self.kept[key] = (scene, motion(scene, 0, tolerance=_TOLERANCE))
+                self.kept[key] = motion(scene, 0, tolerance=_TOLERANCE)
             except ValueError as error:
                 raise RecordError(f"the model cannot follow the incident wave of the record: {error}") from None
             if len(self.kept) > 200:
@@ -413,11 +413,11 @@ class _Fit:
 
     def waves(self, parameters: Array) -> tuple[Array, Array]:
         """Strains that the gauges would show of the reflected and the transmitted wave at the faces."""
-        scene, found = self.motion(parameters)
-        last = scene.record_end[0]
+        found = self.motion(parameters)
+        last = found.scene.record_end[0]
         times = [np.clip(self.faces.time + parameters[shift], 0.0, last) for shift in (_SHIFT_A, _SHIFT_B)]
-        reflected = waves_at(scene, 0, found, times[0]).leaving_a / self.speed
-        transmitted = -waves_at(scene, 0, found, times[1]).leaving_b / self.speed
+        reflected = waves_at(found, times[0]).leaving_a / self.speed
+        transmitted = -waves_at(found, times[1]).leaving_b / self.speed
         offset = self.faces.offset
         base = parameters[_BASE] * offset[0] if self.faces.shared else parameters[_BASE + 1] * offset[1]
         return (
@@ -622,9 +622,9 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
     reflected, transmitted = fit.waves(parameters)
     scale = _stiffness_of_bar(scene)
     incident = np.zeros(length)
-    shown, moved = fit.motion(parameters)
-    within = np.minimum(faces.time, shown.record_end[0])
-    incident = -waves_at(shown, 0, moved, within).incident / fit.speed
+    moved = fit.motion(parameters)
+    within = np.minimum(faces.time, moved.scene.record_end[0])
+    incident = -waves_at(moved, within).incident / fit.speed
     return Inverse(
         forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes),
         stiffness=Stiffness(

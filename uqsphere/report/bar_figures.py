@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.field import BARS, force_at, last_time, states_at
-from uqsphere.mechanics.gauges import BarForces, bar_forces, equilibrium, force_imbalance, gauge_strain
-from uqsphere.mechanics.history import shown_time
+from uqsphere.mechanics.field import BARS, last_time
+from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
+from uqsphere.mechanics.history import equilibrium, shown_time
 from uqsphere.quantities import display_unit
 from uqsphere.report import canvas
 from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, Picture
@@ -90,12 +90,12 @@ def gauges_finding(history: History) -> str:
 
 def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, end: float) -> None:
     """When which wave comes first, as words along the top."""
-    solution = history.solution
+    motion = history.motion
     number = BARS.index(record.bar)
-    delay, trip = record.position / solution.wave_speed, solution.round_trip(number)
+    delay, trip = record.position / motion.wave_speed, motion.round_trip(number)
     marks = [(-delay, "incident")] if number == 0 else []
     marks.append((delay, "reflected" if number == 0 else "transmitted"))
-    if solution.echoes(number):
+    if motion.echoes(number):
         marks.append((trip - delay, "its return"))
     before, line = -math.inf, 0
     for time, word in marks:
@@ -111,11 +111,11 @@ def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, e
 
 def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
     """Heading and rows of gauges.csv: time [us] on an even grid, and the strain of every gauge [1e-6]."""
-    solution = history.solution
+    motion = history.motion
     begin = min(float(record.time[0]) for record in history.gauges)
-    end = min(float(last_time(solution, record.bar, record.position)) for record in history.gauges)
+    end = min(float(last_time(motion, record.bar, record.position)) for record in history.gauges)
     times = np.linspace(begin, end, _ROWS)
-    columns = [times, *(gauge_strain(history, record.bar, record.position, times) for record in history.gauges)]
+    columns = [times, *(gauge_strain(motion, record.bar, record.position, times) for record in history.gauges)]
     heading = ["time [us]", *(f"{record.name} [microstrain]" for record in history.gauges)]
     return heading, (np.stack(columns, axis=1) * 1e6).tolist()
 
@@ -132,7 +132,7 @@ def wave_forces(history: History) -> tuple[BarForces | None, str]:
     if missing:
         return None, f"no gauge on the {' and the '.join(missing)} bar"
     try:
-        return bar_forces(history, first["incident"], first["receiving"]), ""
+        return bar_forces(history.motion, first["incident"], first["receiving"]), ""
     except ValueError as error:
         return None, str(error)
 
@@ -142,7 +142,7 @@ def draw_forces(history: History) -> Picture:
     found, reason = wave_forces(history)
     end = found.end if found is not None else min(history.record_end, shown_time(history))
     times = np.linspace(0.0, end, 1500)
-    exact = _contact_forces(history, times)
+    exact = history.motion.forces_at(times)
     unit, scale = display_unit("P_max")
     balance = equilibrium(history, _LEVEL)
     with canvas.style():
@@ -188,19 +188,12 @@ def _forces_finding(history: History, found: BarForces | None, reason: str) -> s
     return f"{text}, and from {_micro(balance.lasting)} on up to the first loading's largest force (grey: after it)."
 
 
-def _contact_forces(history: History, times: Array) -> Array:
-    """Contact forces at both faces [N], (m, 2)."""
-    solution = history.solution
-    approaches = states_at(solution.scene, solution.row, solution.motion, times)[:, :2]
-    return force_at(solution.scene, solution.row, approaches, solution.fidelity)
-
-
 def force_rows(history: History) -> tuple[list[str], list[list[Any]]] | None:
     """Heading and rows of bar_forces.csv; None where the gauges allow no wave analysis."""
     found, _ = wave_forces(history)
     if found is None:
         return None
-    exact = _contact_forces(history, found.time)
+    exact = history.motion.forces_at(found.time)
     columns = [found.time * 1e6, found.one_wave, found.two_wave, found.three_wave, exact[:, 0], exact[:, 1],
                force_imbalance(exact[:, 0], exact[:, 1])]  # fmt: skip
     heading = ["time at the faces [us]", "one wave (B) [N]", "two waves (A) [N]", "three waves [N]", "contact A [N]",

@@ -63,7 +63,7 @@ def units_of_history(found: History) -> dict[str, str]:
 
 
 def _write(found: History, study: Study, folder: Path) -> list[Path]:
-    scene = found.solution.scene
+    scene = found.motion.scene
     columns = [getattr(found, field) for field in _COLUMNS.values()]
     rows = np.stack(columns, axis=1).tolist()
     contents = {
@@ -73,7 +73,7 @@ def _write(found: History, study: Study, folder: Path) -> list[Path]:
     }
     contents |= _bars(found)
     ratio, pressure = found.hardest_contact
-    nu = float(scene.columns["sphere.nu"][found.solution.row])
+    nu = float(scene.columns["sphere.nu"][found.motion.row])
     if not outside(ratio, nu):
         contents["stress.svg"] = stress_figure(ratio, nu, pressure)
     for name, text in contents.items():

@@ -136,8 +136,8 @@ def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
     (left, right), last = extent(history)
     places = np.concatenate([-left * (1.0 - np.arange(_NODES[0] // 2) / (_NODES[0] // 2)), [0.0],
                              right * (1.0 + np.arange(_NODES[0] // 2)) / (_NODES[0] // 2)])  # fmt: skip
-    times = np.linspace(-left / history.solution.wave_speed, last, _NODES[1])
-    found = field_grid(history, places, times)
+    times = np.linspace(-left / history.motion.wave_speed, last, _NODES[1])
+    found = field_grid(history.motion, places, times)
     x, t = np.meshgrid(places, times)
     columns = [x.ravel(), t.ravel() * 1e6, found.stress.ravel() * 1e-6, found.velocity.ravel()]
     heading = ["place [m]", "time [us]", "stress [MPa]", "particle velocity [m/s]"]

@@ -47,8 +47,9 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     tolerance = min(study.model.tolerance, 1e-8)
     try:
         found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
-        places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found)
-        return replace(found, gauges=tuple(gauge_record(found, bar, position) for bar, position in places))
+        places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found.motion)
+        gauges = (gauge_record(found.motion, bar, position, points=len(found.time)) for bar, position in places)
+        return replace(found, gauges=tuple(gauges))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
@@ -106,7 +107,7 @@ def history_summary(found: History) -> dict[str, Any]:
 def _bars(found: History) -> dict[str, Any]:
     """What the bars see: equilibrium of the forces, first tension, and waves that overlap at a gauge."""
     from uqsphere.mechanics.field import BARS, first_tension, tension_level
-    from uqsphere.mechanics.gauges import equilibrium
+    from uqsphere.mechanics.history import equilibrium
 
     balance = equilibrium(found)
     level = f"{100.0 * balance.level:.0f} %"
@@ -116,12 +117,12 @@ def _bars(found: History) -> dict[str, Any]:
     ]
     tensions = {}
     for bar in BARS:
-        tension = first_tension(found, bar)
+        tension = first_tension(found.motion, bar)
         tensions[bar] = None if tension is None else {"time": tension.time, "position": tension.position}
         text = "none" if tension is None else f"{tension.time * 1e6:.4g} us, {tension.position:.4g} m from the sphere"
         lines.append((f"first tension in the {bar} bar", text))
-    if found.solution.scene.record is not None:
-        share = f"above {100.0 * tension_level(found):.1f} % of the pulse: less is the noise of its record"
+    if found.motion.scene.record is not None:
+        share = f"above {100.0 * tension_level(found.motion):.1f} % of the pulse: less is the noise of its record"
         lines.append(("  counted as tension", share))
     gauges = []
     for record in found.gauges:

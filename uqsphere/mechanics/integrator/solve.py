@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import contact, criteria
+from uqsphere.mechanics import bars, contact, criteria
 from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
     ANSWER_DEPTH,
@@ -253,16 +253,105 @@ class Answers:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Polynomials of one row's steps in scaled variables: start and length (m,), states (m, 3, 17) of x_1, x_2, u.
+    """One integrated scene: what anything between first touch and the end of the motion can be computed from.
 
-    They ascend in powers of the share of the step that has passed; `end` is the end of the record, which may
-    lie inside the last step.
+    Attributes
+    ----------
+    scene : Scene
+    row : int
+        Which of its rows.
+    start, length : (m,) arrays
+        Of the steps, over t_c.
+    states : (m, 3, k) array
+        x_1, x_2 and u on every step: coefficients in ascending powers of the share of the step that has passed.
+    end : float
+        End of the motion over t_c, which may lie inside the last step.
+    fidelity : str
+        `full`, `linear` or `massless`.
+    returning : function of (m,) times [s] to (m,) velocities [m/s], optional
+        The wave that comes back to face B, where the end is more than a number (`uqsphere.mechanics.damper`).
     """
 
+    scene: Scene
+    row: int
     start: Array
     length: Array
     states: Array
-    end: float = np.inf
+    end: float
+    fidelity: str = "full"
+    returning: Callable[[Array], Array] | None = None
+
+    @property
+    def unit(self) -> float:
+        """t_c [s], in which start, length and end are given."""
+        return float(self.scene.scales.time[self.row])
+
+    @property
+    def horizon(self) -> float:
+        """End of the motion [s]."""
+        return self.end * self.unit
+
+    @property
+    def wave_speed(self) -> float:
+        """c0 of the bars [m/s]."""
+        columns = self.scene.columns
+        return float(bars.wave_speed(columns["bars.E"][self.row], columns["bars.density"][self.row]))
+
+    @property
+    def impedance(self) -> float:
+        """Z of the bars [kg/s]."""
+        return float(self.scene.scales.impedance[self.row])
+
+    @property
+    def section(self) -> float:
+        """F0 of the bars [m²]."""
+        return float(bars.section(self.scene.columns["bars.diameter"][self.row]))
+
+    @property
+    def pulse_end(self) -> float:
+        """Time at which the incident pulse is over at face A [s]; infinite for a step."""
+        return float(self.scene.pulse.end[self.row])
+
+    def round_trip(self, bar: int) -> float:
+        """Round trip of a bar (0 incident, 1 receiving) [s]; infinite where it has no length."""
+        return float(self.scene.round_trips[self.row, bar])
+
+    def reflection(self, bar: int) -> float:
+        """Velocity reflection coefficient of a bar's far end, where it is a number."""
+        return float(self.scene.reflections[self.row, bar])
+
+    def echoes(self, bar: int) -> bool:
+        """Whether anything comes back from a bar's far end."""
+        return self.reflection(bar) != 0.0 or (bar == 1 and self.returning is not None)
+
+    def states_at(self, times: Array) -> Array:
+        """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
+        scales, row = self.scene.scales, self.row
+        s = times / scales.time[row]
+        n = np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
+        share = ((s - self.start[n]) / self.length[n])[:, None]
+        coefficients = self.states[n]
+        total = coefficients[:, :, -1]
+        for k in range(coefficients.shape[2] - 2, -1, -1):
+            total = total * share + coefficients[:, :, k]
+        units = np.array([scales.approach[row], scales.approach[row], 0.5 * self.scene.columns["striker.speed"][row]])
+        return np.where((s >= 0.0)[:, None], total * units, 0.0)
+
+    def force_at(self, approach: Array) -> Array:
+        """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
+        scales = self.scene.scales
+        if self.fidelity == "linear":
+            return np.asarray(scales.force[self.row] / scales.approach[self.row] * np.maximum(approach, 0.0))
+        return np.asarray(contact.hertz_force(approach, scales.hertz_constant[self.row]))
+
+    def forces_at(self, times: Array) -> Array:
+        """Contact forces at A and B [N] at `times` [s], (m, 2)."""
+        return self.force_at(self.states_at(times)[:, :2])
+
+    def pressure_at(self, force: Any) -> Any:
+        """Contact pressure p_0 [Pa] at a contact force [N]."""
+        scales = self.scene.scales
+        return contact.pressure_at_force(force, scales.modulus[self.row], scales.effective_radius[self.row])
 
 
 def thread_count(threads: int | None = None) -> int:
@@ -318,11 +407,11 @@ def march_rows(
     keep: int = 0,
     wanted: int = _WANTED_ALL,
     asked: float = 0.0,
-) -> Motion | None:
+) -> tuple[Array, Array, Array] | None:
     """Run the kernel on rows `order`, with more room for those that run out of it.
 
-    answers (n, ANSWERS), status (n,) and steps (n,) are written at those rows.  keep = 1 keeps the motion of the last
-    of them and returns it.
+    answers (n, ANSWERS), status (n,) and steps (n,) are written at those rows.  keep = 1 keeps the steps of the last
+    of them and returns start, length and states of `Motion`.
     """
     from uqsphere.mechanics.integrator.kernel import march
     from uqsphere.mechanics.integrator.step import TERMS
@@ -332,7 +421,7 @@ def march_rows(
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
-    motion = None
+    kept_steps = None
     for capacity in _CAPACITIES:
         room = capacity if keep else 0
         kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, TERMS)))
@@ -361,11 +450,11 @@ def march_rows(
         )
         if keep:
             taken = int(steps[order[-1]])
-            motion = Motion(start=kept[0][:taken], length=kept[1][:taken], states=kept[2][:taken])
+            kept_steps = kept[0][:taken], kept[1][:taken], kept[2][:taken]
         order = order[status[order] == _FULL]
         if len(order) == 0:
             break
-    return motion
+    return kept_steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -467,7 +556,9 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
             keep=1,
         )
         if status[0] == 0 and found is not None:
-            return replace(found, end=float(answers[0, ANSWER_END]))
+            start, length, states = found
+            end = float(answers[0, ANSWER_END])
+            return Motion(scene=scene, row=row, start=start, length=length, states=states, end=end, fidelity=fidelity)
     raise ValueError(f"row {row} has no motion: {STATUS[int(status[0])]}")
 
 
