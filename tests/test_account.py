@@ -174,7 +174,7 @@ def test_a_plan_warns_of_quantities_that_may_be_rough() -> None:
 def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from(text=SUM)
     found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["a"] + x["b"]})
-    results = found.results
+    results = found.results.document()
     parts = {row["part"]: row for row in results["plan"]["parts"]}
     assert sum(row["taken"] for row in parts.values()) == sum(results["model"]["evaluations"].values())
     assert parts["sampling"]["taken"] == results["quantities"]["y"]["mean"]["evaluations"]
@@ -189,4 +189,4 @@ def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[...,
     assert band["half_width"] == bands[-1]["error"]
     missed = [text for text in results["accuracy"]["missed"] if "band of the curve" in text]
     assert bool(missed) == (band["half_width"] > ASKED)
-    assert len(found.manifest["speed_error_seconds"]) == len(results["speed_error"])
+    assert len(found.manifest.speed_error_seconds) == len(results["speed_error"])

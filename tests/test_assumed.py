@@ -12,8 +12,10 @@ import pytest
 from scipy.special import gamma, ndtr
 
 import uqsphere
+from uqsphere.errors import FolderError
+from uqsphere.results import Results
+from uqsphere.results.entries import checked_entry
 from uqsphere.runner.assumed import fewest_tests, other_family, with_scatter
-from uqsphere.runner.results import damage_of
 from uqsphere.uq.law import make_law, mean, sd
 
 #: a demand and a strength, both normal, tied to each other
@@ -108,14 +110,15 @@ def test_the_table_of_limits_has_them(folder: Path) -> None:
 
 def test_results_with_a_strange_assumption_are_refused(folder: Path) -> None:
     results = json.loads((folder / "results.json").read_text("utf-8"))
-    assert damage_of(results) == ""
+    checked_entry(Path("results.json"), results, Results)
     for strange in ({"assumption": "luck"}, {"instead": "twelve"}, {"met": "yes"}):
         for k in range(len(results["limits"]["held"]["assumed"])):
             broken = json.loads(json.dumps(results))
             if broken["limits"]["held"]["assumed"][k]["assumption"] != "cov":
                 continue
             broken["limits"]["held"]["assumed"][k] |= strange
-            assert "assumed" in damage_of(broken)
+            with pytest.raises(FolderError, match="assumed"):
+                checked_entry(Path("results.json"), broken, Results)
 
 
 def test_laws_with_another_scatter() -> None:

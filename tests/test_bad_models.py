@@ -22,6 +22,7 @@ from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.headings import measure_heading
+from uqsphere.results import Results
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
@@ -62,7 +63,7 @@ def written(folder: Path) -> Study:
 
 
 def run(box: Callable[[Rows], Rows], out: Path) -> dict[str, Any]:
-    return dict(uqsphere.run(written(out.parent), out=out, model=box).results)
+    return dict(uqsphere.run(written(out.parent), out=out, model=box).results.document())
 
 
 # --- failures -------------------------------------------------------------------------------------------
@@ -103,7 +104,7 @@ def test_what_failed_evaluations_leave_open_is_not_promised(tmp_path: Path) -> N
 
 
 def test_the_terminal_says_what_is_left_without_the_failed(tmp_path: Path) -> None:
-    text = " ".join(summary_of(run(failing(0.2), tmp_path / "r"), 80).split())
+    text = " ".join(summary_of(Results.model_validate(run(failing(0.2), tmp_path / "r")), 80).split())
     assert "20 % of all: mean, standard deviation and indices are those of the others" in text
 
 
@@ -294,7 +295,7 @@ def heavy(law: str, box: Callable[[Rows], Rows], out: Path, evaluations: int = 2
     text = STUDY.replace('{ dist = "normal", mean = 0.0, sd = 1.0 }', law)
     text = text.replace('{ dist = "uniform", lower = -1.0, upper = 1.0 }', '{ dist = "normal", mean = 0, sd = 1 }')
     (out.parent / "s.toml").write_text(text.replace("20_000", str(evaluations)), "utf-8")
-    return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results)
+    return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results.document())
 
 
 def added(rows: Rows) -> Rows:
@@ -394,7 +395,7 @@ def test_many_inputs_have_indices_within_a_small_budget(tmp_path: Path, monkeypa
         load_study(tmp_path / "s.toml"),
         out=tmp_path / "r",
         model=lambda rows: {"y": rows["x1"] + 2.0 * rows["x2"]},
-    ).results
+    ).results.document()
     first = results["sensitivity"]["y"]["first"]
     assert first["x1"]["value"] == pytest.approx(0.2, abs=1e-6)
     assert first["x2"]["value"] == pytest.approx(0.8, abs=1e-6)
@@ -409,7 +410,7 @@ def test_a_rough_output_has_indices_where_the_budget_is_short_of_the_first_desig
     def chequered(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {"y": np.sign(np.sin(97.0 * x["x1"]) * np.sin(83.0 * x["x2"])) + x["x3"]}
 
-    found = uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=chequered).results
+    found = uqsphere.run(load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=chequered).results.document()
     assert sum(found["model"]["evaluations"].values()) <= 7_000
     total, first = (found["sensitivity"]["y"][order] for order in ("total", "first"))
     assert total["x1"]["evaluations"] == 16 * 32 * 5

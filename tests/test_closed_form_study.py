@@ -123,7 +123,7 @@ def compared(results: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], float, 
 def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("closed")
     (folder / "closed.toml").write_text(TEXT)
-    return uqsphere.run(uqsphere.load_study(folder / "closed.toml"), out=folder / "r").results
+    return uqsphere.run(uqsphere.load_study(folder / "closed.toml"), out=folder / "r").results.document()
 
 
 def test_every_answer_is_right(answers: dict[str, Any]) -> None:

@@ -15,6 +15,7 @@ import uqsphere
 from uqsphere.bench.fragility import straight_value, value_coverage
 from uqsphere.cli import main
 from uqsphere.report.margin_verdict import margin_answer
+from uqsphere.results import Results
 from uqsphere.runner.curve_rows import shared
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.margins import find_margins
@@ -155,7 +156,7 @@ def test_a_free_strength_moves_its_limit_where_evaluations_fail(
     def model(inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {"y": np.where(inputs["x"] > 13.0, np.nan, inputs["x"])}
 
-    results = uqsphere.run(study_from(text=FAILS), out=tmp_path / "r", model=model).results
+    results = uqsphere.run(study_from(text=FAILS), out=tmp_path / "r", model=model).results.document()
     assert results["model"]["failures"] > 0
     for value, probability, *_ in results["margins"]["own"]["curve"]:
         # the share of 0.13 % that fails is among those that would break
@@ -163,19 +164,19 @@ def test_a_free_strength_moves_its_limit_where_evaluations_fail(
     said = [text for text in results["accuracy"]["missed"] if text.startswith("margins other")]
     assert said == ["margins other: the free strength is that of limit own, which does not move this"]
     assert not results["margins"]["other"]["values"]
-    shown = summary_of(results, 100)
+    shown = summary_of(Results.model_validate(results), 100)
     assert shown.count("\nother\n") == 0
     assert shown.count("free strength") == 1
     # the rows of one value serve all
     taken = next(part["taken"] for part in results["plan"]["parts"] if part["part"] == "margins")
     assert 0 < taken < 4 * 16 * 64
     few = uqsphere.run(study_from("analysis.budget.evaluations=3500", text=FAILS), out=tmp_path / "few", model=model)
-    assert len(few.results["margins"]["own"]["curve"]) >= 9
+    assert len(few.results.margins["own"].curve) >= 9
 
 
 def test_a_limit_that_no_free_strength_moves_has_no_family(study_from: Callable[..., Study], tmp_path: Path) -> None:
     text = FAILS.replace("[analysis]", 'family = { path = "x", values = [9.0, 11.0] }\n[analysis]')
-    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=lambda x: {"y": x["x"]}).results
+    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=lambda x: {"y": x["x"]}).results.document()
     assert len(results["margins"]["own"]["family"]["members"]) == 2
     assert len([text for text in results["accuracy"]["missed"] if text.startswith("margins other")]) == 1
     assert main(["report", str(tmp_path / "r")]) == 0
@@ -186,7 +187,7 @@ def test_the_design_point_at_a_margin_keeps_to_the_budget(study_from: Callable[.
         return {"y": inputs["x"]}
 
     text = FAILS.replace('"limits.own.strength"', '"x"').replace("8.0, 16.0", "4.0, 24.0").replace("20_000", "4_600")
-    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=model).results
+    results = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=model).results.document()
     assert results["margins"]["own"]["curve"]
     assert "the budget has no room" in results["margins"]["own"]["lost_to"]["reason"]
     assert sum(results["model"]["evaluations"].values()) <= 4600

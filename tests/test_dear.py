@@ -20,6 +20,7 @@ from uqsphere.bench.dear import dear_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.report.wording import without_failed
+from uqsphere.results import Results
 from uqsphere.runner import evaluate as work
 from uqsphere.runner import price as pricing
 from uqsphere.runner.campaign import Cost, cost_of, indices_missed
@@ -102,7 +103,7 @@ def holds(estimate: dict[str, Any], truth: float) -> bool:
 def test_a_dear_smooth_model_is_answered_with_a_few_hundred_runs(ask) -> None:
     box = Counted(ishigami)
     found = ask(box)
-    results = found.results
+    results = found.results.document()
     assert box.rows <= 256
     assert results["model"]["evaluations"] == {"black box": box.rows}
     assert results["plan"]["way"] == "surrogate"
@@ -134,7 +135,7 @@ def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.Monkey
         return found
 
     monkeypatch.setattr("uqsphere.runner.dear_answers.trusted_indices", apart)
-    indices = ask(Counted(ishigami)).results["sensitivity"]["y"]
+    indices = ask(Counted(ishigami)).results.document()["sensitivity"]["y"]
     for name in ("x1", "x2", "x3"):
         assert indices["first"][name]["low"] <= indices["total"][name]["high"]
 
@@ -154,7 +155,7 @@ def test_the_larger_design_of_many_inputs_has_fewer_points(ask, monkeypatch: pyt
 
 def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:
     accuracy = "analysis.accuracy={ mean = 5e-4, quantile = 0.001, sobol = 1e-4, probability = 0.001 }"
-    missed = ask(Counted(ishigami), accuracy, "analysis.budget.evaluations=200").results["accuracy"]["missed"]
+    missed = ask(Counted(ishigami), accuracy, "analysis.budget.evaluations=200").results.accuracy.missed
     told = [text for text in missed if text.startswith("y: quantile")]
     widths = [float(re.findall(r"half-width ([0-9.e-]+)", text)[0]) for text in told]
     costs = [int(re.findall(r"about ([0-9,]+) evaluations", text)[0].replace(",", "")) for text in told]
@@ -165,17 +166,17 @@ def test_every_accuracy_that_is_missed_has_a_cost_of_its_own(ask) -> None:
 
 def test_the_account_names_every_quantity_and_keeps_seconds_out_of_the_results(ask) -> None:
     found = ask(Counted(ishigami))
-    kinds = {row["error_kind"] for row in found.results["speed_error"]}
+    kinds = {row["error_kind"] for row in found.results.document()["speed_error"]}
     assert {"largest half-width of an index", "half-width of the mean over the standard deviation"} <= kinds
     assert any("unseen runs" in kind for kind in kinds)
-    assert len(found.manifest["speed_error_seconds"]) == len(found.results["speed_error"])
-    assert found.manifest["plan"]["cost_seconds_per_evaluation"] == 10.0
-    assert "seconds" not in json.dumps(found.results["plan"])
+    assert len(found.manifest.speed_error_seconds) == len(found.results.document()["speed_error"])
+    assert found.manifest.plan.cost_seconds_per_evaluation == 10.0
+    assert "seconds" not in json.dumps(found.results.document()["plan"])
 
 
 def test_a_rough_model_is_not_answered_by_a_smooth_lie(ask) -> None:
     box = Counted(chequered)
-    results = ask(box, "analysis.budget.evaluations=600").results
+    results = ask(box, "analysis.budget.evaluations=600").results.document()
     # what the budget has room for: the limit, which no run exceeds, gets what the design leaves
     assert 512 <= box.rows <= 600
     assert results["plan"]["way"] == "sampling"
@@ -189,7 +190,7 @@ def test_a_rough_model_is_not_answered_by_a_smooth_lie(ask) -> None:
 
 def test_a_rough_model_is_sampled_where_the_budget_has_room(ask) -> None:
     box = Counted(chequered)
-    results = ask(box, "analysis.budget.evaluations=9000", "analysis.budget.time='100 h'").results
+    results = ask(box, "analysis.budget.evaluations=9000", "analysis.budget.time='100 h'").results.document()
     assert box.rows <= 9000
     assert results["plan"]["way"] == "sampling"
     assert "is sampled" in results["plan"]["why"]
@@ -211,7 +212,7 @@ def both(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[..., Study], tmp_path: Path) -> None:
     found = uqsphere.run(study_from("analysis.budget.evaluations=600", text=MIXED), out=tmp_path / "r", model=both)
-    results = found.results
+    results = found.results.document()
     assert results["plan"]["way"] == "surrogate"
     assert results["plan"]["why"].startswith("the surrogate is too rough (z: refused")
     assert "): the 592 runs are sampled; surrogates answer y" in results["plan"]["why"]
@@ -243,7 +244,7 @@ def test_several_outputs_that_are_too_rough_are_told_as_several(
         return {"y": -chequered(x), "z": chequered(x)}
 
     study = study_from("analysis.budget.evaluations=100", text=MIXED)
-    why = uqsphere.run(study, out=tmp_path / "r", model=rough).results["plan"]["why"]
+    why = uqsphere.run(study, out=tmp_path / "r", model=rough).results.plan.why
     assert re.fullmatch(r"surrogates are too rough \(y: refused: .*; z: refused: .*\): the 96 runs are sampled", why)
 
 
@@ -266,7 +267,7 @@ def test_what_surrogates_reached_is_kept_where_sampling_does_not(
     study_from: Callable[..., Study], tmp_path: Path
 ) -> None:
     overrides = ("analysis.budget.evaluations=4500", "analysis.budget.time='100 h'", "analysis.accuracy.mean=5e-4")
-    results = uqsphere.run(study_from(*overrides, text=MIXED), out=tmp_path / "r", model=both).results
+    results = uqsphere.run(study_from(*overrides, text=MIXED), out=tmp_path / "r", model=both).results.document()
     assert results["plan"]["way"] == "sampling"
     y, z = results["quantities"]["y"], results["quantities"]["z"]
     assert y["mean"]["method"].startswith("surrogate")
@@ -284,7 +285,7 @@ def test_more_budget_takes_no_margin_and_no_design_point_from_a_surrogate(
 ) -> None:
     text = MIXED + '[margins]\nsolve = "limits.high.strength"\nbetween = [6.0, 14.0]\n'
     study = study_from("analysis.budget.evaluations=2700", "analysis.budget.time='100 h'", text=text)
-    results = uqsphere.run(study, out=tmp_path / "r", model=both).results
+    results = uqsphere.run(study, out=tmp_path / "r", model=both).results.document()
     assert results["plan"]["way"] == "sampling"
     # it was searched for on the surrogate, which sampling has no room for
     assert results["limits"]["high"]["design_point_reason"] == "no search for a design point converged"
@@ -350,7 +351,7 @@ FAR = '[limits.far]\nquantity = "z"\nstrength = { dist = "normal", mean = 12.0, 
 
 def test_a_probability_that_few_runs_carry_is_bounded_only(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from("analysis.budget.evaluations=24", text=MIXED + FAR + "target = 1e-7\n")
-    found = uqsphere.run(study, out=tmp_path / "r", model=both).results["limits"]["far"]
+    found = uqsphere.run(study, out=tmp_path / "r", model=both).results.document()["limits"]["far"]
     # the spread of these runs about their own mean would have said 1e-7 at most
     x = 2.0 * np.pi * (np.random.default_rng(1).random((10**6, 3)) - 0.5)
     truth = float(ndtr((chequered({"x1": x[:, 0], "x2": x[:, 1]}) - 12.0) / 0.5).mean())
@@ -367,7 +368,9 @@ def test_what_is_assumed_of_a_strength_is_bounded_only_where_few_runs_carry_it(
 ) -> None:
     text = DEAR.replace("strength = 10.0", 'strength = { dist = "normal", mean = 16.0, sd = 1.2 }')
     study = study_from("analysis.budget.evaluations=300", text=text)
-    found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": ishigami(x)}).results["limits"]["high"]
+    found = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": ishigami(x)}).results.document()["limits"][
+        "high"
+    ]
     # 1.77e-3, found by active learning: 64 runs said 8e-3 to 1e-2 of the strength with more or less scatter
     assert found["miss"]["value"] == pytest.approx(1.77e-3, rel=0.2)
     assert len(found["assumed"]) == 3
@@ -380,7 +383,7 @@ def test_what_active_learning_leaves_of_a_rough_limit_rests_on_all_runs(
 ) -> None:
     results = uqsphere.run(
         study_from("analysis.budget.evaluations=460", text=MIXED + FAR), out=tmp_path / "r", model=both
-    ).results
+    ).results.document()
     runs = results["quantities"]["z"]["mean"]["evaluations"]
     far = results["limits"]["far"]
     assert runs > 128
@@ -395,7 +398,7 @@ def test_runs_made_for_a_rough_output_serve_the_surrogates_of_the_others(
 ) -> None:
     asked = "analysis.accuracy={ mean = 1e-7, quantile = 1e-4, sobol = 1e-9, probability = 1e-4 }"
     study = study_from("analysis.budget.evaluations=300", asked, text=MIXED)
-    results = uqsphere.run(study, out=tmp_path / "r", model=both).results
+    results = uqsphere.run(study, out=tmp_path / "r", model=both).results.document()
     y, z = results["quantities"]["y"], results["quantities"]["z"]
     assert y["mean"]["method"].startswith("surrogate")
     assert y["mean"]["evaluations"] == z["mean"]["evaluations"] > 256
@@ -416,27 +419,29 @@ def test_a_run_that_is_cut_off_reports_what_its_runs_say(
 
     study = study_from("analysis.budget.evaluations=600", "analysis.rows_per_call=8", text=MIXED)
     found = uqsphere.run(study, out=tmp_path / "r", model=counted, stop=lambda: rows >= after)
-    assert found.manifest["interrupted"]
-    assert found.results["quantities"]["z"]["mean"]["evaluations"] == runs
-    assert found.results["accuracy"]["stopped_by"]["sampling"] == "time"
+    assert found.manifest.interrupted
+    assert found.results.quantities["z"].mean.evaluations == runs
+    assert found.results.accuracy.stopped_by["sampling"] == "time"
     again = uqsphere.run(study, out=tmp_path / "r", model=counted)
-    assert again.results["quantities"]["z"]["mean"]["evaluations"] > 500
+    assert again.results.quantities["z"].mean.evaluations > 500
 
 
 def test_a_step_is_answered_within_its_interval(ask) -> None:
-    results = ask(Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])).results
+    results = ask(
+        Counted(lambda x: np.where(x["x1"] + 0.3 * x["x2"] > 0.5, 5.0, 0.0) + 0.1 * x["x3"])
+    ).results.document()
     # P(x1 + 0.3 x2 > 0.5) of x uniform on (-pi, pi): the offset alone counts, by symmetry
     assert holds(results["quantities"]["y"]["mean"], 5.0 * (0.5 - 0.5 / (2.0 * np.pi)))
 
 
 def test_two_runs_agree_and_one_that_is_resumed_evaluates_nothing(ask) -> None:
     first, again = ask(Counted(ishigami)), ask(Counted(ishigami), out="other")
-    assert first.results == again.results
+    assert first.results.document() == again.results.document()
     box = Counted(ishigami)
     box.function = ishigami
     resumed = ask(box)
     assert box.rows == 0
-    assert resumed.results == first.results
+    assert resumed.results.document() == first.results.document()
 
 
 def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -448,20 +453,20 @@ def test_a_cost_that_is_measured_is_kept_with_the_run(ask, monkeypatch: pytest.M
     monkeypatch.setitem(globals(), "DEAR", no_cost)
     box = Counted(ishigami)
     first = ask(box, *text)
-    cost = first.manifest["plan"]["cost_seconds_per_evaluation"]
+    cost = first.manifest.plan.cost_seconds_per_evaluation
     # the rows are timed one by one, each for one tick
     assert cost == pytest.approx(20.0)
-    assert first.results["plan"]["way"] == "surrogate"
+    assert first.results.plan.way == "surrogate"
     assert box.rows <= 3.0 * 3600.0 / cost
     monkeypatch.setattr(pricing.time, "perf_counter", lambda: 0.0)
     resumed = ask(Counted(ishigami), *text)
-    assert resumed.manifest["plan"]["cost_seconds_per_evaluation"] == cost
-    assert resumed.results == first.results
+    assert resumed.manifest.plan.cost_seconds_per_evaluation == cost
+    assert resumed.results.document() == first.results.document()
 
 
 def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"', 'cost = "0.000001 s"'))
-    results = ask(Counted(ishigami), "analysis.budget.evaluations=20000").results
+    results = ask(Counted(ishigami), "analysis.budget.evaluations=20000").results.document()
     assert results["plan"]["way"] == "sampling"
     assert results["quantities"]["y"]["mean"]["evaluations"] >= 2048
 
@@ -469,15 +474,15 @@ def test_a_cheap_model_is_sampled(ask, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "DEAR", DEAR.replace('cost = "10 s"\n', ""))
     found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
-    assert found.manifest["plan"]["cost_seconds_per_evaluation"] < found.manifest["seconds"]["pilot"] / 32.0
-    plan = found.manifest["plan"]
+    assert found.manifest.plan.cost_seconds_per_evaluation < found.manifest.seconds["pilot"] / 32.0
+    plan = found.manifest.plan
     dear = plan["cost_seconds_per_evaluation"] > plan["crossover_seconds_per_evaluation"]
-    assert found.results["plan"]["way"] == ("surrogate" if dear else "sampling")
+    assert found.results.plan.way == ("surrogate" if dear else "sampling")
 
 
 def test_budgets_below_the_smallest_designs(ask) -> None:
     box = Counted(ishigami)
-    results = ask(box, "analysis.budget.time='205 s'").results
+    results = ask(box, "analysis.budget.time='205 s'").results.document()
     assert box.rows == 20
     assert results["quantities"]["y"]["mean"]["value"] is not None
     assert not results["accuracy"]["met"]
@@ -490,16 +495,16 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
         edge = (2.0 * share - 1.0) * np.pi
         return Counted(lambda x: np.where(x["x1"] < edge, np.nan, x["x1"] + x["x2"]))
 
-    results = ask(without(0.02), "analysis.on_failure='drop'").results
+    results = ask(without(0.02), "analysis.on_failure='drop'").results.document()
     assert results["plan"]["way"] == "surrogate"
     assert results["model"]["failures"] > 0
     # that of the rows with an answer is 0.02 pi: the surrogate goes on where the others have none
     assert abs(results["quantities"]["y"]["mean"]["value"]) < 0.002 * np.pi
-    text = " ".join(summary_of(results, 80).split())
+    text = " ".join(summary_of(Results.model_validate(results), 80).split())
     assert "indices are those of a surrogate fitted to the others, which goes on where the model has no answer" in text
     assert "another matter than the whole model's" not in text
     overrides = ("analysis.on_failure='bound'", "analysis.budget.evaluations=100")
-    assert ask(without(0.1), *overrides, out="b").results["plan"]["way"] == "sampling"
+    assert ask(without(0.1), *overrides, out="b").results.plan.way == "sampling"
     # few rows hold more than 1 % by chance, and not so many
     with pytest.raises(TooManyFailures, match=r"of 32 evaluations failed .*too many to leave out"):
         ask(without(0.2), "analysis.on_failure='drop'", out="many")
@@ -508,7 +513,7 @@ def test_rows_without_an_answer_are_left_out_where_the_study_says_so(ask) -> Non
 def test_dependent_inputs_have_no_classical_indices(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     tied = DEAR + '[[dependence]]\nof = ["x1", "x2"]\nspearman = 0.5\n'
     monkeypatch.setitem(globals(), "DEAR", tied)
-    results = ask(Counted(lambda x: x["x1"] + x["x2"])).results
+    results = ask(Counted(lambda x: x["x1"] + x["x2"])).results.document()
     assert results["sensitivity"]["y"]["first"]["x1"]["value"] is None
     # Var(x1 + x2) = 2 V (1 + rho), of uniforms with Spearman's (and so Pearson's) rho
     assert results["quantities"]["y"]["sd"]["value"] == pytest.approx(np.pi * np.sqrt(2.0 / 3.0 * 1.5), rel=5e-3)
@@ -547,7 +552,7 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
     text = PLANE.replace("[limits.high]", "[limits.y]").replace("mean = 0.02", "mean = 1e-7")
     monkeypatch.setitem(globals(), "DEAR", text)
     box = Counted(lambda x: x["x1"] + 0.1 * x["x2"])
-    results = ask(box).results
+    results = ask(box).results.document()
     limit = results["limits"]["y"]
     truth = float(ndtr(-4.0 / np.sqrt(1.01)))
     assert box.rows <= 300
@@ -566,7 +571,7 @@ def test_a_probability_that_no_run_shows_is_learned(ask, monkeypatch: pytest.Mon
 
 def test_a_design_point_on_a_surrogate_is_confirmed_by_a_run(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
-    limit = ask(Counted(plane)).results["limits"]["high"]
+    limit = ask(Counted(plane)).results.document()["limits"]["high"]
     point = {name: np.array([value]) for name, value in limit["design_point"].items()}
     assert float(plane(point)[0]) == pytest.approx(11.0, abs=1e-3)
     assert any("the model gives 11" in text for text in limit["checks"])
@@ -579,7 +584,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
     monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
 
     def run(out: str) -> dict[str, Any]:
-        return dict(ask(Counted(plane), out=out).results["limits"]["high"])
+        return dict(ask(Counted(plane), out=out).results.document()["limits"]["high"])
 
     with monkeypatch.context() as without:
         without.setattr("uqsphere.runner.dear_end.with_surrogate_design", lambda work, limits, *_: limits)
@@ -596,7 +601,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
 
 def test_pairs_and_groups_come_off_the_surrogate(ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "DEAR", PLANE.replace("14.0", "11.0"))
-    found = ask(Counted(plane)).results["sensitivity"]["y"]
+    found = ask(Counted(plane)).results.document()["sensitivity"]["y"]
     # Var = 1 + 1/4, the product alone 1/4
     assert holds(found["second"]["x1|x2"], 0.2)
     assert found["second"]["x1|x2"]["value"] == pytest.approx(0.2, abs=0.01)
@@ -611,7 +616,7 @@ def test_margins_of_a_dear_model(ask, monkeypatch: pytest.MonkeyPatch, solve: st
     text = PLANE.replace("14.0", "11.0") + f'[margins]\nsolve = "{solve}"\nbetween = [6.0, 16.0]\n'
     monkeypatch.setitem(globals(), "DEAR", text + "for_probability = [0.1, 0.5, 0.9]\n")
     box = Counted(lambda x: x["x1"] + 0.1 * x["x2"])
-    values = ask(box).results["margins"]["high"]["values"]
+    values = ask(box).results.document()["margins"]["high"]["values"]
     assert box.rows <= 300
     side = -1.0 if solve.startswith("limits") else 1.0
     for p, found in values.items():
@@ -624,7 +629,7 @@ def test_a_family_that_no_surrogate_draws_is_told(
 ) -> None:
     text = PLANE.replace("14.0", "11.0") + '[margins]\nsolve = "limits.high.strength"\nbetween = [6.0, 16.0]\n'
     monkeypatch.setitem(globals(), "DEAR", text + 'family = { path = "x1", values = [9.0, 11.0] }\n')
-    results = ask(Counted(plane)).results
+    results = ask(Counted(plane)).results.document()
     assert "margins high: the curves over x1 are not drawn off a surrogate" in results["accuracy"]["missed"]
     assert main(["report", str(tmp_path / "r")]) == 0
 

@@ -34,7 +34,7 @@ NORMAL = '{ dist = "normal", mean = 0, sd = 1 }'
 def dear(law: str, box: Callable[[Rows], Rows], out: Path, runs: int = 64) -> dict[str, Any]:
     """A run through a surrogate in which a has that law and b is standard normal."""
     (out.parent / "s.toml").write_text(STUDY.replace("LAW", law).replace("RUNS", str(runs)), "utf-8")
-    return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results)
+    return dict(uqsphere.run(load_study(out.parent / "s.toml"), out=out, model=box).results.document())
 
 
 def indices_of(results: dict[str, Any]) -> list[dict[str, Any]]:

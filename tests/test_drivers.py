@@ -15,7 +15,6 @@ from scipy.special import ndtr
 import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.drivers import specimens
-from uqsphere.runner.results import damage_of
 from uqsphere.study import Study
 from uqsphere.summary import summary_of
 
@@ -48,16 +47,14 @@ def tie(text: str) -> str:
 
 
 def run_of(study_from: Callable[..., Study], tmp_path: Path, text: str, *overrides: str) -> uqsphere.Run:
-    run = uqsphere.run(study_from(*overrides, text=text), out=tmp_path / "r", model=line)
-    assert damage_of(run.results) == ""
-    return run
+    return uqsphere.run(study_from(*overrides, text=text), out=tmp_path / "r", model=line)
 
 
 def test_shapley_and_kucherenko_of_a_correlated_line(study_from, tmp_path) -> None:
     rho = 0.5
     spearman = 6.0 / math.pi * math.asin(rho / 2.0)
     run = run_of(study_from, tmp_path, tie(f'of = ["a", "b"]\nspearman = {spearman!r}\n'))
-    entry = run.results["sensitivity"]["y"]
+    entry = run.results.document()["sensitivity"]["y"]
     variance = 5.0 + 4.0 * rho
     first = {"a": (1.0 + 2.0 * rho) ** 2 / variance, "b": (2.0 + rho) ** 2 / variance, "c": 0.0}
     total = {"a": (1.0 - rho**2) / variance, "b": 4.0 * (1.0 - rho**2) / variance, "c": 0.0}
@@ -72,8 +69,8 @@ def test_shapley_and_kucherenko_of_a_correlated_line(study_from, tmp_path) -> No
             assert 0.5 * (found["high"] - found["low"]) <= 0.02
         assert entry["first"][name]["value"] is None
         assert "Shapley" in entry["first"][name]["reason"]
-    assert run.results["accuracy"]["met"] is True
-    assert "pairs of runs" in {row["method"] for row in run.results["speed_error"]}
+    assert run.results.accuracy.met is True
+    assert "pairs of runs" in {row["method"] for row in run.results.document()["speed_error"]}
     table = run.indices()
     assert set(table["order"]) == {"first", "total", "shapley", "kucherenko first", "kucherenko total"}
     assert "Shapley effect" in summary_of(run.results)
@@ -96,10 +93,10 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
     drawn = physical_from_normal(inputs, np.random.default_rng(5).standard_normal((60_000, 4)))
     at = {name: drawn[:, k] for k, name in enumerate(inputs.names)}
     failed = at["a"] + 2.0 * at["b"] > at["limits.high.strength"]
-    found = run.results["limits"]["high"]["exceedance"]
+    found = run.results.document()["limits"]["high"]["exceedance"]
     error = math.hypot(found["std_error"], math.sqrt(failed.mean() / failed.size))
     assert abs(found["value"] - failed.mean()) <= 4.0 * error
-    drivers = run.results["limits"]["high"]["drivers"]
+    drivers = run.results.document()["limits"]["high"]["drivers"]
     for name in ("a", "b", "limits.high.strength"):
         mean = drivers["given_failure"][name]["mean"]
         spread = math.hypot(mean["std_error"], at[name][failed].std() / math.sqrt(failed.sum()))
@@ -107,7 +104,7 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
     assert sum(e["value"] for e in drivers["shapley"].values()) == pytest.approx(1.0, abs=1e-9)
     # moving the centre of every variable by one step against the count of the same draws moved
     h = 0.05
-    for row in run.results["limits"]["high"]["measure_first"]["rows"]:
+    for row in run.results.document()["limits"]["high"]["measure_first"]["rows"]:
         sides = []
         for sign in (1.0, -1.0):
             moved = dict(at)
@@ -122,7 +119,7 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
 
 def test_drivers_of_an_independent_line(study_from, tmp_path) -> None:
     run = run_of(study_from, tmp_path, BOX, "analysis.accuracy.mean=0.001")
-    limit = run.results["limits"]["high"]
+    limit = run.results.document()["limits"]["high"]
     drivers, first = limit["drivers"], limit["measure_first"]
     norm = math.sqrt(1.0 + 4.0 + 1.5**2)
     beta = 5.0 / norm
@@ -149,14 +146,14 @@ def test_drivers_of_an_independent_line(study_from, tmp_path) -> None:
         assert rows[name]["tests"] == pytest.approx(expected, rel=0.1, abs=1)
     assert first["rows"][0]["input"] == "b"
     # known exactly, b takes four fifths of the variance with it: eight specimens leave a tenth of it
-    variance = run.results["sensitivity"]["y"]["measure_first"]["rows"]
+    variance = run.results.document()["sensitivity"]["y"]["measure_first"]["rows"]
     assert variance[0]["input"] == "b"
     assert variance[0]["tests"] == pytest.approx(8, abs=1)
     assert [row["tests"] for row in variance if row["input"] == "c"] == [0]
 
 
 def test_delta_and_pawn_of_a_run(study_from, tmp_path) -> None:
-    entry = run_of(study_from, tmp_path, BOX).results["sensitivity"]["y"]
+    entry = run_of(study_from, tmp_path, BOX).results.document()["sensitivity"]["y"]
     assert entry["delta"]["b"]["low"] > entry["delta"]["a"]["high"] > 0.05
     assert entry["pawn"]["c"]["value"] < entry["pawn_threshold"] < entry["pawn"]["a"]["low"]
     assert entry["delta"]["c"]["low"] == 0.0
@@ -167,10 +164,10 @@ def test_the_budget_is_kept_with_dependent_inputs(study_from, tmp_path, budget: 
     text = tie('of = ["a", "b"]\nspearman = 0.5\n').replace("sobol = 0.02", "sobol = 0.0001")
     text = text.replace("evaluations = 400_000", f"evaluations = {budget}, exhaust = true")
     run = run_of(study_from, tmp_path, text)
-    assert run.manifest["evaluations"] <= budget
-    assert run.results["accuracy"]["met"] is False
-    assert any("indices" in text for text in run.results["accuracy"]["missed"])
-    entry = run.results["sensitivity"]["y"]
+    assert run.manifest.evaluations <= budget
+    assert run.results.accuracy.met is False
+    assert any("indices" in text for text in run.results.accuracy.missed)
+    entry = run.results.document()["sensitivity"]["y"]
     if budget < 3_000:
         assert "shapley" not in entry
         assert "not enough of the budget" in entry["check"]["text"]
@@ -187,8 +184,8 @@ def test_many_dependent_inputs_take_random_orders(study_from, tmp_path) -> None:
     text += f"\n[[dependence]]\nof = {names[:3]!r}\nspearman = 0.5\n".replace("'", '"')
     study = study_from(text=text)
     run = uqsphere.run(study, out=tmp_path / "r", model=lambda x: {"y": x["x0"] + x["x5"]})
-    shapley = run.results["sensitivity"]["y"]["shapley"]
-    assert "random orders" in run.results["sensitivity"]["y"]["check"]["text"]
+    shapley = run.results.document()["sensitivity"]["y"]["shapley"]
+    assert "random orders" in run.results.sensitivity["y"].check.text
     assert sum(e["value"] for e in shapley.values()) == pytest.approx(1.0, abs=1e-9)
     assert abs(shapley["x5"]["value"] - 0.5) <= 4.0 * shapley["x5"]["std_error"]
     # three correlated inputs, of which one acts: it keeps most, the two others take a part each
@@ -197,7 +194,10 @@ def test_many_dependent_inputs_take_random_orders(study_from, tmp_path) -> None:
 
 def test_a_run_with_dependence_is_repeated_bit_by_bit(study_from, tmp_path) -> None:
     text = tie('of = ["a", "b"]\nkendall = 0.3\ncopula = "gumbel"\n').replace("sobol = 0.02", "sobol = 0.1")
-    results = [uqsphere.run(study_from(text=text), out=tmp_path / name, model=line).results for name in ("one", "two")]
+    results = [
+        uqsphere.run(study_from(text=text), out=tmp_path / name, model=line).results.document()
+        for name in ("one", "two")
+    ]
     assert results[0]["sensitivity"] == results[1]["sensitivity"]
     assert results[0]["limits"] == results[1]["limits"]
 
@@ -212,13 +212,13 @@ def test_failed_rows_and_a_break_aim(study_from, tmp_path) -> None:
         "[limits.high]", '[limits.high]\naim = "break"'
     )
     run = uqsphere.run(study_from(text=text), out=tmp_path / "r", model=sometimes)
-    assert run.results["model"]["failures"] > 0
-    drivers = run.results["limits"]["high"]["drivers"]
-    assert drivers["probability"] == pytest.approx(run.results["limits"]["high"]["miss"]["value"], rel=0.02)
+    assert run.results.model.failures > 0
+    drivers = run.results.document()["limits"]["high"]["drivers"]
+    assert drivers["probability"] == pytest.approx(run.results.limits["high"].miss.value, rel=0.02)
     # the aim is to break: it is missed where the demand is low and the strength high
     assert drivers["given_failure"]["b"]["mean"]["value"] < 0.0
     assert drivers["given_failure"]["limits.high.strength"]["mean"]["value"] > 5.0
-    measured = run.results["limits"]["high"]["measure_first"]
+    measured = run.results.document()["limits"]["high"]["measure_first"]
     sways = {row["input"]: row["sway"]["value"] for row in measured["rows"]}
     assert sways["b"] < 0.0 < sways["limits.high.strength"]
     # most specimens miss the aim: the numbers of tests are those of the page, in results and table alike
@@ -244,7 +244,7 @@ def test_what_few_tests_leave_open_is_refused_for_another_copula(study_from, tmp
     assert text != BOX
     text += '\n[[dependence]]\nof = ["a", "limits.high.strength"]\nkendall = 0.3\ncopula = "clayton"\n'
     run = run_of(study_from, tmp_path, text, "analysis.accuracy.sobol=0.2")
-    limit = run.results["limits"]["high"]
+    limit = run.results.document()["limits"]["high"]
     assert "another than the Gaussian copula" in limit["ignorance"]["reason"]
     tests = {row["input"]: row["observations"] for row in limit["measure_first"]["rows"]}
     assert tests == {"a": None, "b": None, "c": None, "limits.high.strength": 12}
@@ -255,7 +255,7 @@ def test_the_report_shows_the_design_point(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
     path.write_text(BOX, encoding="utf-8")
     done = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r", model=lambda x: {"y": x["a"] + 2.0 * x["b"]})
-    limit = done.results["limits"]["high"]
+    limit = done.results.document()["limits"]["high"]
     assert limit["design_point"]["b"] == pytest.approx(2.0 * limit["design_point"]["a"], rel=1e-2)
     assert limit["governing_inputs"]["b"] == pytest.approx(4.0 * limit["governing_inputs"]["a"], rel=1e-2)
     page = build_report(tmp_path / "r").read_text(encoding="utf-8")

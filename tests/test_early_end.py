@@ -29,15 +29,15 @@ def test_an_early_end_reports_what_is_there_and_goes_on(
         chunks += 1
 
     run = uqsphere.run(study, out=tmp_path / "r", progress=count, stop=lambda: chunks >= after)
-    assert run.manifest["interrupted"] is True
+    assert run.manifest.interrupted is True
     assert chunks == after
     assert "The run was interrupted" in build_report(run.folder).read_text(encoding="utf-8")
-    assert run.results["quantities"]["p_max"]["mean"]["value"] is not None
+    assert run.results.quantities["p_max"].mean.value is not None
     assert summary_of(run.results)
     whole = uqsphere.run(study, out=tmp_path / "whole")
     resumed = uqsphere.run(study, out=tmp_path / "r")
-    assert resumed.manifest["interrupted"] is False
-    assert resumed.manifest["evaluations_reused"] > 0
+    assert resumed.manifest.interrupted is False
+    assert resumed.manifest.evaluations_reused > 0
     for name in ("results.json", "courses.json", "tables/courses.csv"):
         assert (resumed.folder / name).read_bytes() == (whole.folder / name).read_bytes()
 
@@ -61,7 +61,7 @@ def test_an_end_within_the_first_stage_keeps_its_rows(tmp_path: Path) -> None:
         uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: len(rows) >= 3)
     assert len(rows) == 3
     resumed = uqsphere.run(study, out=tmp_path / "r", model=box)
-    assert resumed.manifest["evaluations_reused"] == sum(rows[:3])
+    assert resumed.manifest.evaluations_reused == sum(rows[:3])
     whole = uqsphere.run(study, out=tmp_path / "whole", model=box)
     assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
 
@@ -97,14 +97,14 @@ accuracy = { mean = 1e-9, quantile = 1e-9, sobol = 1e-9 }
         return {"smooth": np.exp(x["x1"] * x["x2"]), "rough": np.sign(wave)}
 
     run = uqsphere.run(study, out=tmp_path / "r", model=box, stop=lambda: rows >= after)
-    assert run.manifest["interrupted"] is True
-    assert run.results["accuracy"]["stopped_by"]["sampling"] == "time"
-    means = {name: entry["mean"] for name, entry in run.results["quantities"].items()}
+    assert run.manifest.interrupted is True
+    assert run.results.accuracy.stopped_by["sampling"] == "time"
+    means = {name: entry["mean"] for name, entry in run.results.document()["quantities"].items()}
     assert (means["smooth"]["evaluations"], means["rough"]["evaluations"]) == (smooth, rough)
     assert means["smooth"]["method"].startswith("surrogate")
     resumed = uqsphere.run(study, out=tmp_path / "r", model=box)
     whole = uqsphere.run(study, out=tmp_path / "whole", model=box)
-    assert resumed.manifest["interrupted"] is False
+    assert resumed.manifest.interrupted is False
     assert (resumed.folder / "results.json").read_bytes() == (whole.folder / "results.json").read_bytes()
 
 
@@ -139,11 +139,11 @@ accuracy = { mean = 0.01, quantile = 0.05, sobol = 0.05, probability = 0.2 }
         return {"y": x["a"] + 0.3 * x["b"] ** 2}
 
     first = uqsphere.run(study, out=tmp_path / "r", model=box)
-    assert "factors" in first.results["margins"]["l"]
+    assert "factors" in first.results.document()["margins"]["l"]
     done = rows
     again = uqsphere.run(study, out=tmp_path / "r", model=box)
     assert rows == done
-    assert again.results == first.results
+    assert again.results.document() == first.results.document()
 
 
 def test_the_band_of_forces_holds_the_largest_forces(study_from: Callable[..., Study], tmp_path: Path) -> None:

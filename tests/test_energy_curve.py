@@ -176,7 +176,7 @@ def test_a_run_has_it_everywhere(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     run = uqsphere.run(study, out=tmp_path / "out")
     for name in ("energy", "pressure"):
-        entry: dict[str, Any] = run.results["margins"][name]["against"]
+        entry: dict[str, Any] = run.results.document()["margins"][name]["against"]
         assert entry["quantity"] == "specific_energy"
         assert entry["unit"] == "J/kg"
         assert entry["values"]["0.5"]["low"] <= entry["values"]["0.5"]["value"] <= entry["values"]["0.5"]["high"]

@@ -256,7 +256,7 @@ class Shuffled:
 def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path) -> None:
     study, reference = box("good")
     here = uqsphere.run(study, out=tmp_path / "here", model=reference, threads=1)
-    assert here.manifest["executor"]["kind"] == "this process"
+    assert here.manifest.executor.kind == "this process"
     digest = answers_of(here.folder)
     chunks = sorted(os.listdir(here.folder / "evaluations"))
     with ThreadPoolExecutor(3) as threads:
@@ -265,7 +265,7 @@ def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path
             run = uqsphere.run(study, out=tmp_path / name, model=reference, executor=executor)
             assert answers_of(run.folder) == digest
             assert sorted(os.listdir(run.folder / "evaluations")) == chunks
-            assert run.manifest["executor"]["kind"] == name
+            assert run.manifest.executor.kind == name
 
 
 @pytest.mark.parametrize("count", [2, 4])
@@ -277,9 +277,9 @@ def test_a_dear_black_box_gets_processes(box: Any, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(engine, "DEAR", 0.1)
     monkeypatch.setattr(engine, "WORTH", 0.1)
     spread = uqsphere.run(study, out=tmp_path / "spread", model=reference, threads=count)
-    record = spread.manifest["executor"]
-    assert (record["kind"], record["workers"]) == ("local processes", count)
-    assert "an evaluation takes" in record["why"]
+    record = spread.manifest.executor
+    assert (record.kind, record.workers) == ("local processes", count)
+    assert "an evaluation takes" in record.why
     assert answers_of(alone.folder) == answers_of(spread.folder)
 
 
@@ -304,7 +304,7 @@ def test_a_row_that_fails_fails_alone(box: Any, tmp_path: Path, name: str, overr
             pool.close()
     samples = found.samples()
     odd = (samples["x1"] > 0.7) & (samples["x1"] < 0.701)
-    assert 0 < odd.sum() == found.results["model"]["failures"]
+    assert 0 < odd.sum() == found.results.model.failures
     assert ((samples["status"] != 0) == odd).all()
     assert samples.loc[odd, "y"].isna().all()
     from uqsphere.model import status_text
@@ -383,7 +383,7 @@ def test_an_executor_that_is_lost_leaves_what_is_done(box: Any, tmp_path: Path) 
     with Lost(2) as pool, pytest.raises(AccessError, match="workers were lost"):
         uqsphere.run(study, out=tmp_path / "r", model=reference, executor=pool)
     again = uqsphere.run(study, out=tmp_path / "r", model=reference)
-    assert again.manifest["evaluations_reused"] > 0
+    assert again.manifest.evaluations_reused > 0
     whole = uqsphere.run(study, out=tmp_path / "whole", model=reference)
     assert answers_of(again.folder) == answers_of(whole.folder)
 

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import uqsphere
+from uqsphere.results import Results
 from uqsphere.study import load_study
 from uqsphere.study.study import Study
 from uqsphere.summary import summary_of
@@ -47,8 +48,10 @@ def test_ten_observations_are_not(tmp_path: Path) -> None:
 
 def ran(folder: Path, count: int) -> tuple[dict[str, Any], str]:
     study = study_of(folder, count)
-    results = dict(uqsphere.run(study, out=folder / "r", model=lambda rows: {"y": rows["a"] + rows["b"]}).results)
-    return results, " ".join(summary_of(results, 80).split())
+    results = dict(
+        uqsphere.run(study, out=folder / "r", model=lambda rows: {"y": rows["a"] + rows["b"]}).results.document()
+    )
+    return results, " ".join(summary_of(Results.model_validate(results), 80).split())
 
 
 def test_two_observations_leave_open_what_cannot_be_told(tmp_path: Path) -> None:

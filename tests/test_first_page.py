@@ -24,6 +24,7 @@ from uqsphere.report.method import answer_checks_table
 from uqsphere.report.reach import beyond_bars
 from uqsphere.report.sections import margins_table
 from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.results import Results
 from uqsphere.summary import summary_of
 
 _ASSUMED = [
@@ -111,7 +112,7 @@ def test_the_first_page_says_what_follows_without_the_assumed_dependence(content
     table = granted_table(contents)
     assert table is not None
     assert [row[-1] for row in table.rows] == ["met", "not met", "met", "met"]
-    assert "without the assumed dependence" in summary_of(dict(contents.results))
+    assert "without the assumed dependence" in summary_of(Results.model_validate(contents.results))
 
 
 def test_an_interval_of_the_computation_is_called_that(contents: Contents) -> None:

@@ -24,7 +24,8 @@ from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
 from uqsphere.report.fracture import interplay_figure, interplay_remarks
-from uqsphere.runner.tables import tables
+from uqsphere.results import Results
+from uqsphere.results.tables import tables
 from uqsphere.summary import summary_of
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")
@@ -251,7 +252,7 @@ def closed_run(folder: Path, pressure: str, force: str, tie: str = "", methods: 
     path = folder / "two.toml"
     text = CLOSED.replace("PRESSURE", pressure).replace("FORCE", force).replace("TIE", tie).replace("METHODS", methods)
     path.write_text(text, encoding="utf-8")
-    return uqsphere.run(uqsphere.load_study(path), out=folder / "r").results
+    return uqsphere.run(uqsphere.load_study(path), out=folder / "r").results.document()
 
 
 def test_union_of_a_run_in_closed_form(tmp_path: Path) -> None:
@@ -288,7 +289,7 @@ def test_strengths_tied_by_another_copula_are_refused_with_the_reason(tmp_path: 
     found = closed_run(tmp_path, "7.2", "75", tie)
     assert found["fracture"]["union"]["value"] is None
     assert "copula that is not Gaussian" in found["fracture"]["reason"]
-    assert "copula that is not Gaussian" in summary_of(found)
+    assert "copula that is not Gaussian" in summary_of(Results.model_validate(found))
 
 
 MORE = """
@@ -318,7 +319,7 @@ def several(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> uqsphe
 
 
 def test_the_answers_of_a_run_fit_together(several: uqsphere.Run) -> None:
-    results = several.results
+    results = several.results.document()
     found = results["fracture"]
     assert found["limits"] == ["crushing", "core"]
     assert found["left_out"] == ["yield", "long"]
@@ -334,35 +335,36 @@ def test_the_answers_of_a_run_fit_together(several: uqsphere.Run) -> None:
 
 def test_first_loading_is_what_the_specimens_show(several: uqsphere.Run) -> None:
     """The record cut at the first echo, and the moments of fracture: two ways that share no step."""
-    found = several.results["fracture"]
+    found = several.results.document()["fracture"]
     share, ratio = found["share_in_first_loading"], found["first_loading"]["value"] / found["union"]["value"]
     assert abs(share["value"] - ratio) < 4.0 * share["std_error"]
 
 
 def test_the_balance_of_forces_is_judged_at_fracture(several: uqsphere.Run) -> None:
-    check = next(c for c in several.results["validity"] if c["check"] == "force_balance")
+    check = next(c for c in several.results.document()["validity"] if c["check"] == "force_balance")
     assert "fracture" in check["text"] or "breaks" in check["text"]
-    assert check["worst"] >= several.results["fracture"]["imbalance"]["quantiles"]["0.95"]["value"]
+    assert several.results.fracture is not None
+    assert check["worst"] >= several.results.fracture.imbalance.quantiles["0.95"].value
 
 
 def test_the_union_over_the_speed_lies_above_each_limit(several: uqsphere.Run) -> None:
-    found = several.results["fracture"]
+    found = several.results.document()["fracture"]
     curve = {point[0]: point[1] for point in found["curve"]}
     assert len(curve) >= 5
     for name in found["limits"]:
-        for value, p, *_ in several.results["margins"][name]["curve"]:
+        for value, p, *_ in several.results.document()["margins"][name]["curve"]:
             if value in curve:
                 assert curve[value] >= p - 1e-9
-    assert found["values"]["0.5"]["value"] < several.results["margins"]["crushing"]["values"]["0.5"]["value"]
+    assert found["values"]["0.5"]["value"] < several.results.margins["crushing"].values["0.5"].value
 
 
 def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_all(several: uqsphere.Run) -> None:
     contents = read_contents(several.folder)
-    first = several.results["fracture"]["limits"][0]
+    first = several.results.document()["fracture"]["limits"][0]
     for point in contents.results["margins"][first]["curve"][:4]:
         point[2:] = [0.1 * point[1], min(1.0, 10.0 * point[1])]
     drawn = []
-    for name in (first, several.results["fracture"]["limits"][1]):
+    for name in (first, several.results.document()["fracture"]["limits"][1]):
         picture = interplay_figure(contents)
         assert picture is not None
         line = next(line for line in picture.figure.axes[0].lines if name in str(line.get_label()))
@@ -372,7 +374,7 @@ def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_al
     # and the page says so
     (remark,) = interplay_remarks(contents)
     assert f"“{first}” (" in remark
-    assert several.results["fracture"]["limits"][1] not in remark
+    assert several.results.document()["fracture"]["limits"][1] not in remark
     for point in contents.results["margins"][first]["curve"]:
         point[2:] = [point[1], point[1]]
     assert interplay_remarks(contents) == ()
@@ -399,7 +401,7 @@ def small_text() -> str:
 def test_one_limit_is_its_own_union(tmp_path: Path, small_text: str) -> None:
     path = tmp_path / "one.toml"
     path.write_text(small_text, encoding="utf-8")
-    results = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results
+    results = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()
     found = results["fracture"]
     assert found["union"] == results["limits"]["crushing"]["exceedance"]
     assert found["governed_by"]["crushing"]["value"] == 1.0
@@ -408,7 +410,7 @@ def test_one_limit_is_its_own_union(tmp_path: Path, small_text: str) -> None:
 def test_a_small_budget_leaves_the_union_and_says_so(tmp_path: Path, small_text: str) -> None:
     path = tmp_path / "few.toml"
     path.write_text(small_text.replace("evaluations = 30_000", "evaluations = 4_500"), encoding="utf-8")
-    found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results["fracture"]
+    found = uqsphere.run(uqsphere.load_study(path), out=tmp_path / "r").results.document()["fracture"]
     assert found["union"]["value"] > 0.0
     assert "budget" in found["reason"]
 

@@ -61,7 +61,7 @@ def run_box(folder: Path, model: Any = power, changes: tuple[tuple[str, str], ..
         assert old in text
         text = text.replace(old, new)
     (folder / "s.toml").write_text(text)
-    return uqsphere.run(uqsphere.load_study(folder / "s.toml"), out=folder / "r", model=model).results
+    return uqsphere.run(uqsphere.load_study(folder / "s.toml"), out=folder / "r", model=model).results.document()
 
 
 def test_interpolated_rows_follow_powers_exactly() -> None:
@@ -207,8 +207,8 @@ def test_a_curve_costs_little_more_than_a_point() -> None:
 def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
     study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
     sets = [*SMALL, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
-    found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results["margins"]["chute"]
-    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results["margins"]["chute"]
+    found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results.document()["margins"]["chute"]
+    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results.document()["margins"]["chute"]
     # kinetic energy of the striker over the sphere's mass, at the means: v50 is the same event
     means = uqsphere.load_study(study).at_means()
     mass = 4.0 / 3.0 * math.pi * means["sphere.radius"] ** 3 * means["sphere.density"]

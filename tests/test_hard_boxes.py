@@ -41,7 +41,7 @@ DEAR, CHEAP = ("100 s", 48), ("1 us", 900)
 def answers(way: tuple[str, int], box: Callable[[Rows], Rows], folder: Path) -> dict[str, Any]:
     cost, runs = way
     (folder / "s.toml").write_text(STUDY.replace("COST", cost).replace("RUNS", str(runs)), "utf-8")
-    return dict(uqsphere.run(load_study(folder / "s.toml"), out=folder / "r", model=box).results)
+    return dict(uqsphere.run(load_study(folder / "s.toml"), out=folder / "r", model=box).results.document())
 
 
 @pytest.mark.parametrize("scale", [1e300, 1e155, 1e-300])
@@ -144,6 +144,6 @@ def test_no_simpler_surrogate_tells_indices_where_inputs_depend_on_each_other(tm
         out=tmp_path / "r",
         model=lambda rows: {"y": rows["a"] + np.tanh(rows["b"])},
     )
-    assert run.results["sensitivity"]["y"]["first"]["b"]["value"] is None
-    refused = next(text for text in run.results["accuracy"]["missed"] if text.startswith("y: refused"))
+    assert run.results.sensitivity["y"].first["b"].value is None
+    refused = next(text for text in run.results.accuracy.missed if text.startswith("y: refused"))
     assert refused.endswith("and there are no indices")

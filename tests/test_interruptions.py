@@ -205,7 +205,7 @@ def test_what_was_evaluated_before_an_interruption_is_not_asked_for_again(
         assert len(box.rows) == stored_rows(folder) == 512 * calls
         box.refused = set(box.rows)
         again = uqsphere.run(study, out=folder, model=box)
-        assert again.manifest["evaluations_reused"] == 512 * calls
+        assert again.manifest.evaluations_reused == 512 * calls
         assert len(box.rows) == len(set(box.rows))
 
 
@@ -238,7 +238,7 @@ def test_a_clock_that_jumps_changes_nothing(study: Study, tmp_path: Path, monkey
     monkeypatch.setattr(time, "time", lambda: now + (-1) ** next(jumps) * 1e6)
     run = uqsphere.run(study, out=tmp_path / "r", model=Box())
     assert answers_of(run.folder) == whole
-    assert all(0.0 <= seconds < 600.0 for seconds in run.manifest["seconds"].values())
+    assert all(0.0 <= seconds < 600.0 for seconds in run.manifest.seconds.values())
 
 
 def test_two_processes_on_one_folder(tmp_path: Path) -> None:
@@ -291,7 +291,7 @@ def test_a_damaged_chunk_is_named(study: Study, tmp_path: Path) -> None:
     path.write_bytes(bytes(data))
     said: list[str] = []
     again = uqsphere.run(study, out=tmp_path / "r", model=Box(), notice=said.append)
-    assert again.manifest["damaged_chunks"] == [path.name]
+    assert again.manifest.damaged_chunks == [path.name]
     assert any(path.name in text for text in said)
 
 
@@ -315,9 +315,9 @@ def test_a_finished_run_is_extended(study: Study, tmp_path: Path, more: tuple[st
         uqsphere.run(wider, out=tmp_path / "r", model=box)
     box.refused = set(box.rows)
     extended = uqsphere.run(wider, out=tmp_path / "r", model=box, extend=True)
-    assert extended.manifest["evaluations_reused"] == 2048
+    assert extended.manifest.evaluations_reused == 2048
     assert answers_of(extended.folder) == answers_of(fresh.folder)
-    assert uqsphere.open_run(tmp_path / "r").results["study"]["hash"] == wider.hash
+    assert uqsphere.open_run(tmp_path / "r").results.study.hash == wider.hash
     uqsphere.run(wider, out=tmp_path / "r", model=box)  # it is this study's folder now
 
 
@@ -337,7 +337,7 @@ def test_another_output_of_a_black_box_is_there_already(tmp_path: Path, box_text
     before = calls
     found = uqsphere.run(both, out=tmp_path / "r", model=box, extend=True)
     fresh = uqsphere.run(both, out=tmp_path / "fresh", model=box)
-    assert found.manifest["evaluations_reused"] >= before
+    assert found.manifest.evaluations_reused >= before
     assert answers_of(found.folder) == answers_of(fresh.folder)
 
 
@@ -367,7 +367,7 @@ def test_an_extension_that_is_cut_leaves_the_finished_run(study: Study, tmp_path
     wider = load(study, "analysis.accuracy.mean=0.005")
     with pytest.raises(KeyboardInterrupt):
         uqsphere.run(wider, out=tmp_path / "r", model=box, extend=True, progress=stop)
-    assert uqsphere.open_run(tmp_path / "r").results["study"]["hash"] == study.hash
+    assert uqsphere.open_run(tmp_path / "r").results.study.hash == study.hash
     assert answers_of(tmp_path / "r") == before
 
 

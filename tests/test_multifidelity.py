@@ -33,12 +33,12 @@ LONG = (
 
 def estimates(run: Run) -> dict[str, dict[str, Any]]:
     found = {}
-    for name, entry in run.results["quantities"].items():
+    for name, entry in run.results.document()["quantities"].items():
         found.update({f"{name}.mean": entry["mean"], f"{name}.sd": entry["sd"]})
         found.update({f"{name}.{p}": estimate for p, estimate in entry["quantiles"].items()})
-    for name, entry in run.results["limits"].items():
+    for name, entry in run.results.document()["limits"].items():
         found[name] = entry["miss"]
-    for name, entry in run.results["sensitivity"].items():
+    for name, entry in run.results.document()["sensitivity"].items():
         found.update({f"{name}.{order}.{k}": e for order in ("first", "total") for k, e in entry[order].items()})
     return found
 
@@ -55,7 +55,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> tuple[Run
 
 
 def test_it_is_used_where_it_pays(pair: tuple[Run, Run]) -> None:
-    model, full = pair[0].results["model"], pair[1].results["model"]
+    model, full = pair[0].results.document()["model"], pair[1].results.document()["model"]
     assert model["chosen"] == "full"
     assert model["control"]["used"]
     assert model["control"]["fidelity"] == "massless"
@@ -66,7 +66,7 @@ def test_it_is_used_where_it_pays(pair: tuple[Run, Run]) -> None:
     assert model["evaluations"]["full"] < 0.6 * full["evaluations"]["full"]
     assert model["evaluations"]["full"] + cost * model["evaluations"]["massless"] < 0.8 * full["evaluations"]["full"]
     assert 0.2 < model["saved"]["cost_share"] < 1.0
-    assert pair[0].results["accuracy"]["met"]
+    assert pair[0].results.accuracy.met
 
 
 def test_its_answers_are_those_of_the_full_model(pair: tuple[Run, Run]) -> None:
@@ -76,13 +76,13 @@ def test_its_answers_are_those_of_the_full_model(pair: tuple[Run, Run]) -> None:
         b = other[name]
         assert abs(a["value"] - b["value"]) <= 4.0 * np.hypot(a["std_error"], b["std_error"]), name
     # and not those of the massless one, which is off by much more than the intervals
-    error = pair[0].results["model"]["considered"]["massless"]["error"]["p_max"]
+    error = pair[0].results.model.considered["massless"].error["p_max"]
     mean, sd = one["p_max.mean"], one["p_max.sd"]
     assert error * sd["value"] > 20.0 * mean["std_error"]
 
 
 def test_the_course_names_the_method(pair: tuple[Run, Run]) -> None:
-    methods = {row["method"] for row in pair[0].results["speed_error"]}
+    methods = {row["method"] for row in pair[0].results.document()["speed_error"]}
     assert "randomised quasi-Monte Carlo, controlled by massless" in methods
     assert "controlled by" in estimates(pair[0])["p_max.mean"]["method"]
 
@@ -99,8 +99,8 @@ def test_it_does_not_depend_on_threads_executor_or_interruption(
     with ThreadPoolExecutor(2) as pool:
         resumed = uqsphere.run(study, out=tmp_path / "two", executor=pool)
     assert (resumed.folder / "results.json").read_bytes() == known
-    assert resumed.manifest["evaluations_reused"] > 0
-    assert "seconds" not in json.dumps(resumed.results)
+    assert resumed.manifest.evaluations_reused > 0
+    assert "seconds" not in json.dumps(resumed.results.document())
 
 
 def test_a_count_gains_where_the_models_agree_on_the_threshold(
@@ -112,7 +112,7 @@ def test_a_count_gains_where_the_models_agree_on_the_threshold(
     fixed = (*LONG, 'limits.crushing.strength="6.1 GPa"', 'analysis.methods=["qmc"]')
     auto = uqsphere.run(study_from(*fixed, text=text), out=tmp_path / "auto", threads=1)
     full = uqsphere.run(study_from(*fixed, 'model.fidelity="full"', text=text), out=tmp_path / "full", threads=1)
-    one, other = (run.results["limits"]["crushing"]["miss"] for run in (auto, full))
+    one, other = (run.results.document()["limits"]["crushing"]["miss"] for run in (auto, full))
     assert "controlled" in one["method"]
     assert 0.001 < one["value"] < 0.999
     assert abs(one["value"] - other["value"]) <= 4.0 * np.hypot(one["std_error"], other["std_error"])
@@ -123,7 +123,7 @@ def test_a_count_gains_where_the_models_agree_on_the_threshold(
 def test_it_is_not_tried_where_the_pilot_shows_no_hope(study_from: Build, tmp_path: Path) -> None:
     # contact_time jumps by whole swings of a mass that the cheap model does not have
     study = study_from('model.fidelity="auto"', 'analysis.methods=["qmc"]')
-    model = uqsphere.run(study, out=tmp_path / "r").results["model"]
+    model = uqsphere.run(study, out=tmp_path / "r").results.document()["model"]
     assert not model["control"]["used"]
     assert "considered and not tried" in model["control"]["text"]
     assert "contact_time" in model["control"]["text"]
@@ -137,7 +137,7 @@ def test_a_trial_that_saves_nothing_says_so(study_from: Build, tmp_path: Path) -
                        'analysis.quantities=["alpha_max"]', 'limits.crushing.quantity="alpha_max"',
                        'limits.crushing.strength={dist="weibull", mean="60 um", modulus=12}',
                        "analysis.accuracy.quantile=0.02")  # fmt: skip
-    model = uqsphere.run(study, out=tmp_path / "r").results["model"]
+    model = uqsphere.run(study, out=tmp_path / "r").results.document()["model"]
     assert not model["control"]["used"]
     assert "saves nothing" in model["control"]["text"]
     assert model["saved"]["full_evaluations"] == 0
@@ -145,7 +145,7 @@ def test_a_trial_that_saves_nothing_says_so(study_from: Build, tmp_path: Path) -
 
 def test_the_budget_holds(study_from: Build, tmp_path: Path) -> None:
     study = study_from(*LONG, "analysis.budget.evaluations=30000", "analysis.budget.exhaust=true")
-    model = uqsphere.run(study, out=tmp_path / "r").results["model"]
+    model = uqsphere.run(study, out=tmp_path / "r").results.document()["model"]
     assert sum(model["evaluations"].values()) <= 30000
     assert "budget" in model["control"]["text"]
 
@@ -200,7 +200,7 @@ def test_the_table_of_choices(study_from: Build, tmp_path: Path, capsys: pytest.
              "analysis.accuracy.quantile=0.5", "bars.infinite=true")  # fmt: skip
     found = compare(tmp_path / "study.toml", quick)
     assert found.farthest < 4.0
-    assert found.full["evaluations"].keys() == {"full"}
+    assert found.full.evaluations.keys() == {"full"}
     assert min(found.seconds) > 0.0
     assert print_table([str(tmp_path / "study.toml"), *(f"--set={setting}" for setting in quick)]) == 0
     printed = capsys.readouterr().out

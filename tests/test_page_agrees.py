@@ -19,6 +19,7 @@ from uqsphere.report.canvas import Picture
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.decision import fragility_figure
 from uqsphere.report.figures import distribution_figure
+from uqsphere.results import read_results
 from uqsphere.summary import summary_of
 
 
@@ -99,7 +100,7 @@ def test_the_answer_keeps_its_label_beside_a_neighbour(tmp_path: Path) -> None:
 def test_how_often_the_bars_yield_at_the_answer_is_one_number(tmp_path: Path) -> None:
     folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
     page = build_report(folder).read_text(encoding="utf-8").replace("\u00a0", " ")
-    text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
+    text = summary_of(read_results(folder), 200)
     for said in (page, text):
         assert "in 3.4 % of the cases the bars yield under the sphere" in said
         assert "2.34 %" not in said
@@ -152,7 +153,7 @@ def test_tests_count_for_the_rarer_outcome(tmp_path: Path) -> None:
              "method": "n = (sway/(0.1 p))^2."}  # fmt: skip
     crusher = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
     folder = write_folder(tmp_path, limits={"crusher": crusher})
-    text = summary_of(json.loads((folder / "results.json").read_text(encoding="utf-8")), 200)
+    text = summary_of(read_results(folder), 200)
     assert "limits.crusher.strength (1,692 tests in all to know the probability to the contrary to 10 %)" in text
     page = re.sub(r"[\u00a0\u202f]", " ", build_report(folder).read_text(encoding="utf-8"))
     assert "the probability to the contrary itself is known to 10 % (one standard error)" in page

@@ -184,7 +184,7 @@ def test_a_run_reports_the_share_and_the_saving(study_from: Build, tmp_path: Pat
     runs = [uqsphere.run(study, out=tmp_path / str(threads), threads=threads) for threads in (1, 2)]
     one, two = ((run.folder / "results.json").read_bytes() for run in runs)
     assert one == two
-    model = runs[0].results["model"]
+    model = runs[0].results.document()["model"]
     assert model["chosen"] == "massless"
     assert 0.1 < model["fallback_share"] < 0.7
     # 512 of full in the pilot, and 256 of each cheaper one
@@ -194,7 +194,7 @@ def test_a_run_reports_the_share_and_the_saving(study_from: Build, tmp_path: Pat
     assert model["saved"]["cost_share"] == pytest.approx(1.0 - model["fallback_share"], abs=0.02)
     again = uqsphere.run(study, out=tmp_path / "1", threads=1)
     assert (again.folder / "results.json").read_bytes() == one
-    assert again.manifest["evaluations_reused"] > 0
+    assert again.manifest.evaluations_reused > 0
 
 
 # --- the rule -------------------------------------------------------------------------------------

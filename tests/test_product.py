@@ -110,7 +110,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, small_text: str) -> uqsphere.R
 
 
 def test_a_run_has_it_beside_the_probability(run: uqsphere.Run) -> None:
-    results = run.results
+    results = run.results.document()
     every, broken = results["quantities"]["t10"], results["fracture"]["t10"]
     samples = run.samples()
     study = uqsphere.load_study(run.folder / "study.toml")
@@ -125,13 +125,13 @@ def test_a_run_has_it_beside_the_probability(run: uqsphere.Run) -> None:
     assert middle["high"] > every["quantiles"]["0.5"]["value"]
     assert results["fracture"]["limits"] == ["crushing", "volume"]
     assert results["limits"]["fine"]["exceedance"]["value"] is not None
-    assert "median product fineness t10" in summary_of(results)
+    assert "median product fineness t10" in summary_of(run.results)
     page = (run.folder / "report.html").read_text("utf-8")
     assert "finer than a tenth of the sphere" in page
 
 
 def test_ranges_that_are_left_are_told_with_their_share(run: uqsphere.Run) -> None:
-    found = {check["check"]: check for check in run.results["validity"]}
+    found = {check["check"]: check for check in run.results.document()["validity"]}
     volume = found["range_of_weakest_link_volume.volume"]
     assert (volume["share"], volume["worst"]) == (1.0, 60.0)
     assert "m reaches 60" in volume["text"]

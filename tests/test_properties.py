@@ -14,11 +14,10 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uqsphere.errors import StudyError
+from uqsphere.errors import FolderError, StudyError
 from uqsphere.files import array_of
 from uqsphere.quantities import UNITS, UnitError, parse_value
-from uqsphere.runner.tables import csv_text
-from uqsphere.store import open_store, write_json
+from uqsphere.store import csv_text, open_store, write_json
 from uqsphere.study import load_study
 from uqsphere.uq.describe import describe
 from uqsphere.uq.law import LawError, cdf, isf, make_law, ppf, sf
@@ -198,9 +197,11 @@ def test_documents_come_back(content: object) -> None:
 @QUIET
 @given(JSON)
 def test_any_document_is_a_result_or_says_what_is_wrong(content: object) -> None:
-    from uqsphere.runner.results import damage_of
+    from uqsphere.results import Results
+    from uqsphere.results.entries import checked_entry
 
-    assert damage_of(content) != ""
+    with pytest.raises(FolderError, match=r"results\.json is not what a run writes: .+"):
+        checked_entry(Path("results.json"), content, Results)
 
 
 @QUIET

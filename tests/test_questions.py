@@ -22,6 +22,7 @@ from uqsphere.report.headings import accuracy_heading
 from uqsphere.report.method import accuracy_table
 from uqsphere.report.progress import course_finding, error_series, progress_finding
 from uqsphere.report.verdict import limits_are_accurate
+from uqsphere.results import MarginEntry, Results, SpeedRow
 from uqsphere.runner.account import FURTHER, further_rows
 from uqsphere.runner.api import Run
 from uqsphere.runner.band import Band, Stage
@@ -61,7 +62,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
-    accuracy = run.results["accuracy"]
+    accuracy = run.results.document()["accuracy"]
     rows = accuracy["questions"]
     assert {row["question"].split(",")[0] for row in rows} >= {"mean", "worst quantile", "worst index"}
     for row in rows:
@@ -84,25 +85,25 @@ def test_a_question_is_met_or_says_what_is_missed(run: Run) -> None:
 
 
 def test_every_shortfall_of_a_curve_says_what_it_would_take(run: Run) -> None:
-    found = [text for text in run.results["accuracy"]["missed"] if text.startswith("margins high")]
+    found = [text for text in run.results.accuracy.missed if text.startswith("margins high")]
     assert any("the steps of the curve" in text for text in found)
     for text in found:
         assert "evaluations" in text, text
-    entry = run.results["margins"]["high"]
+    entry = run.results.document()["margins"]["high"]
     assert entry["steps"]["step"] > GAP == entry["steps"]["asked"]
     assert entry["steps"]["needed"] > entry["steps"]["evaluations"]
     assert entry["band"]["half_width"] > 0.0
 
 
 def test_the_summary_and_the_page_name_every_shortfall(run: Run) -> None:
-    missed = run.results["accuracy"]["missed"]
+    missed = run.results.accuracy.missed
     flat = " ".join(summary_of(run.results, 100).split())
     for text in missed:
         assert " ".join(text.split()) in flat
     told = accuracy_table(read_contents(run.folder)).rows
-    assert len(told) == len(run.results["accuracy"]["questions"])
+    assert len(told) == len(run.results.document()["accuracy"]["questions"])
     assert sum(row[3] == "not reached" for row in told) == sum(
-        row["met"] is False for row in run.results["accuracy"]["questions"]
+        row["met"] is False for row in run.results.document()["accuracy"]["questions"]
     )
 
 
@@ -120,8 +121,8 @@ def given_up(run: Run) -> Contents:
         told | {"question": "worst quantile, over the standard deviation", "reached": 0.004, "met": True},
         told | {"quantity": "limits.high", "question": "probability of exceedance", "reached": 9.0, "met": None},
     ]
-    accuracy = run.results["accuracy"] | {"met": False, "missed": ["a", "b", "c"], "questions": rows}
-    return replace(contents, results=run.results | {"speed_error": course, "accuracy": accuracy})
+    accuracy = run.results.document()["accuracy"] | {"met": False, "missed": ["a", "b", "c"], "questions": rows}
+    return replace(contents, results=run.results.document() | {"speed_error": course, "accuracy": accuracy})
 
 
 def test_what_a_method_reached_whose_answers_were_not_taken_counts_for_nothing(given_up: Contents) -> None:
@@ -155,7 +156,7 @@ def test_the_page_has_one_sentence_for_a_reason_and_its_cost(run: Run) -> None:
     missed = [f"y{k}: quantile {p}: too few samples beyond the {p} quantile {cost}"
               for k in range(9) for p in (0.01, 0.99)]  # fmt: skip
     missed += [f"y{k}: mean: half-width 0.{k + 3} of the standard deviation, asked 0.1 {cost}" for k in range(2)]
-    found = run.results | {"accuracy": run.results["accuracy"] | {"missed": missed}}
+    found = run.results.document() | {"accuracy": run.results.document()["accuracy"] | {"missed": missed}}
     remarks = [
         text
         for block in computed_chapter(replace(contents, results=found)).blocks
@@ -165,14 +166,14 @@ def test_the_page_has_one_sentence_for_a_reason_and_its_cost(run: Run) -> None:
     assert len(remarks) == 2
     assert all(f"y{k} quantile {p}" in remarks[0] for k in range(9) for p in (0.01, 0.99))
     assert "y0 mean (0.3), y1 mean (0.4): half-width above the 0.1 of the standard deviation" in remarks[1]
-    flat = " ".join(summary_of(found, 100).split())
+    flat = " ".join(summary_of(Results.model_validate(found), 100).split())
     assert "y2 quantile 0.99 and 12 more: too few samples" in flat
     assert flat.count("20,000 evaluations would") == 2
 
 
 def test_the_curves_of_a_family_are_held_to_the_same(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from(*ASKED, "analysis.budget.evaluations=400_000", text=SUM)
-    found = uqsphere.run(study, out=tmp_path / "r", model=smooth).results
+    found = uqsphere.run(study, out=tmp_path / "r", model=smooth).results.document()
     members = found["margins"]["high"]["family"]["members"]
     assert all(member["band"]["asked"] == found["margins"]["high"]["band"]["asked"] for member in members)
     named = {row["quantity"] for row in found["speed_error"]}
@@ -199,7 +200,7 @@ def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..
     family = "margins.family={ path = 'b', values = [3.5, 3.50001] }"
     study = study_from(*ASKED, family, "analysis.methods=['qmc']", text=SUM)
     run = uqsphere.run(study, out=tmp_path / "r", model=smooth)
-    named = {row["quantity"] for row in run.results["accuracy"]["questions"]}
+    named = {row["quantity"] for row in run.results.document()["accuracy"]["questions"]}
     assert {"margins.high at b 3.5", "margins.high at b 3.50001"} <= named
     assert family_table(read_contents(run.folder), "high").header == ("probability", "3.5", "3.50001")
 
@@ -272,7 +273,7 @@ def tied(x: dict[str, Array]) -> dict[str, Array]:
 def tied_rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     file = tmp_path_factory.mktemp("tied") / "study.toml"
     file.write_text(TIED, encoding="utf-8")
-    found = uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=tied).results["accuracy"]
+    found = uqsphere.run(uqsphere.load_study(file), out=file.parent / "r", model=tied).results.document()["accuracy"]
     assert {text for row in found["questions"] for text in row["text"].split("; ") if text} == set(found["missed"])
     return list(found["questions"])
 
@@ -299,7 +300,7 @@ def test_what_the_first_indices_take_is_not_what_their_accuracy_takes(tied_rows:
 
 
 def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
-    told = [text for text in run.results["accuracy"]["missed"] if text.startswith(("y: mean", "y: quantile"))]
+    told = [text for text in run.results.accuracy.missed if text.startswith(("y: mean", "y: quantile"))]
     costs = {}
     for text in told:
         width, asked = (float(number) for number in re.findall(r"(?:half-width|asked) ([0-9.e-]+)", text))
@@ -331,26 +332,31 @@ def test_whether_limits_are_accurate_is_asked_of_their_questions() -> None:
 
 
 def est(value: float, half: float, method: str = "m") -> dict[str, Any]:
-    return {"value": value, "low": value - half, "high": value + half, "method": method, "evaluations": 7}
+    ends = {"low": value - half, "high": value + half, "std_error": half}
+    return {"value": value, **ends, "method": method, "evaluations": 7}
 
 
 def test_a_value_is_measured_by_the_spread_of_its_curve() -> None:
     curve = [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1587, 0.0, 0.0], [5.0, 0.8413, 0.0, 0.0], [6.0, 1.0, 1.0, 1.0]]
-    entry = {"values": {"0.1": est(1.0, 0.1), "0.5": est(3.0, 0.4)}, "curve": curve}
-    results = {"margins": {"x": entry}, "sensitivity": {}, "limits": {}}
-    ((part, row),) = further_rows(results)
-    assert (part, row["quantity"], row["evaluations"]) == ("margins", "margins.x", 7)
-    assert row["error"] == pytest.approx(0.4 / 2.0)
+    entry = {"solve": "x", "unit": "", "values": {"0.1": est(1.0, 0.1), "0.5": est(3.0, 0.4)}, "curve": curve}
+
+    def rows() -> list[tuple[str, SpeedRow]]:
+        blank = Results.model_construct(margins={"x": MarginEntry.model_validate(entry)}, sensitivity={}, limits={})
+        return further_rows(blank)
+
+    ((part, row),) = rows()
+    assert (part, row.quantity, row.evaluations) == ("margins", "margins.x", 7)
+    assert row.error == pytest.approx(0.4 / 2.0)
     # a falling curve has the same spread, and one that does not reach so far has none
     entry["curve"] = [[-row[0], *row[1:]] for row in curve][::-1]
-    assert further_rows(results)[0][1]["error"] == pytest.approx(0.2)
+    assert rows()[0][1].error == pytest.approx(0.2)
     entry["curve"] = curve[1:2]
-    assert further_rows(results) == []
+    assert rows() == []
 
 
 def test_every_method_that_answers_has_a_row(run: Run) -> None:
-    rows, results = run.results["speed_error"], run.results
-    assert len(run.manifest["speed_error_seconds"]) == len(rows)
+    rows, results = run.results.document()["speed_error"], run.results.document()
+    assert len(run.manifest.speed_error_seconds) == len(rows)
     have = {(row["quantity"], row["method"].split(",")[0]) for row in rows}
     for name, entry in results["quantities"].items():
         assert (name, entry["mean"]["method"].split(",")[0]) in have

@@ -105,7 +105,7 @@ def exact() -> dict[str, float]:
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("rare")
     (folder / "study.toml").write_text(TEXT.replace("METHODS", '"auto"'))
-    return uqsphere.run(uqsphere.load_study(folder / "study.toml"), out=folder / "out").results
+    return uqsphere.run(uqsphere.load_study(folder / "study.toml"), out=folder / "out").results.document()
 
 
 @pytest.mark.parametrize("name", ["random", "fixed", "break"])
@@ -155,7 +155,7 @@ def test_the_course_is_recorded_and_the_budget_kept(results: dict[str, Any]) -> 
 def test_a_run_without_rare_event_methods_leaves_design_points_out(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(TEXT.replace("METHODS", '["qmc"]').replace("300_000", "30_000"))
     run = uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), out=tmp_path / "out")
-    limit = run.results["limits"]["random"]
+    limit = run.results.document()["limits"]["random"]
     assert limit["design_point"] is None
     assert limit["design_point_reason"]
     assert json.loads((tmp_path / "out" / "results.json").read_text())["limits"]["random"]["modes"] is None
@@ -192,11 +192,11 @@ def test_a_black_box_with_two_failure_modes(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(BOX)
     run = uqsphere.run(uqsphere.load_study(tmp_path / "study.toml"), out=tmp_path / "out", model=two_sided)
     # `miss` of the aim "break" with strength 0 is the probability of g <= 0
-    miss, value = run.results["limits"]["g"]["miss"], 2.0 * float(norm.cdf(-4.0))
+    miss, value = run.results.document()["limits"]["g"]["miss"], 2.0 * float(norm.cdf(-4.0))
     assert miss["low"] <= value <= miss["high"]
     assert miss["value"] == pytest.approx(value, rel=0.05)
-    assert run.results["limits"]["g"]["modes"] == 2
-    assert run.results["limits"]["g"]["design_points"] >= 2
+    assert run.results.limits["g"].modes == 2
+    assert run.results.limits["g"].design_points >= 2
 
 
 def test_plain_sampling_that_falls_a_little_short_of_a_small_probability_is_no_contradiction() -> None:

@@ -20,6 +20,7 @@ from uqsphere.report.html import MOST_BYTES
 from uqsphere.report.method import methods_table, paper_table
 from uqsphere.report.verdict import Verdict, cautions, verdicts
 from uqsphere.report.wording import probability_text, rounded, share_text
+from uqsphere.results import Results
 from uqsphere.summary import summary_of
 
 NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
@@ -267,7 +268,7 @@ def test_one_evaluation_that_failed_is_one(tmp_path: Path) -> None:
         "numbers": {},
     }
     contents = read_contents(write_folder(tmp_path, model=model))
-    for text in (" ".join(cautions(contents)), summary_of(dict(contents.results), 80)):
+    for text in (" ".join(cautions(contents)), summary_of(Results.model_validate(contents.results), 80)):
         assert "1 evaluation failed" in text
 
 

@@ -87,7 +87,7 @@ def checked(run: Run) -> dict[str, Any]:
     text = (run.folder / "results.json").read_text(encoding="utf-8")
     results: dict[str, Any] = json.loads(text, parse_constant=refuse_constant)
     jsonschema.validate(results, SCHEMA)
-    assert results == json.loads(json.dumps(run.results))
+    assert results == json.loads(json.dumps(run.results.document()))
     return results
 
 
@@ -108,7 +108,7 @@ def test_results_have_the_shape_of_the_contract(finished: Path) -> None:
 
 
 def test_the_schema_can_refuse(finished: Path) -> None:
-    results = uqsphere.open_run(finished).results
+    results = uqsphere.open_run(finished).results.document()
     for spoil in (
         lambda r: r["quantities"]["p_max"]["mean"].update(value=None),
         lambda r: r["limits"]["crushing"].pop("miss"),
@@ -121,7 +121,7 @@ def test_the_schema_can_refuse(finished: Path) -> None:
 
 
 def test_answers_are_in_order(finished: Path) -> None:
-    results = uqsphere.open_run(finished).results
+    results = uqsphere.open_run(finished).results.document()
     for entry in results["quantities"].values():
         values = [e["value"] for e in entry["quantiles"].values()]
         assert values == sorted(values)
@@ -143,7 +143,7 @@ def test_frames_of_a_run(finished: Path) -> None:
     run = uqsphere.open_run(finished)
     samples = run.samples()
     assert {"sphere.E", "p_max", "contact_time", "status", "censored_contact_time"} <= set(samples.columns)
-    assert samples["p_max"].mean() == pytest.approx(run.results["quantities"]["p_max"]["mean"]["value"], rel=1e-3)
+    assert samples["p_max"].mean() == pytest.approx(run.results.quantities["p_max"].mean.value, rel=1e-3)
     assert set(run.indices()["order"]) == {"first", "total"}
     assert set(run.limits()["limit"]) == {"crushing"}
     assert run.margins()["exceedance"].tolist() == [0.1, 0.5, 0.9]
@@ -179,7 +179,7 @@ def test_an_executor_does_not_change_a_byte(study_from: Callable[..., Study], tm
     with ThreadPoolExecutor(2) as pool:
         shared = uqsphere.run(study, out=tmp_path / "shared", executor=pool)
     assert stored(alone.folder) == stored(shared.folder)
-    assert alone.results["quantities"]["p_max"]["mean"]["evaluations"] > 16_384  # more than one chunk
+    assert alone.results.quantities["p_max"].mean.evaluations > 16_384  # more than one chunk
 
 
 @pytest.mark.parametrize("calls", [1, 2])
@@ -199,13 +199,17 @@ def test_an_interruption_does_not_change_a_byte(study_from: Callable[..., Study]
     with pytest.raises(FolderError, match="not finished"):
         uqsphere.open_run(tmp_path / "torn")
     resumed = uqsphere.run(study, out=tmp_path / "torn")
-    assert resumed.manifest["evaluations_reused"] > 0
+    assert resumed.manifest.evaluations_reused > 0
     assert stored(whole.folder) == stored(resumed.folder)
 
 
 def test_the_seed_changes_points_and_not_answers(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    one = uqsphere.run(study_from("seed=1", quick=True), out=tmp_path / "one").results["quantities"]["p_max"]["mean"]
-    two = uqsphere.run(study_from("seed=2", quick=True), out=tmp_path / "two").results["quantities"]["p_max"]["mean"]
+    one = uqsphere.run(study_from("seed=1", quick=True), out=tmp_path / "one").results.document()["quantities"][
+        "p_max"
+    ]["mean"]
+    two = uqsphere.run(study_from("seed=2", quick=True), out=tmp_path / "two").results.document()["quantities"][
+        "p_max"
+    ]["mean"]
     assert one["value"] != two["value"]
     assert abs(one["value"] - two["value"]) <= 4.0 * np.hypot(one["std_error"], two["std_error"])
 
@@ -286,9 +290,9 @@ def test_a_study_without_scatter_is_evaluated_once(
 
 
 def test_break_and_survive_are_complements(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    survive = uqsphere.run(study_from(quick=True), out=tmp_path / "s").results["limits"]["crushing"]
+    survive = uqsphere.run(study_from(quick=True), out=tmp_path / "s").results.document()["limits"]["crushing"]
     broken = uqsphere.run(study_from('limits.crushing.aim="break"', quick=True), out=tmp_path / "b")
-    limit = broken.results["limits"]["crushing"]
+    limit = broken.results.document()["limits"]["crushing"]
     assert limit["exceedance"]["value"] == survive["exceedance"]["value"] == survive["miss"]["value"]
     assert limit["miss"]["value"] == pytest.approx(1.0 - survive["miss"]["value"], rel=1e-12)
     assert limit["margin"] == survive["margin"]
@@ -323,7 +327,7 @@ def test_the_budget_of_evaluations_is_kept_and_told(
 def test_a_time_budget_is_recorded(study_from: Callable[..., Study], tmp_path: Path) -> None:
     study = study_from("analysis.accuracy.quantile=0.0001", "analysis.budget.evaluations=2_000_000", quick=True)
     run = uqsphere.run(study, out=tmp_path / "r", seconds=1e-3)
-    assert run.manifest["stopped_by_time"] is True
+    assert run.manifest.stopped_by_time is True
     assert "time" in checked(run)["accuracy"]["stopped_by"].values()
 
 
@@ -332,17 +336,17 @@ def test_the_verdict_follows_the_interval(
     study_from: Callable[..., Study], tmp_path: Path, target: float, met: bool
 ) -> None:
     run = uqsphere.run(study_from(f"limits.crushing.target={target}", quick=True), out=tmp_path / "r")
-    miss = run.results["limits"]["crushing"]["miss"]
+    miss = run.results.document()["limits"]["crushing"]["miss"]
     assert (miss["high"] < target) is met
     assert (miss["low"] > target) is not met
-    assert run.results["limits"]["crushing"]["met"] is met
+    assert run.results.limits["crushing"].met is met
     assert run.met is met
 
 
 def test_a_target_inside_the_interval_is_undecided(study_from: Callable[..., Study], tmp_path: Path) -> None:
-    first = uqsphere.run(study_from(quick=True), out=tmp_path / "a").results["limits"]["crushing"]["miss"]
+    first = uqsphere.run(study_from(quick=True), out=tmp_path / "a").results.document()["limits"]["crushing"]["miss"]
     run = uqsphere.run(study_from(f"limits.crushing.target={first['value']!r}", quick=True), out=tmp_path / "b")
-    assert run.results["limits"]["crushing"]["met"] is None
+    assert run.results.limits["crushing"].met is None
     assert not run.met
 
 
@@ -378,5 +382,5 @@ def test_a_model_factor_multiplies_the_demand(tmp_path: Path) -> None:
     found = uqsphere.run(
         uqsphere.load_study(tmp_path / "s.toml"), out=tmp_path / "r", model=lambda rows: {"y": rows["x1"]}
     )
-    exceeded = found.results["limits"]["high"]["exceedance"]
+    exceeded = found.results.document()["limits"]["high"]["exceedance"]
     assert exceeded["value"] == pytest.approx(1.0 - 0.8 / 1.25, abs=0.01)

@@ -44,7 +44,9 @@ def ishigami(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 @pytest.fixture
 def results(study_from: Callable[..., Study], tmp_path: Path) -> Callable[..., dict[str, Any]]:
     def run(*overrides: str) -> dict[str, Any]:
-        return dict(uqsphere.run(study_from(*overrides, text=ISHIGAMI), out=tmp_path / "r", model=ishigami).results)
+        return dict(
+            uqsphere.run(study_from(*overrides, text=ISHIGAMI), out=tmp_path / "r", model=ishigami).results.document()
+        )
 
     return run
 
@@ -109,7 +111,9 @@ accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.2 }
         return {"y": np.tanh(1.5 * x["x1"]) + 0.5 * x["x2"]}
 
     def run(*overrides: str) -> dict[str, Any]:
-        found = uqsphere.run(study_from(*overrides, text=text), out=tmp_path / str(len(overrides)), model=step).results
+        found = uqsphere.run(
+            study_from(*overrides, text=text), out=tmp_path / str(len(overrides)), model=step
+        ).results.document()
         return dict(found["sensitivity"]["y"])
 
     alone = run('analysis.methods=["pce"]')

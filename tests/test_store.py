@@ -265,8 +265,8 @@ def test_a_resumed_run_evaluates_nothing_again(tmp_path: Path, box_study: Study)
     box.refuses = True
     again = uqsphere.run(box_study, out=tmp_path / "r", model=box)
     assert (tmp_path / "r" / "results.json").read_bytes() == before
-    assert first.manifest["evaluations_reused"] == 0
-    assert again.manifest["evaluations_reused"] == box.rows == sum(first.results["model"]["evaluations"].values())
+    assert first.manifest.evaluations_reused == 0
+    assert again.manifest.evaluations_reused == box.rows == sum(first.results.model.evaluations.values())
 
 
 def test_fresh_evaluates_everything_again(tmp_path: Path, box_study: Study) -> None:
@@ -274,7 +274,7 @@ def test_fresh_evaluates_everything_again(tmp_path: Path, box_study: Study) -> N
     uqsphere.run(box_study, out=tmp_path / "r", model=box)
     once = box.rows
     again = uqsphere.run(box_study, out=tmp_path / "r", model=box, fresh=True)
-    assert (box.rows, again.manifest["evaluations_reused"]) == (2 * once, 0)
+    assert (box.rows, again.manifest.evaluations_reused) == (2 * once, 0)
 
 
 def test_a_damaged_chunk_alone_is_evaluated_again(tmp_path: Path, box_study: Study) -> None:

@@ -19,9 +19,9 @@ from uqsphere.cli import main
 from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
+from uqsphere.results.tables import tables
 from uqsphere.runner.log import logged
-from uqsphere.runner.tables import csv_text, tables
-from uqsphere.store import open_store, write_atomically
+from uqsphere.store import csv_text, open_store, write_atomically
 from uqsphere.study import load_study
 
 FOLDER_COMMANDS = ("show", "report", "export", "verify", "compare")

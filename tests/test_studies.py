@@ -40,7 +40,7 @@ def small_run(name: str, folder: Path) -> dict[str, Any]:
     run = uqsphere.run(study, out=folder, model=model)
     page = build_report(run.folder)
     assert page.stat().st_size < 3_000_000
-    return run.results
+    return run.results.document()
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import pytest
 from uqsphere.compare import compare_folders, comparison_text
 from uqsphere.console import Progress, screen_width, table, wrap, writable
 from uqsphere.report.wording import estimate_text
+from uqsphere.results import Results
 from uqsphere.summary import summary_of
 
 ROOT = Path(__file__).parent.parent
@@ -49,22 +50,22 @@ def results(request: pytest.FixtureRequest) -> dict[str, Any]:
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_answers_fit_the_terminal(results: dict[str, Any], width: int) -> None:
     for found in (results, in_german(results)):
-        assert longest(summary_of(found, width)) <= width
+        assert longest(summary_of(Results.model_validate(found), width)) <= width
 
 
 def test_nothing_is_cut_off(results: dict[str, Any]) -> None:
     german = in_german(results)
-    whole = re.sub(r"\s+", "", summary_of(german, 400))
+    whole = re.sub(r"\s+", "", summary_of(Results.model_validate(german), 400))
     for name in (*german["limits"], *german["quantities"]):
         assert name in whole
     # the same words whatever the width, parted as they may be; bars and decimals of indices alone depend on it
-    parts = summary_of(german, 60).split("before you rely on it:")[-1]
+    parts = summary_of(Results.model_validate(german), 60).split("before you rely on it:")[-1]
     assert re.sub(r"\s+", "", parts) in whole
 
 
 def test_numbers_are_those_of_the_page() -> None:
     results = json.loads((ROOT / "reports/granite/results.json").read_text(encoding="utf-8"))
-    text = summary_of(results, 80)
+    text = summary_of(Results.model_validate(results), 80)
     for quantile in results["quantities"]["p_max"]["quantiles"].values():
         assert estimate_text(quantile, "p_max") in text
     # five digits at most of whatever has an interval; counts have commas at the thousands

@@ -190,8 +190,7 @@ def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tu
     written = []
     if chosen.out is not None:
         from uqsphere.report.records_figure import forces_figure, pulse_figure
-        from uqsphere.runner.tables import csv_text
-        from uqsphere.store import write_atomically
+        from uqsphere.store import csv_text, write_atomically
 
         force = found.forces
         limits = [limit for face in "AB" for limit in force.interval(face)]

@@ -8,6 +8,7 @@ name; one that does not match is not used.
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
 import io
@@ -15,7 +16,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,17 @@ import uqsphere
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, chunk_of, load_document, read_whole, refuse_links
 
-__all__ = ["CHUNK_NAME", "PART_END", "Store", "open_store", "read_json", "write_atomically", "write_json"]
+__all__ = [
+    "CHUNK_NAME",
+    "PART_END",
+    "Store",
+    "csv_text",
+    "open_store",
+    "plain_cell",
+    "read_json",
+    "write_atomically",
+    "write_json",
+]
 
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
@@ -35,6 +46,8 @@ CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
 PART_END = re.compile(r"\.p(\d+)-(\d+)$")
 #: what a killed process leaves of a file it was writing
 _HALF = re.compile(r"\.(?:[\w.-]+\.(?:npy|json|csv|toml|svg|html|pdf)|SHA256SUMS)\.[a-z0-9_]{8}")
+#: what a formula begins with, wide forms included
+_FORMULA = "=+-@\t\r\n＝＋－＠"
 _MARK = "study.resolved.json"
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
 Extension = Callable[[dict[str, Any], dict[str, Any]], str]
@@ -107,6 +120,31 @@ def _sync_folder(folder: Path) -> None:
 def write_json(path: Path, content: Any) -> None:
     """Write JSON with sorted layout kept as given, one trailing newline, and no NaN or infinity."""
     write_atomically(path, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """CSV text; a text that a spreadsheet would take for a formula is quoted with an apostrophe."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([plain_cell(name) for name in header])
+    for row in rows:
+        writer.writerow([_cell(value) for value in row])
+    return buffer.getvalue()
+
+
+def plain_cell(text: str) -> str:
+    """A text that no spreadsheet takes for a formula.
+
+    >>> plain_cell("=1+1"), plain_cell("a=1")
+    ("'=1+1", 'a=1')
+    """
+    return "'" + text if text[:1] in _FORMULA and text else text
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, str):
+        return plain_cell(value)
+    return repr(value) if isinstance(value, float) else value
 
 
 def read_json(path: Path) -> Any:

@@ -25,6 +25,7 @@ from uqsphere.report.wording import (
     rounded,
     without_failed,
 )
+from uqsphere.results import ModelEntry, Results
 
 __all__ = ["summary_of"]
 
@@ -290,19 +291,18 @@ def _index(entry: Estimate, decimals: int) -> str:
     return numbers[0] if len(set(numbers)) == 1 else f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
 
 
-def summary_of(results: dict[str, Any], width: int | None = None) -> str:
+def summary_of(found: Results, width: int | None = None) -> str:
     """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions.
 
     No line is longer than `width` columns (those of the terminal where it is None); numbers and units are those of
     the page.
     """
+    results = found.document()
     with reading_units(units_of(results)):
         return writable("\n".join(_parts(results, screen_width() if width is None else width)))
 
 
 def _parts(results: dict[str, Any], width: int) -> list[str]:
-    from uqsphere.runner.results import savings
-
     answers = [wrap(text, width) for name in results["margins"] if (text := margin_answer(results, name))]
     parts = [wrap(results["study"]["title"], width, ""), "", *answers, *([""] if answers else [])]
     parts += [*_verdicts(results, width), *_governing(results, width)]
@@ -319,7 +319,7 @@ def _parts(results: dict[str, Any], width: int) -> list[str]:
     counts = ", ".join(f"{number:,} {name}" for name, number in model["evaluations"].items())
     last = [
         f"model: {model['chosen']} ({model['why']})",
-        *(f"{label}: {text}" for label, text in savings(model)),
+        *(f"{label}: {text}" for label, text in ModelEntry.model_validate(model).savings()),
         f"evaluations: {counts}; failed: {model['failures']:,}",
     ]
     return [*parts, *(wrap(text, width) for text in last)]

@@ -17,12 +17,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from uqsphere.console import table
-from uqsphere.runner.results import savings
+from uqsphere.results import ModelEntry, Results
+from uqsphere.results.entries import Est
 
 __all__ = ["Comparison", "compare", "main"]
 
@@ -41,31 +41,31 @@ class Comparison:
     """
 
     study: str
-    model: dict[str, Any]
-    full: dict[str, Any]
+    model: ModelEntry
+    full: ModelEntry
     seconds: tuple[float, float]
     farthest: float
 
 
-def _estimates(results: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _estimates(results: Results) -> dict[str, Est]:
     """Means, standard deviations, quantiles and probabilities by name."""
     found = {}
-    for name, entry in results["quantities"].items():
-        found.update({f"{name}.mean": entry["mean"], f"{name}.sd": entry["sd"]})
-        found.update({f"{name}.{p}": estimate for p, estimate in entry["quantiles"].items()})
-    found.update({f"{name}.miss": entry["miss"] for name, entry in results["limits"].items()})
+    for name, entry in results.quantities.items():
+        found.update({f"{name}.mean": entry.mean, f"{name}.sd": entry.sd})
+        found.update({f"{name}.{p}": estimate for p, estimate in entry.quantiles.items()})
+    found.update({f"{name}.miss": entry.miss for name, entry in results.limits.items()})
     return found
 
 
-def _farthest(one: dict[str, Any], other: dict[str, Any]) -> float:
+def _farthest(one: Results, other: Results) -> float:
     """Largest difference of two runs' answers over their standard errors together."""
     left, right = _estimates(one), _estimates(other)
     ratios = [0.0]
     for name, a in left.items():
         b = right[name]
-        if a["value"] is not None and b["value"] is not None:
-            error = (a["std_error"] ** 2 + b["std_error"] ** 2) ** 0.5
-            gap = abs(a["value"] - b["value"])
+        if a.value is not None and b.value is not None:
+            error = ((a.std_error or 0.0) ** 2 + (b.std_error or 0.0) ** 2) ** 0.5
+            gap = abs(a.value - b.value)
             ratios.append(gap / error if error > 0.0 else (0.0 if gap == 0.0 else float("inf")))
     return max(ratios)
 
@@ -82,7 +82,7 @@ def compare(path: str | Path, overrides: Sequence[str] = ()) -> Comparison:
     """
     import uqsphere
 
-    runs: list[dict[str, Any]] = []
+    runs: list[Results] = []
     seconds: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         for forced in ((), ('model.fidelity="full"',)):
@@ -95,8 +95,8 @@ def compare(path: str | Path, overrides: Sequence[str] = ()) -> Comparison:
             seconds.append(time.process_time() - started)
     return Comparison(
         study=Path(path).stem,
-        model=runs[0]["model"],
-        full=runs[1]["model"],
+        model=runs[0].model,
+        full=runs[1].model,
         seconds=(seconds[0], seconds[1]),
         farthest=_farthest(runs[0], runs[1]),
     )
@@ -153,15 +153,15 @@ def _warm(path: Path) -> None:
 
 
 def _row(found: Comparison) -> tuple[str, ...]:
-    errors = [error for error in found.model["measured_error"].values() if error is not None]
-    counts = ", ".join(f"{number:,} {name}" for name, number in found.model["evaluations"].items())
-    left = found.model.get("fallback_share")
+    errors = [error for error in found.model.measured_error.values() if error is not None]
+    counts = ", ".join(f"{number:,} {name}" for name, number in found.model.evaluations.items())
+    left = found.model.fallback_share
     return (
         found.study,
-        str(found.model["chosen"]) + ("" if not left else f" ({100.0 * left:.3g} % by full)"),
+        found.model.chosen + ("" if not left else f" ({100.0 * left:.3g} % by full)"),
         f"{max(errors):.2g}" if errors else "-",
         counts,
-        f"{sum(found.full['evaluations'].values()):,}",
+        f"{sum(found.full.evaluations.values()):,}",
         f"{found.seconds[0]:.1f}",
         f"{found.seconds[1]:.1f}",
         f"{found.farthest:.1f}",
@@ -193,8 +193,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path in given.studies:
         found = compare(path, given.overrides)
         rows.append(_row(found))
-        notes.append(f"{found.study}: {found.model['why']}")
-        notes += [f"{found.study}: {label}: {text}" for label, text in savings(found.model)]
+        notes.append(f"{found.study}: {found.model.why}")
+        notes += [f"{found.study}: {label}: {text}" for label, text in found.model.savings()]
     header = (
         "study",
         "chosen",

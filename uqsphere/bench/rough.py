@@ -149,7 +149,7 @@ def _engine(study: Study) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     from uqsphere.runner.api import run
 
     with tempfile.TemporaryDirectory() as folder:
-        results = run(study, out=Path(folder) / "rough").results
+        results = run(study, out=Path(folder) / "rough").results.document()
     entry, shares = results["quantities"]["contact_time"], results["sensitivity"]["contact_time"]
     answers = {"sd": entry["sd"], "probability": results["limits"]["long"]["exceedance"]}
     answers |= {f"quantile {p}": estimate for p, estimate in entry["quantiles"].items()}

@@ -59,8 +59,8 @@ def measure(folder: Path, counts: Sequence[int], *, sleep: float, dask: bool = F
                 run = uqsphere.run(load_study(place / "killed.toml"), out=place / "results",
                                    model=f"{place / 'killed.py'}:f", executor=executor)  # fmt: skip
                 seconds = time.perf_counter() - began
-        rows.append({"workers": count, "seconds": seconds, "evaluations": run.manifest["evaluations"],
-                     "stages": run.manifest["seconds"], "answers": answers_of(run.folder)})  # fmt: skip
+        rows.append({"workers": count, "seconds": seconds, "evaluations": run.manifest.evaluations,
+                     "stages": run.manifest.seconds, "answers": answers_of(run.folder)})  # fmt: skip
     return rows
 
 

@@ -30,9 +30,9 @@ def _run(path: Path, budget: int) -> dict[str, Any]:
         done = run(study, out=Path(folder) / "run", model=model)
         series = error_series(read_contents(done.folder))
     return {
-        "study": path.stem, "title": study.title, "budget": budget, "met": done.results["accuracy"]["met"],
-        "evaluations": done.manifest["evaluations"], "seconds": done.manifest["seconds"]["total"],
-        "stopped_by": done.results["accuracy"]["stopped_by"], "missed": done.results["accuracy"]["missed"],
+        "study": path.stem, "title": study.title, "budget": budget, "met": done.results.accuracy.met,
+        "evaluations": done.manifest.evaluations, "seconds": done.manifest.seconds["total"],
+        "stopped_by": done.results.accuracy.stopped_by, "missed": list(done.results.accuracy.missed),
         "series": [
             {"method": s.method, "quantity": s.quantity, "kind": s.kind, "asked": s.asked,
              "points": [[n, seconds, error * s.asked] for n, seconds, error in s.points]}

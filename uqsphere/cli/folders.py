@@ -61,7 +61,7 @@ def command_show(chosen: argparse.Namespace) -> int:
         found = open_run(chosen.folder)
         text = summary_of(found.results)
     if chosen.json:
-        print_document(found.results)
+        print_document(found.results.document())
     else:
         print(text)
     return 0

@@ -152,10 +152,10 @@ def command_run(chosen: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         say("writing the report")
     page = build_report(found.folder)
-    for text in shortfalls(found.results["accuracy"]["missed"], SUBJECTS):
+    for text in shortfalls(found.results.accuracy.missed, SUBJECTS):
         say(f"accuracy not reached: {text}")
     if chosen.json:
-        _document(found.results)
+        _document(found.results.document())
     else:
         print(summary_of(found.results))
         print(f"\nreport: {page}")

@@ -13,7 +13,9 @@ import uqsphere
 from uqsphere.console import plain, table
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.files import LARGEST_ARRAY, chunk_of, plain_files, read_whole, refuse_links
-from uqsphere.store import CHUNK_NAME, PART_END, Store, read_json
+from uqsphere.results import Results
+from uqsphere.results.entries import Resolved, read_resolved
+from uqsphere.store import CHUNK_NAME, PART_END, Store
 
 if TYPE_CHECKING:
     from uqsphere.runner.rehearsal import Repeated
@@ -133,10 +135,10 @@ def _repeat(
     folder: Path, place: Path, found: dict[str, Any], faults: list[str], notes: list[str], asked: tuple[int, int, Any]
 ) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
+    from uqsphere.results.tables import tables
     from uqsphere.runner.api import open_run
     from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.rehearsal import rehearse, stored_study
-    from uqsphere.runner.tables import tables
 
     run = open_run(folder)
     for name, text in tables(run.results).items():
@@ -148,10 +150,10 @@ def _repeat(
     study_place, run_place = place / "study", place / "run"
     study_place.mkdir()
     run_place.mkdir()
-    study = stored_study(text, resolved, study_place, kept_data(text, folder))
-    if resolved.get("written_by") != uqsphere.__version__:
+    study = stored_study(text, resolved.document(), study_place, kept_data(text, folder))
+    if resolved.written_by != uqsphere.__version__:
         notes.append(
-            f"the run was made by uqsphere {resolved.get('written_by')}, and this is {uqsphere.__version__}: "
+            f"the run was made by uqsphere {resolved.written_by}, and this is {uqsphere.__version__}: "
             "nothing was evaluated again"
         )
         return
@@ -168,8 +170,8 @@ def _repeat(
     same_place = _same_place(run, notes)
     for entry in rehearsal.repeated:
         _judge(entry, same_place, study.model.tolerance, faults, notes)
-    if missing and (run.manifest.get("stopped_by_time") or run.manifest.get("interrupted")):
-        who = "the time budget" if run.manifest.get("stopped_by_time") else "the user"
+    if missing and (run.manifest.stopped_by_time or run.manifest.interrupted):
+        who = "the time budget" if run.manifest.stopped_by_time else "the user"
         notes.append(f"{who} stopped this run, so that its results cannot be repeated from the start")
     elif missing:
         faults.append(f"the evaluations {missing} are missing: run the study again")
@@ -180,19 +182,14 @@ def _repeat(
         notes.append(f"{unused} stored chunks are not used by the results")
 
 
-def _resolved(folder: Path, results: Mapping[str, Any]) -> dict[str, Any]:
-    from uqsphere.runner.shapes import RESOLVED, fault_of
-
-    resolved = read_json(folder / "study.resolved.json")
-    fault = fault_of(resolved, RESOLVED)
-    if fault:
-        raise FolderError(f"study.resolved.json is not what a run writes: {fault}")
-    if resolved.get("hash") != results["study"]["hash"]:
+def _resolved(folder: Path, results: Results) -> Resolved:
+    resolved = read_resolved(folder)
+    if resolved.hash != results.study.hash:
         raise FolderError("results.json and study.resolved.json belong to different studies")
-    return dict(resolved)
+    return resolved
 
 
-def _black_box(needed: bool, resolved: Mapping[str, Any], model: str | None) -> Any:
+def _black_box(needed: bool, resolved: Resolved, model: str | None) -> Any:
     """The model that was given, once it is known to be the one of the run."""
     if model is None:
         return None
@@ -200,7 +197,7 @@ def _black_box(needed: bool, resolved: Mapping[str, Any], model: str | None) -> 
         raise UsageError("--model serves black-box studies; this run is one of an impact scene")
     from uqsphere.model import load_black_box, model_digest
 
-    if model_digest(model) != resolved.get("model_digest"):
+    if model_digest(model) != resolved.model_digest:
         raise UsageError(f"{model} is not the model of this run, or was changed since: it was not run")
     return load_black_box(model)
 
@@ -220,9 +217,9 @@ def _same_place(run: Any, notes: list[str]) -> bool:
     from uqsphere.runner.results import versions
 
     now = {"system": platform.system(), "machine": platform.machine()}
-    then = run.manifest.get("platform", {})
+    then = run.manifest.platform
     moved = [key for key, value in now.items() if then.get(key) != value]
-    changed = [name for name, version in versions().items() if run.results["versions"].get(name) != version]
+    changed = [name for name, version in versions().items() if run.results.versions.get(name) != version]
     if moved or changed:
         notes.append(
             f"made with another {', '.join([*changed, *moved])}: answers are compared within the study's tolerance, "

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
-from uqsphere.errors import FolderError
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
 from uqsphere.report.granted import instead_text
 from uqsphere.report.wording import Estimate, estimate_text, number_text, rounded
+from uqsphere.results.entries import read_resolved
 
 __all__ = ["Change", "compare_folders", "comparison_text", "difference_interval", "judge_together"]
 
@@ -244,15 +244,9 @@ def _unit_of(name: str) -> tuple[str, float]:
 def _open(folder: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """results.json, manifest.json and study.resolved.json of a finished run."""
     from uqsphere.runner.api import open_run
-    from uqsphere.runner.shapes import RESOLVED, fault_of
-    from uqsphere.store import read_json
 
     run = open_run(folder)
-    resolved = read_json(folder / "study.resolved.json")
-    fault = fault_of(resolved, RESOLVED)
-    if fault:
-        raise FolderError(f"{folder / 'study.resolved.json'} is not what a run writes: {fault}")
-    return run.results, run.manifest, resolved
+    return run.results.document(), run.manifest.document(), read_resolved(folder).document()
 
 
 def compare_folders(before: Path, after: Path) -> dict[str, Any]:

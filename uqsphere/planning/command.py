@@ -228,8 +228,7 @@ def _text(found: Plan) -> str:
 
 def _write(folder: Path, found: Plan, content: dict[str, Any]) -> list[str]:
     from uqsphere.planning.pictures import plan_figure
-    from uqsphere.runner.tables import csv_text
-    from uqsphere.store import write_atomically
+    from uqsphere.store import csv_text, write_atomically
 
     windows = [
         [chart["length"], *(window[key] if window[key] is not None else "" for key in

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import FolderError
+from uqsphere.results import read_results
+from uqsphere.results.entries import read_manifest, read_resolved
 from uqsphere.runner.samples import read_points
-from uqsphere.runner.shapes import MANIFEST, RESOLVED, RESULTS, fault_of
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
 from uqsphere.uq.law import Law, LawError, make_law, nominal_mean
@@ -20,20 +21,6 @@ from uqsphere.uq.law import Law, LawError, make_law, nominal_mean
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
 
 Array = npt.NDArray[np.float64]
-
-_NEEDED = (
-    "study",
-    "versions",
-    "inputs",
-    "quantities",
-    "sensitivity",
-    "limits",
-    "margins",
-    "model",
-    "validity",
-    "speed_error",
-    "accuracy",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,23 +91,8 @@ def read_contents(folder: Path) -> Contents:
     FolderError
         When a file is missing or is not what a run writes.
     """
-    files = [read_json(folder / name) for name in ("results.json", "manifest.json", "study.resolved.json")]
-    for name, found, needed in zip(
-        ("results.json", "manifest.json", "study.resolved.json"),
-        files,
-        (_NEEDED, (), ("kind", "fixed", "random", "analysis", "limits")),
-        strict=True,
-    ):
-        missing = [key for key in needed if not isinstance(found, dict) or key not in found]
-        if missing or not isinstance(found, dict):
-            raise FolderError(f"{folder / name} is not what a run writes: it has no {', '.join(missing) or 'table'}")
-    results, manifest, resolved = files
-    for name, found, shape in zip(
-        ("results.json", "manifest.json", "study.resolved.json"), files, (RESULTS, MANIFEST, RESOLVED), strict=True
-    ):
-        fault = fault_of(found, shape)
-        if fault:
-            raise FolderError(f"{folder / name} is not what a run writes: {fault}")
+    results = read_results(folder).document()
+    manifest, resolved = read_manifest(folder).document(), read_resolved(folder).document()
     strange = [name for name in results["limits"] if name not in resolved["limits"]]
     strange += [name for name in results["inputs"] if name not in resolved["random"]]
     if strange:

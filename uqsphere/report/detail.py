@@ -14,8 +14,7 @@ from uqsphere.report import bar_figures, canvas
 from uqsphere.report.field_figure import draw_field, field_rows
 from uqsphere.report.stress_figure import stress_figure
 from uqsphere.report.timelines import history_figure, xt_figure
-from uqsphere.runner.tables import csv_text
-from uqsphere.store import write_atomically
+from uqsphere.store import csv_text, write_atomically
 from uqsphere.study import Study
 
 if TYPE_CHECKING:

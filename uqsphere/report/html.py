@@ -22,8 +22,7 @@ from uqsphere.report.tables import Table
 from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, verdicts
 from uqsphere.runner.sums import write_sums
-from uqsphere.runner.tables import csv_text
-from uqsphere.store import write_atomically
+from uqsphere.store import csv_text, write_atomically
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -24,7 +24,7 @@ from uqsphere.report.wording import (
     symbol,
     value_text,
 )
-from uqsphere.runner.results import savings
+from uqsphere.results import ModelEntry
 
 __all__ = [
     "accuracy_table",
@@ -230,7 +230,9 @@ def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
             text += f"; correlation with it at least {min(ties):.4g}"
         rows.append((f"considered: {name}", text))
     # what was not tried for want of promise tells nobody anything
-    return rows + [row for row in savings(model) if "considered and not tried" not in row[1]]
+    return rows + [
+        row for row in ModelEntry.model_validate(model).savings() if "considered and not tried" not in row[1]
+    ]
 
 
 def repeat_rows(contents: Contents) -> list[tuple[str, str]]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from uqsphere.quantities import format_value
+from uqsphere.results import Curve, FractureEntry, GivenFailureEntry, MarginEntry, MemberEntry, Results, SpeedRow
+from uqsphere.results.entries import Est
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import CHEAPER, forecast
@@ -250,79 +252,74 @@ _VALUE, _FRACTURE, _SHARE, _MEDIAN, _DELTA, _PAWN, _MISSING, _THERE = FURTHER
 _LOW, _HIGH, _APART = 0.1587, 0.8413, 3.29
 
 
-def further_rows(results: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+def further_rows(results: Results) -> list[tuple[str, SpeedRow]]:
     """(part of the run, row) for every answer of results.json that has an interval and no course."""
-    rows: list[tuple[str, dict[str, Any]]] = []
+    rows: list[tuple[str, SpeedRow]] = []
 
-    def add(part: str, quantity: str, kind: str, estimates: Iterable[Any], scale: float | None = 1.0) -> None:
-        known = [e for e in estimates if e and e.get("value") is not None and e.get("low") is not None]
+    def add(part: str, quantity: str, kind: str, estimates: Iterable[Est | None], scale: float | None = 1.0) -> None:
+        known = [e for e in estimates if e is not None and e.value is not None and e.low is not None]
         if not known or not scale or not scale > 0.0:
             return
         worst = max(known, key=_half)
         if _half(worst) > 0.0:
-            rows.append(
-                (
-                    part,
-                    {
-                        "method": worst["method"],
-                        "quantity": quantity,
-                        "evaluations": int(worst["evaluations"]),
-                        "error": _half(worst) / scale,
-                        "error_kind": kind,
-                    },
-                )
+            row = SpeedRow(
+                method=worst.method,
+                quantity=quantity,
+                evaluations=int(worst.evaluations),
+                error=_half(worst) / scale,
+                error_kind=kind,
             )
+            rows.append((part, row))
 
-    for name, entry in results["margins"].items():
-        for at, curve in _curves(entry):
-            add("margins", f"margins.{name}{at}", _VALUE, curve["values"].values(), _spread(curve["curve"]))
-    fracture = results.get("fracture") or {}
-    for key in ("union", "first_loading"):
-        estimate = fracture.get(key) or {}
-        # of one limit it is the limit's own
-        if key != "union" or len(fracture.get("limits", ())) > 1:
-            add("fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.get("value"))
-    if fracture.get("curve"):
-        add("fracture", "fracture.curve", _VALUE, fracture["values"].values(), _spread(fracture["curve"]))
-    if len(fracture.get("limits", ())) > 1:
-        add("fracture", "fracture.governed_by", _SHARE, (fracture.get("governed_by") or {}).values())
-    for name in ("time", "force", "energy", "imbalance", "t10"):
-        found = fracture.get(name) or {}
-        low, high = ((found.get("quantiles", {}).get(p) or {}).get("value") for p in ("0.05", "0.95"))
-        if low is not None and high is not None:
-            add("fracture", f"fracture.{name}", _MEDIAN, [found["median"]], (float(high) - float(low)) / _APART)
-    for name, entry in results["sensitivity"].items():
-        add("drivers", name, _DELTA, (entry.get("delta") or {}).values())
-        add("drivers", name, _PAWN, (entry.get("pawn") or {}).values())
-    for name, limit in results["limits"].items():
-        drivers = limit.get("drivers") or {}
-        add(
-            "drivers",
-            f"limits.{name}",
-            _MISSING,
-            [e for k in ("first", "total") for e in (drivers.get(k) or {}).values()],
-        )
-        add("drivers", f"limits.{name}", _MISSING, [drivers.get("explained")])
-        means = [_over(one) for one in (drivers.get("given_failure") or {}).values()]
-        add("drivers", f"limits.{name}", _THERE, means)
+    for name, margin in results.margins.items():
+        for at, curve in _curves(margin):
+            add("margins", f"margins.{name}{at}", _VALUE, curve.values.values(), _spread(curve.curve))
+    if results.fracture is not None:
+        _add_fracture(add, results.fracture)
+    for name, entry in results.sensitivity.items():
+        add("drivers", name, _DELTA, entry.delta.values())
+        add("drivers", name, _PAWN, entry.pawn.values())
+    for name, limit in results.limits.items():
+        drivers = limit.drivers
+        if drivers is not None:
+            add("drivers", f"limits.{name}", _MISSING, [*drivers.first.values(), *drivers.total.values()])
+            add("drivers", f"limits.{name}", _MISSING, [drivers.explained])
+            means = [_over(one) for one in (drivers.given_failure or {}).values()]
+            add("drivers", f"limits.{name}", _THERE, means)
     return rows
 
 
-def _half(estimate: Mapping[str, Any]) -> float:
-    return 0.5 * float(estimate["high"] - estimate["low"])
+def _add_fracture(add: Callable[..., None], fracture: FractureEntry) -> None:
+    """The rows of fracture by any limit; of one limit its probability and its curve are the limit's own."""
+    several = len(fracture.limits) > 1
+    for key, estimate in (("union", fracture.union if several else None), ("first_loading", fracture.first_loading)):
+        if estimate is not None:
+            add("fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.value)
+    if fracture.curve:
+        add("fracture", "fracture.curve", _VALUE, fracture.values.values(), _spread(fracture.curve))
+    if several:
+        add("fracture", "fracture.governed_by", _SHARE, fracture.governed_by.values())
+    for name, found in fracture.states().items():
+        low, high = (found.quantiles[p].value if p in found.quantiles else None for p in ("0.05", "0.95"))
+        if name != "specific_energy" and low is not None and high is not None:
+            add("fracture", f"fracture.{name}", _MEDIAN, [found.median], (float(high) - float(low)) / _APART)
 
 
-def _curves(entry: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _half(estimate: Est) -> float:
+    return 0.5 * float((estimate.high or 0.0) - (estimate.low or 0.0))
+
+
+def _curves(entry: MarginEntry) -> Iterator[tuple[str, MarginEntry | MemberEntry]]:
     """The curve of a limit, and those of its family, by what is added to its name."""
     yield "", entry
-    family = entry.get("family")
-    if not family:
+    family = entry.family
+    if family is None:
         return
-    for member in family["members"]:
-        yield f" at {family['path']} {format_value(member['value'], family['path'])}", member
+    for member in family.members:
+        yield f" at {family.path} {format_value(member.value, family.path)}", member
 
 
-def _spread(curve: Sequence[Sequence[float]]) -> float | None:
+def _spread(curve: Curve) -> float | None:
     """Half of what lies between the two values a standard deviation to either side; None where it does not rise so."""
     if len(curve) < 2:
         return None
@@ -336,10 +333,9 @@ def _spread(curve: Sequence[Sequence[float]]) -> float | None:
     return 0.5 * abs(float(high - low))
 
 
-def _over(described: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _over(described: GivenFailureEntry) -> Est | None:
     """The mean of an input over its standard deviation."""
-    mean: Mapping[str, Any] = described.get("mean") or {}
-    sd = (described.get("sd") or {}).get("value")
-    if not sd or mean.get("value") is None or mean.get("low") is None:
+    mean, sd = described.mean, described.sd.value if described.sd is not None else None
+    if not sd or mean.value is None or mean.low is None or mean.high is None:
         return None
-    return {**mean, **{key: mean[key] / sd for key in ("value", "low", "high")}}
+    return mean.model_copy(update={"value": mean.value / sd, "low": mean.low / sd, "high": mean.high / sd})

@@ -13,6 +13,8 @@ from uqsphere.errors import FolderError, UsageError
 from uqsphere.files import refuse_links
 from uqsphere.model import BlackBox, load_black_box, model_digest
 from uqsphere.quantities import INPUTS, format_value
+from uqsphere.results import Results, read_results
+from uqsphere.results.entries import Manifest, PricesEntry, read_manifest
 from uqsphere.store import Store, open_store, read_json
 from uqsphere.study import Study
 
@@ -39,13 +41,13 @@ class Run:
     """A finished run: its folder, the content of results.json and of manifest.json."""
 
     folder: Path
-    results: dict[str, Any]
-    manifest: dict[str, Any]
+    results: Results
+    manifest: Manifest
 
     @property
     def met(self) -> bool:
         """Whether every limit with a target meets it."""
-        return all(limit["met"] is True for limit in self.results["limits"].values() if limit["target"] is not None)
+        return all(limit.met is True for limit in self.results.limits.values() if limit.target is not None)
 
     def _table(self, name: str) -> pd.DataFrame:
         from uqsphere.runner.export import read_table
@@ -79,27 +81,17 @@ def open_run(folder: str | Path) -> Run:
     FolderError
         When the folder is no result folder, or its run has not finished.
     """
-    from uqsphere.runner.results import damage_of
-    from uqsphere.runner.shapes import MANIFEST, fault_of
-
     path = Path(folder)
     if not path.is_dir():
         raise FolderError(f"{path} is not a result folder")
     refuse_links(path)
     if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
         raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
-    results = read_json(path / "results.json")
-    damage = damage_of(results)
-    if damage:
-        raise FolderError(f"{path / 'results.json'} is not what a run writes: {damage}")
+    results = read_results(path)
     mark = read_json(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
-    if isinstance(mark, dict) and mark.get("hash", results["study"].get("hash")) != results["study"].get("hash"):
+    if isinstance(mark, dict) and mark.get("hash", results.study.hash) != results.study.hash:
         raise FolderError(f"the run in {path} that extends another has not finished: run the study again")
-    manifest = read_json(path / "manifest.json")
-    damage = fault_of(manifest, MANIFEST)
-    if damage:
-        raise FolderError(f"{path / 'manifest.json'} is not what a run writes: {damage}")
-    return Run(folder=path, results=results, manifest=manifest)
+    return Run(folder=path, results=results, manifest=read_manifest(path))
 
 
 def run(
@@ -339,15 +331,15 @@ def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     keep_data(work.study, store.folder)
     results = build_results(work, found)
     further = further_rows(results)
-    results["speed_error"] = [*results["speed_error"], *(row for _, row in further)]
+    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
     ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
-    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends])
-    manifest["plan"] = {
-        "cost_seconds_per_evaluation": priced.cost,
-        "crossover_seconds_per_evaluation": way.crossover,
-        "balance_seconds_per_evaluation": way.balance,
-        "affordable_evaluations": way.affordable,
-    }
+    prices = PricesEntry(
+        cost_seconds_per_evaluation=priced.cost,
+        crossover_seconds_per_evaluation=way.crossover,
+        balance_seconds_per_evaluation=way.balance,
+        affordable_evaluations=way.affordable,
+    )
+    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends], prices)
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)
 

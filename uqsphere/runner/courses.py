@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.tables import csv_text
-from uqsphere.store import Store, write_atomically, write_json
+from uqsphere.store import Store, csv_text, write_atomically, write_json
 
 __all__ = ["force_band", "save_courses"]
 

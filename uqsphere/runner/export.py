@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.runner.tables import plain_cell, tables
-from uqsphere.store import write_atomically
+from uqsphere.results.tables import tables
+from uqsphere.store import plain_cell, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,10 +8,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
-from typing import Any
+from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
+from uqsphere.results import Results
+from uqsphere.results.entries import Manifest, PricesEntry
+from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.assumed import find_assumed
 from uqsphere.runner.datafiles import named_files
@@ -24,9 +27,7 @@ from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.probabilities import LimitAnswer
-from uqsphere.runner.shapes import RESULTS, fault_of
 from uqsphere.runner.sums import write_sums
-from uqsphere.runner.tables import tables
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins
 from uqsphere.study.axis import limit_of, quantity_of
@@ -37,13 +38,11 @@ __all__ = [
     "Findings",
     "build_manifest",
     "build_results",
-    "damage_of",
-    "savings",
     "versions",
     "write_results",
 ]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Final = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
 
 
@@ -207,7 +206,7 @@ def _installed(name: str) -> str:
         return "missing"
 
 
-def build_results(work: Work, found: Findings) -> dict[str, Any]:
+def build_results(work: Work, found: Findings) -> Results:
     """The content of results.json."""
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
@@ -215,7 +214,7 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
     missed = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
     told = [one.text for one in missed]
     told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
-    return {
+    content = {
         "schema_version": SCHEMA_VERSION,
         "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
         "versions": versions(),
@@ -262,62 +261,28 @@ def build_results(work: Work, found: Findings) -> dict[str, Any]:
         "warnings": list(study.warnings),
         "paper": found.paper,
     }
-
-
-def savings(model: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What cheaper fidelities did for the run, for people: (label, text) rows off the "model" of results.json.
-
-    >>> savings({"fallback_share": 0.25})
-    [('left to full', '25 % of the rows')]
-    """
-    rows = []
-    if model.get("fallback_share") is not None:
-        rows.append(("left to full", f"{100.0 * model['fallback_share']:.3g} % of the rows"))
-    if model.get("control", {}).get("text"):
-        rows.append(("control variate", str(model["control"]["text"])))
-    if model.get("control", {}).get("indices"):
-        rows.append(("control variate, indices", str(model["control"]["indices"])))
-    if model.get("saved", {}).get("full_evaluations"):
-        rows.append(("saved", str(model["saved"]["text"])))
-    return rows
+    return Results.model_validate(content)
 
 
 # --- files ----------------------------------------------------------------------------------------
 
 
-def damage_of(results: Any) -> str:
-    """What is wrong with the content of a results.json, or an empty text.
-
-    >>> damage_of([])
-    'it holds a list'
-    """
-    if not isinstance(results, dict):
-        return f"it holds a {type(results).__name__}"
-    fault = fault_of(results, RESULTS)
-    if fault:
-        return fault
-    try:
-        tables(results)
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        return f"{type(error).__name__}: {error}"
-    return ""
-
-
-def write_results(store: Store, results: dict[str, Any], manifest: dict[str, Any]) -> None:
+def write_results(store: Store, results: Results, manifest: Manifest) -> None:
     """Tables, manifest.json and results.json, each written whole; results.json last, as the sign of the end."""
-    for name, text in tables(results).items():
+    found = tables(results)
+    for name, text in found.items():
         write_atomically(store.folder / "tables" / name, text)
-    write_json(store.folder / "manifest.json", manifest)
-    write_json(store.folder / "results.json", results)
+    write_json(store.folder / "manifest.json", manifest.document())
+    write_json(store.folder / "results.json", results.document())
     fixed = ["manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml"]
     data = named_files((store.folder / "study.toml").read_text("utf-8", "replace"))
     fixed += [name for name in ("courses.json", "tables/courses.csv", *data) if (store.folder / name).is_file()]
-    write_sums(store.folder, [*(f"tables/{name}" for name in tables(results)), *fixed])
+    write_sums(store.folder, [*(f"tables/{name}" for name in found), *fixed])
 
 
-def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str, Any]:
+def build_manifest(work: Work, ledger: Ledger, seconds: list[float], prices: PricesEntry) -> Manifest:
     """Versions, platform, counts and times: what may differ between two runs of the same study."""
-    return {
+    content = {
         "versions": versions(),
         "platform": {"system": platform.system(), "machine": platform.machine(), "release": platform.release()},
         "seed": work.study.seed,
@@ -331,4 +296,6 @@ def build_manifest(work: Work, ledger: Ledger, seconds: list[float]) -> dict[str
         "executor": work.engine.record(),
         "finished": f"{datetime.now(UTC):%Y-%m-%d}",
         "damaged_chunks": list(work.store.damaged) if work.store is not None else [],
+        "plan": prices,
     }
+    return Manifest.model_validate(content)

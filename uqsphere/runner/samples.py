@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, array_of, read_whole
+from uqsphere.results.entries import SampleNames, read_entry
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.shapes import SAMPLES, fault_of
-from uqsphere.store import Store, read_json, write_atomically, write_json
+from uqsphere.store import Store, write_atomically, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,11 +50,8 @@ def read_points(folder: Path) -> tuple[list[str], list[str], npt.NDArray[np.floa
     FolderError
         When they are missing or damaged.
     """
-    names = read_json(folder / "samples.json")
-    fault = fault_of(names, SAMPLES)
-    if fault:
-        raise FolderError(f"{folder / 'samples.json'} is damaged: {fault}")
-    inputs, quantities = names["inputs"], names["quantities"]
+    names = read_entry(folder / "samples.json", SampleNames)
+    inputs, quantities = list(names.inputs), list(names.quantities)
     try:
         rows = array_of(read_whole(folder / "samples.npy", LARGEST_ARRAY))
     except (AccessError, ValueError) as error:

@@ -1,0 +1,743 @@
+"""The answers of a run as results.json holds them: a frozen `Entry` for every table of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+
+from pydantic import Field, StrictBool, StrictInt, StrictStr, StringConstraints, model_validator
+
+from uqsphere.results.entries import (
+    Aim,
+    Count,
+    Entry,
+    Est,
+    Ests,
+    Name,
+    Number,
+    Probability,
+    Quantiles,
+    Range,
+    Share,
+    ShareKey,
+    read_entry,
+)
+
+# --- curves and checks ------------------------------------------------------------------------------------
+
+
+class CurvePoint(NamedTuple):
+    """A value of the free scalar, the probability of exceeding there, and its 95 % interval."""
+
+    value: Number
+    probability: Share
+    low: Number
+    high: Number
+
+
+Curve = tuple[CurvePoint, ...]
+#: the status of a failed evaluation, as a key
+Status = Annotated[StrictStr, StringConstraints(pattern=r"^-?\d{1,6}$")]
+
+
+class CheckEntry(Entry):
+    """A validity check: shares of the samples in each grade; `share` counts warnings and failures."""
+
+    check: StrictStr
+    share: Share
+    share_information: Share = 0.0
+    share_warning: Share = 0.0
+    share_failure: Share = 0.0
+    worst: Number | None
+    text: StrictStr
+
+
+# --- study and inputs -----------------------------------------------------------------------------------
+
+
+class StudyMark(Entry):
+    """Which study it is."""
+
+    title: StrictStr
+    hash: StrictStr
+    seed: Count
+
+
+class InputEntry(Entry):
+    """A random input: its law in force."""
+
+    dist: StrictStr
+    mean: Number | None
+    sd: Number | None
+    unit: StrictStr
+
+
+# --- quantities -----------------------------------------------------------------------------------------
+
+
+class ToleranceEntry(Entry):
+    """Tolerance limits of a quantity; `between` bounds both sides at once."""
+
+    coverage: Number
+    confidence: Number
+    runs: Count
+    upper: Number | None
+    lower: Number | None
+    between: Range | None = None
+    orders: tuple[StrictInt, StrictInt] | None = None
+    attained: Range | None = None
+    reason: StrictStr | None = None
+
+
+class TestsEntry(Entry):
+    """A law that was fitted to tests."""
+
+    input: StrictStr
+    fit: StrictStr = ""
+    tests: Count
+
+
+class QuantityOpenEntry(Entry):
+    """What few tests leave open of a quantity: 95 % ranges over the laws that they allow, or a reason."""
+
+    fitted: tuple[TestsEntry, ...] = Field(default=(), alias="from")
+    reason: StrictStr | None = None
+    laws: Count = 0
+    mean: Range | None = None
+    quantiles: dict[Name, Range] = Field(default_factory=dict)
+
+
+class QuantityEntry(Entry):
+    """Mean, standard deviation and quantiles of a quantity."""
+
+    unit: StrictStr
+    mean: Est
+    sd: Est
+    quantiles: Quantiles
+    censored_share: Probability
+    tolerance: ToleranceEntry | None = None
+    ignorance: QuantityOpenEntry | None = None
+
+
+# --- indices --------------------------------------------------------------------------------------------
+
+
+class OrderEntry(Entry):
+    """Estimates of first and of total order, by input or by group."""
+
+    first: Ests = Field(default_factory=dict)
+    total: Ests = Field(default_factory=dict)
+
+
+class SurrogateEntry(Entry):
+    """The surrogate of a quantity: the share of the variance that it leaves, and from how many evaluations."""
+
+    kind: StrictStr | None = None
+    error: Number | None = None
+    evaluations: Count = 0
+    usable: StrictBool | None = None
+    reason: StrictStr | None = None
+    degree: Count | None = None
+    terms: Count | None = None
+
+
+class AgreementEntry(Entry):
+    """Whether sampling and surrogate agree on the indices."""
+
+    agree: StrictBool | None = None
+    text: StrictStr = ""
+    sampled: OrderEntry = Field(default_factory=OrderEntry)
+    chaos: OrderEntry = Field(default_factory=OrderEntry)
+
+
+class MeasureRow(Entry):
+    """An input that could be measured: `sway` of a probability by its mean, or `share` of a variance, and the tests
+    that make it small."""
+
+    input: StrictStr
+    sway: Est | None = None
+    share: Est | Number
+    tests: Count
+    observations: Count | None = None
+
+    @property
+    def effect(self) -> Est:
+        """What not knowing the input does: the sway of a probability, else the share of a variance."""
+        found = self.sway if self.sway is not None else self.share
+        assert isinstance(found, Est)
+        return found
+
+    @property
+    def part(self) -> Number | None:
+        """The share as a number."""
+        return self.share.value if isinstance(self.share, Est) else self.share
+
+
+class MeasureEntry(Entry):
+    """What to measure first, the most telling input first."""
+
+    of: StrictStr = ""
+    wanted: Number = 0.0
+    method: StrictStr = ""
+    rows: tuple[MeasureRow, ...] = ()
+    reason: StrictStr = ""
+    probability: Number | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.of == "probability" and any(row.sway is None for row in self.rows):
+            raise ValueError("a row lacks sway")
+        if self.of != "probability" and any(not isinstance(row.share, Est) for row in self.rows):
+            raise ValueError("the share of a row is no estimate")
+        return self
+
+
+class SharesEntry(Entry):
+    """First and total indices of the same inputs; where inputs depend on each other, what takes their place.
+
+    Of missing an aim, `of` says what is shared and `probability` how likely that is.
+    """
+
+    probability: Number | None = None
+    of: StrictStr = ""
+    first: Ests
+    total: Ests
+    second: Ests = Field(default_factory=dict)
+    groups: OrderEntry | None = None
+    shapley: Ests = Field(default_factory=dict)
+    kucherenko: OrderEntry | None = None
+
+    @model_validator(mode="after")
+    def _paired(self) -> Self:
+        if set(self.first) != set(self.total):
+            raise ValueError("first and total are of different inputs")
+        if self.shapley:
+            if self.kucherenko is None:
+                raise ValueError("it lacks kucherenko")
+            if any(set(row) != set(self.shapley) for row in (self.kucherenko.first, self.kucherenko.total)):
+                raise ValueError("shapley and kucherenko are of different inputs")
+        return self
+
+    def orders(self) -> Iterator[tuple[str, Ests]]:
+        """Every set of indices by its order, as tables name them."""
+        yield "first", self.first
+        yield "total", self.total
+        if "second" in self.model_fields_set:
+            yield "second", self.second
+        for prefix, pair in (("group", self.groups), ("kucherenko", self.kucherenko)):
+            if prefix == "kucherenko" and self.shapley:
+                yield "shapley", self.shapley
+            if pair is not None and (prefix == "group" or self.shapley):
+                yield from ((f"{prefix} {order}", getattr(pair, order)) for order in pair.model_fields_set)
+
+
+class IndexEntry(SharesEntry):
+    """What drives a quantity."""
+
+    estimators: StrictStr = ""
+    surrogate: SurrogateEntry = Field(default_factory=SurrogateEntry)
+    check: AgreementEntry = Field(default_factory=AgreementEntry)
+    delta: Ests = Field(default_factory=dict)
+    pawn: Ests = Field(default_factory=dict)
+    pawn_threshold: Number | None = None
+    measure_first: MeasureEntry | None = None
+
+
+class LawSummary(Entry):
+    """Mean, standard deviation and quantiles of a law."""
+
+    mean: Number | None = None
+    sd: Number | None = None
+    quantiles: dict[ShareKey, Number]
+
+
+class GivenFailureEntry(Entry):
+    """An input where the aim is missed, beside its law."""
+
+    mean: Est
+    sd: Est | None = None
+    quantiles: Quantiles
+    law: LawSummary
+
+
+class LimitDriversEntry(SharesEntry):
+    """What drives missing the aim of a limit."""
+
+    explained: Est | None = None
+    given_failure: dict[Name, GivenFailureEntry] | None = None
+
+
+# --- limits ---------------------------------------------------------------------------------------------
+
+
+class LimitOpenEntry(Entry):
+    """What few tests leave open of the probability of missing the aim, all laws together and each by itself."""
+
+    fitted: tuple[TestsEntry, ...] = Field(alias="from")
+    reason: StrictStr | None = None
+    laws: Count = 0
+    exceedance: Range | None = None
+    miss: tuple[Share, Share] | None = None
+    miss_mean: Number | None = None
+    alone: dict[Name, tuple[Share, Share]] = Field(default_factory=dict)
+    met: StrictBool | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        lacking = {"miss", "alone", "met"} - self.model_fields_set
+        if "reason" not in self.model_fields_set and lacking:
+            raise ValueError(f"it lacks {', '.join(sorted(lacking))}")
+        return self
+
+
+class AssumedEntry(Entry):
+    """An assumption on a strength, and the probability of missing the aim with another in its place."""
+
+    assumption: Literal["dependence", "modulus", "cov", "law"]
+    taken: Number | StrictStr | None = None
+    instead: Number | StrictStr | None = None
+    others: tuple[StrictStr, ...] = Field(default=(), alias="with")
+    miss: Probability
+    met: StrictBool | None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        due = {"dependence": list, "law": str}.get(self.assumption, float)
+        for value in (self.taken, self.instead):
+            fits = {list: value is None, str: isinstance(value, str), float: isinstance(value, (int, float))}[due]
+            if not fits:
+                raise ValueError(f"found {value!r}, which is no {self.assumption}")
+        return self
+
+
+class SettlingEntry(Entry):
+    """How many tests of a strength would settle whether the target is kept."""
+
+    tests: Count | None
+    confidence: Share
+    reason: StrictStr | None = None
+
+
+class LimitEntry(Entry):
+    """A limit: probabilities of exceeding it and of missing its aim, margin and design point."""
+
+    quantity: StrictStr
+    aim: Aim
+    target: Share | None
+    exceedance: Probability
+    miss: Probability
+    reliability_index: Number | None
+    reliability_index_interval: tuple[Number | None, Number | None] | None = None
+    margin: Ests
+    design_point: dict[Name, Number] | None
+    design_point_reason: StrictStr | None = None
+    design_points: Count | None = None
+    modes: Count | None = None
+    checks: tuple[StrictStr, ...] = ()
+    governing_inputs: dict[Name, Number] | None
+    governing_inputs_method: StrictStr | None = None
+    met: StrictBool | None
+    ignorance: LimitOpenEntry | None = None
+    assumed: tuple[AssumedEntry, ...] = ()
+    tests_to_settle: SettlingEntry | None = None
+    drivers: LimitDriversEntry | None = None
+    measure_first: MeasureEntry | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        lacking = [key for key in ("median", "0.05", "0.95") if key not in self.margin]
+        if lacking:
+            raise ValueError(f"its margin lacks {', '.join(lacking)}")
+        return self
+
+
+# --- margins --------------------------------------------------------------------------------------------
+
+
+class LognormalEntry(Entry):
+    """The lognormal curve beside a computed one, or why there is none."""
+
+    median: Est | None
+    dispersion: Est | None
+    rising: StrictBool | None = None
+    largest_gap: Number | None = None
+    largest_gap_at: Number | None = None
+    reason: StrictStr | None = None
+
+
+class BandEntry(Entry):
+    """How well a curve is known."""
+
+    half_width: Number
+    asked: Number
+    evaluations: Count
+    needed: Number | None = None
+
+
+class StepsEntry(Entry):
+    """How far apart the values of a curve lie."""
+
+    step: Number
+    asked: Number
+    evaluations: Number
+    needed: Number
+
+
+class MemberEntry(Entry):
+    """A curve at another value of another number."""
+
+    value: Number
+    values: Quantiles
+    curve: Curve
+    lognormal: LognormalEntry | None = None
+    reason: StrictStr | None = None
+    band: BandEntry | None = None
+    steps: StepsEntry | None = None
+
+
+class FamilyEntry(Entry):
+    """Curves at other values of another number."""
+
+    path: StrictStr
+    members: tuple[MemberEntry, ...]
+
+
+class AgainstEntry(Entry):
+    """The curve over another quantity than the free scalar."""
+
+    quantity: StrictStr
+    unit: StrictStr
+    values: Quantiles
+    curve: Curve
+    lognormal: LognormalEntry | None = None
+    reason: StrictStr | None = None
+
+
+class FractilesOf(Entry):
+    """Which fractiles a factor is the ratio of."""
+
+    strength: Share
+    demand: Share
+
+
+class FactorsEntry(Entry):
+    """Strength over demand: of their medians, and of two fractiles."""
+
+    medians: Number | None = None
+    fractiles: Number | None = None
+    fractiles_of: FractilesOf | None = None
+    reason: StrictStr | None = None
+
+
+class PartialFactor(Entry):
+    """An input at the design point, its characteristic value, and their ratio."""
+
+    design: Number
+    characteristic: Number
+    factor: Number
+
+
+class LostEntry(Entry):
+    """Which inputs a margin is lost to: importance factors and partial factors."""
+
+    shares: dict[Name, Number] = Field(default_factory=dict)
+    partial: dict[Name, PartialFactor] = Field(default_factory=dict)
+    reason: StrictStr | None = None
+
+
+class MarginOpenEntry(Entry):
+    """What few tests leave open of the value; `sure` holds with the confidence given."""
+
+    tests: Count = 0
+    stopped: Count = 0
+    laws: Count = 0
+    low: Number | None = None
+    high: Number | None = None
+    sure: Number | None = None
+    confidence: Share | None = None
+    mean_law: Number | None = None
+    sd_log: Number | None = None
+    beyond: Number | None = None
+    reason: StrictStr | None = None
+
+
+class MoreTestsEntry(Entry):
+    """How many more tests decide the target, and how many give the value."""
+
+    tests: Count = 0
+    known_to: Number = 0.0
+    to_know_the_value: Count | None = None
+    to_settle: Count | None = None
+    reason: StrictStr | None = None
+
+
+class SplitEntry(Entry):
+    """Standard deviations of the logarithm of the value, by where they come from."""
+
+    scatter: Number | None = None
+    ignorance: Number | None = None
+    numerical: Number | None = None
+
+
+class BarsEntry(Entry):
+    """When the bars yield: by the pulse, and under the contact."""
+
+    yield_strength: Number | None = None
+    pulse_stress: Number | None = None
+    pulse_elastic: StrictBool | None = None
+    pulse_value: Number | None = None
+    contact_probability: Number | None = None
+    contact: Est | None = None
+    reason: StrictStr | None = None
+    yields_at: dict[ShareKey, Share] = Field(default_factory=dict)
+    contact_everywhere: StrictStr | None = None
+
+
+class ValidityAtEntry(Entry):
+    """Validity checks at the answer."""
+
+    value: Number
+    samples: Count
+    checks: tuple[CheckEntry, ...]
+
+
+class MarginEntry(Entry):
+    """Values of the free scalar at probabilities of exceeding a limit, the curve, and what the margin is made of."""
+
+    solve: StrictStr
+    unit: StrictStr
+    values: Quantiles
+    curve: Curve
+    lognormal: LognormalEntry | None = None
+    family: FamilyEntry | None = None
+    against: AgainstEntry | None = None
+    band: BandEntry | None = None
+    steps: StepsEntry | None = None
+    probability: Number | None = None
+    value: Est | None = None
+    factors: FactorsEntry | None = None
+    lost_to: LostEntry | None = None
+    ignorance: MarginOpenEntry | None = None
+    more_tests: MoreTestsEntry | None = None
+    split: SplitEntry | None = None
+    bars: BarsEntry | None = None
+    validity: ValidityAtEntry | None = None
+
+
+# --- fracture -------------------------------------------------------------------------------------------
+
+
+class LimitsOrder(Entry):
+    """An order in which limits are reached, and how common it is."""
+
+    limits: tuple[StrictStr, ...]
+    share: Est
+
+
+class StateEntry(Entry):
+    """A number at the moment of fracture."""
+
+    unit: StrictStr
+    median: Est
+    quantiles: Quantiles
+
+
+class FractureEntry(Entry):
+    """Fracture by any limit: probabilities, what governs, and the state at fracture."""
+
+    #: the numbers of the state at fracture, as they are listed
+    STATE: ClassVar = ("time", "force", "energy", "specific_energy", "imbalance", "t10")
+
+    limits: tuple[StrictStr, ...]
+    left_out: tuple[StrictStr, ...] = ()
+    union: Probability
+    over_record: Probability | None = None
+    first_loading: Probability | None = None
+    reason: StrictStr | None = None
+    governed_by: dict[Name, Est] = Field(default_factory=dict)
+    order: tuple[LimitsOrder, ...] = ()
+    time: StateEntry | None = None
+    force: StateEntry | None = None
+    energy: StateEntry | None = None
+    specific_energy: StateEntry | None = None
+    imbalance: StateEntry | None = None
+    t10: StateEntry | None = None
+    share_in_first_loading: Est | None = None
+    specimens: Count = 0
+    distinct_rows: Count = 0
+    lost_share: Number = 0.0
+    check: CheckEntry | None = None
+    solve: StrictStr | None = None
+    values: Quantiles = Field(default_factory=dict)
+    curve: Curve = ()
+
+    def states(self) -> dict[str, StateEntry]:
+        """The numbers at the moment of fracture that are known."""
+        found = {name: getattr(self, name) for name in self.STATE}
+        return {name: entry for name, entry in found.items() if entry is not None}
+
+
+# --- model, plan, accuracy ------------------------------------------------------------------------------
+
+
+class CandidateEntry(Entry):
+    """A cheaper fidelity on the pilot, by quantity."""
+
+    error: dict[Name, Number | None]
+    worst: dict[Name, Number | None] = Field(default_factory=dict)
+    correlation: dict[Name, Number | None]
+    cost: Number
+    fits: StrictBool | None = None
+    mixed_error: dict[Name, Number | None] = Field(default_factory=dict)
+    fallback_share: Number | None = None
+
+
+class ControlEntry(Entry):
+    """The control variate."""
+
+    used: StrictBool = False
+    fidelity: StrictStr | None = None
+    ratio: Number | None = None
+    gain: dict[Name, Number | None] = Field(default_factory=dict)
+    text: StrictStr = ""
+    indices: StrictStr = ""
+
+
+class SavedEntry(Entry):
+    """What cheaper fidelities saved."""
+
+    full_evaluations: Number = 0
+    cost_share: Number = 0.0
+    text: StrictStr = ""
+
+
+class ModelEntry(Entry):
+    """The fidelity that was taken, and what was evaluated."""
+
+    chosen: StrictStr
+    why: StrictStr
+    measured_error: dict[Name, Number | None]
+    evaluations: dict[Name, Count]
+    failures: Count
+    failure_reasons: dict[Annotated[StrictStr, StringConstraints(pattern=r"^-?\d{1,6}$")], Count] = Field(
+        default_factory=dict
+    )
+    numbers: dict[Name, Number | None] = Field(default_factory=dict)
+    considered: dict[Name, CandidateEntry] = Field(default_factory=dict)
+    fallback_share: Share | None = None
+    control: ControlEntry | None = None
+    saved: SavedEntry | None = None
+    undecided: Count = 0
+
+    def savings(self) -> list[tuple[str, str]]:
+        """What cheaper fidelities did for the run, for people: (label, text) rows."""
+        rows = []
+        if self.fallback_share is not None:
+            rows.append(("left to full", f"{100.0 * self.fallback_share:.3g} % of the rows"))
+        if self.control is not None and self.control.text:
+            rows.append(("control variate", self.control.text))
+        if self.control is not None and self.control.indices:
+            rows.append(("control variate, indices", self.control.indices))
+        if self.saved is not None and self.saved.full_evaluations:
+            rows.append(("saved", self.saved.text))
+        return rows
+
+
+class PartEntry(Entry):
+    """A part of the run: evaluations that were likely, the most, and those taken."""
+
+    part: StrictStr
+    likely: Count
+    most: Count
+    taken: Count
+    why: StrictStr = ""
+
+
+class PlanEntry(Entry):
+    """Sampling or a surrogate, and the account of the evaluations."""
+
+    way: StrictStr = ""
+    why: StrictStr = ""
+    sampling_evaluations: Number | None = None
+    surrogate_evaluations: Number | None = None
+    parts: tuple[PartEntry, ...] = ()
+
+
+class SpeedRow(Entry):
+    """An error after so many evaluations."""
+
+    method: StrictStr
+    quantity: StrictStr
+    evaluations: Count
+    error: Number | None
+    error_kind: StrictStr
+
+
+class QuestionRow(Entry):
+    """An accuracy: what was asked, what was reached, and what the rest would take."""
+
+    quantity: StrictStr
+    question: StrictStr
+    asked: Number
+    reached: Number | None
+    met: StrictBool | None
+    evaluations: Count | None
+    needed: Number | None
+    text: StrictStr
+
+
+class AccuracyEntry(Entry):
+    """Whether the accuracies asked for were reached."""
+
+    met: StrictBool
+    missed: tuple[StrictStr, ...]
+    stopped_by: dict[Name, StrictStr] = Field(default_factory=dict)
+    questions: tuple[QuestionRow, ...] = ()
+
+
+class PaperRow(Entry):
+    """A number as printed in the paper, by the corrected formula, and by the full model."""
+
+    quantity: StrictStr
+    unit: StrictStr
+    as_printed: Number | None
+    corrected: Number | None
+    full: Number | None
+    note: StrictStr
+
+
+# --- the documents --------------------------------------------------------------------------------------
+
+
+class Results(Entry):
+    """The content of results.json."""
+
+    schema_version: StrictInt = 1
+    study: StudyMark
+    versions: dict[Name, StrictStr]
+    inputs: dict[Name, InputEntry]
+    quantities: dict[Name, QuantityEntry]
+    sensitivity: dict[Name, IndexEntry]
+    limits: dict[Name, LimitEntry]
+    margins: dict[Name, MarginEntry]
+    fracture: FractureEntry | None = None
+    model: ModelEntry
+    validity: tuple[CheckEntry, ...]
+    plan: PlanEntry = Field(default_factory=PlanEntry)
+    speed_error: tuple[SpeedRow, ...]
+    accuracy: AccuracyEntry
+    warnings: tuple[StrictStr, ...] = ()
+    paper: tuple[PaperRow, ...] = ()
+
+    @model_validator(mode="after")
+    def _belonging(self) -> Self:
+        strange = [name for name in self.margins if name not in self.limits]
+        if strange:
+            raise ValueError(f"margins of {strange[0][:60]}: there is no such limit")
+        return self
+
+
+def read_results(folder: Path) -> Results:
+    """results.json of a result folder."""
+    return read_entry(folder / "results.json", Results)

@@ -1,0 +1,288 @@
+"""The documents of a result folder: what they are made of, and those beside results.json.
+
+Every table of a document is a frozen `Entry`.  A key that a run did not write has no place in `document()` either, so
+that what is read and written again keeps its keys; keys that nothing here names are kept beside them.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
+
+from uqsphere.errors import FolderError
+from uqsphere.store import read_json
+
+# --- what the entries are made of -----------------------------------------------------------------------
+
+
+def _be_share(key: str) -> str:
+    if not (re.fullmatch(r"\d(?:\.\d+)?(?:e-\d+)?", key) and 0.0 < float(key) < 1.0):
+        raise ValueError(f"{key[:60]!r} is no share between 0 and 1")
+    return key
+
+
+#: a number, whole or not as it was written
+Number = StrictInt | StrictFloat
+Count = Annotated[int, Field(strict=True, ge=0)]
+Share = Annotated[StrictInt | StrictFloat, Field(ge=0.0, le=1.0)]
+Name = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=5000)]
+#: a probability as a key, "0.05"
+ShareKey = Annotated[StrictStr, AfterValidator(_be_share)]
+Aim = Literal["survive", "break"]
+
+
+class Entry(BaseModel):
+    """A table of a stored document."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="allow",
+        allow_inf_nan=False,
+        defer_build=True,
+        protected_namespaces=(),
+        validate_by_name=True,
+    )
+
+    def document(self) -> dict[str, Any]:
+        """Plain JSON values, with the keys that were given."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+class Est(Entry):
+    """A number with its 95 % interval; an absent answer has value None and a reason."""
+
+    value: Number | None
+    low: Number | None
+    high: Number | None
+    std_error: Number | None
+    method: StrictStr
+    evaluations: Number
+    reason: StrictStr | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low is not None and self.high is not None and self.low > self.high:
+            raise ValueError("its interval ends before it begins")
+        return self
+
+
+def _be_probability(estimate: Est) -> Est:
+    # its interval may go a little beyond by rounding
+    if estimate.value is not None and not 0.0 <= estimate.value <= 1.0:
+        raise ValueError(f"found {estimate.value}, no probability")
+    return estimate
+
+
+Probability = Annotated[Est, AfterValidator(_be_probability)]
+Ests = dict[Name, Est]
+Quantiles = dict[ShareKey, Est]
+Range = tuple[Number, Number]
+
+
+# --- manifest, study and samples --------------------------------------------------------------------------
+
+
+class ExecutorEntry(Entry):
+    """Where the rows were evaluated."""
+
+    kind: StrictStr
+    workers: Count
+    why: StrictStr
+    seconds_per_evaluation: Number | None = None
+
+
+class PricesEntry(Entry):
+    """What an evaluation costs, and where the choice between sampling and a surrogate turns."""
+
+    cost_seconds_per_evaluation: Number | None = None
+    crossover_seconds_per_evaluation: Number | None = None
+    balance_seconds_per_evaluation: Number | None = None
+    affordable_evaluations: Number | None = None
+
+
+class Manifest(Entry):
+    """The content of manifest.json: versions, platform, counts and times, which may differ between two runs."""
+
+    versions: dict[Name, StrictStr] = Field(default_factory=dict)
+    platform: dict[Name, StrictStr] = Field(default_factory=dict)
+    seed: Count | None = None
+    hash: StrictStr = ""
+    evaluations: Count = 0
+    evaluations_reused: Count = 0
+    seconds: dict[Name, Number] = Field(default_factory=dict)
+    speed_error_seconds: tuple[Number, ...] = ()
+    stopped_by_time: StrictBool = False
+    interrupted: StrictBool = False
+    executor: ExecutorEntry | None = None
+    finished: StrictStr = ""
+    damaged_chunks: tuple[StrictStr, ...] = ()
+    plan: PricesEntry | None = None
+
+
+class LawTable(Entry):
+    """A law as study.resolved.json has it."""
+
+    dist: StrictStr
+    parameters: dict[Name, Number]
+    given: dict[Name, Number]
+    lower: Number | None
+    upper: Number | None
+    data: tuple[Number, ...]
+    censored: tuple[StrictBool | Number, ...] = ()
+
+
+class LimitTable(Entry):
+    """A limit as study.resolved.json has it."""
+
+    quantity: StrictStr
+    aim: Aim
+    target: Share | None
+    strength: Number | Literal["random"]
+    model_factor: Number | Literal["random"]
+
+
+class AccuracyTable(Entry):
+    """Half-widths of the 95 % intervals that were asked for."""
+
+    mean: Number
+    quantile: Number
+    sobol: Number
+    probability: Number
+
+
+class BudgetTable(Entry):
+    """What the run may take."""
+
+    evaluations: Count
+    time: Number
+
+
+class AnalysisTable(Entry):
+    """What the study asks for."""
+
+    quantities: tuple[StrictStr, ...]
+    on_failure: Literal["abort", "bound", "drop"]
+    accuracy: AccuracyTable
+    budget: BudgetTable
+    rows_per_call: Count | None = None
+    time_limit: Number | None = None
+
+
+class SourceTable(Entry):
+    """Where a value of the library comes from, and whether the source was seen."""
+
+    text: StrictStr
+    seen: StrictBool
+
+
+class TieTable(Entry):
+    """Variables that depend on each other."""
+
+    of: Annotated[tuple[StrictStr, ...], Field(min_length=1)]
+    copula: StrictStr
+    spearman: Number | None = None
+    kendall: Number | None = None
+    dof: Number | None = None
+
+
+class Resolved(Entry):
+    """The content of study.resolved.json: SI, every default explicit."""
+
+    title: StrictStr = ""
+    hash: StrictStr = ""
+    seed: Count | None = None
+    written_by: StrictStr = ""
+    kind: Literal["scene", "black box"]
+    fixed: dict[Name, Number]
+    random: dict[Name, LawTable]
+    options: dict[Name, Any] = Field(default_factory=dict)
+    materials: dict[Name, StrictStr] = Field(default_factory=dict)
+    sources: dict[Name, SourceTable] = Field(default_factory=dict)
+    limits: dict[Name, LimitTable]
+    dependence: tuple[TieTable, ...] = ()
+    analysis: AnalysisTable
+    overrides: tuple[StrictStr, ...] = ()
+    model_reference: StrictStr | None = None
+    model_digest: StrictStr | None = None
+
+
+class SampleNames(Entry):
+    """The content of samples.json: the names of the columns."""
+
+    inputs: tuple[StrictStr, ...]
+    quantities: tuple[StrictStr, ...]
+
+
+# --- reading --------------------------------------------------------------------------------------------
+
+_Entry = TypeVar("_Entry", bound=Entry)
+
+#: pydantic's name of a fault -> what is said of it
+_SAID = {
+    "missing": "it is missing",
+    "string_type": "a text is due",
+    "bool_type": "true or false is due",
+    "dict_type": "a table is due",
+    "model_type": "a table is due",
+    "model_attributes_type": "a table is due",
+    "tuple_type": "a list is due",
+    "int_type": "a number is due",
+    "float_type": "a number is due",
+}
+#: steps of a place that name an alternative of pydantic's, not a key
+_ALTERNATIVES = frozenset({"int", "float", "bool", "str", "Est", "[key]", "constrained-int", "constrained-float"})
+
+
+def read_entry(path: Path, kind: type[_Entry]) -> _Entry:
+    """A document of a result folder.
+
+    Raises
+    ------
+    FolderError
+        When it is missing, damaged or not what a run writes.
+    """
+    return checked_entry(path, read_json(path), kind)
+
+
+def checked_entry(path: Path, content: object, kind: type[_Entry]) -> _Entry:
+    """What was read from a file, with its fault in one sentence where it is not what a run writes."""
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise FolderError(f"{path} is not what a run writes: {fault_of(error)}") from None
+    except RecursionError:
+        raise FolderError(f"{path} is not what a run writes: it is nested too deep") from None
+
+
+def fault_of(error: ValidationError) -> str:
+    """The first fault of a document: its place, and what is due there."""
+    fault = error.errors(include_url=False, include_context=False)[0]
+    steps = [step for step in fault["loc"] if step not in _ALTERNATIVES]
+    place = "".join(f"[{step}]" if isinstance(step, int) else f".{str(step)[:60]}" for step in steps)
+    said = _SAID.get(fault["type"], fault["msg"].removeprefix("Value error, "))
+    return f"{place.removeprefix('.')}: {said}" if place else said
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """manifest.json of a result folder."""
+    return read_entry(folder / "manifest.json", Manifest)
+
+
+def read_resolved(folder: Path) -> Resolved:
+    """study.resolved.json of a result folder."""
+    return read_entry(folder / "study.resolved.json", Resolved)

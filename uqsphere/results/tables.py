@@ -1,0 +1,168 @@
+"""The answers of a run as CSV tables, from what results.json holds alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+from uqsphere.results import AssumedEntry, FractureEntry, MeasureEntry, QuantityEntry, Results
+from uqsphere.results.entries import Est
+from uqsphere.store import csv_text
+
+__all__ = ["tables"]
+
+#: a row of cells; header and rows by name
+Row: TypeAlias = list[object]
+Tables: TypeAlias = dict[str, tuple[Sequence[str], Sequence[Sequence[object]]]]
+
+_ESTIMATE = ("value", "low", "high", "std_error", "method", "evaluations", "reason")
+
+
+def _row(estimate: Est) -> Row:
+    return ["" if (value := getattr(estimate, key)) is None else value for key in _ESTIMATE]
+
+
+def _driver_rows(results: Results) -> list[Row]:
+    """Delta and PAWN of the quantities, indices of missing the aim of the limits, sways and tests of both."""
+    rows: list[Row] = []
+    for name, entry in results.sensitivity.items():
+        sets = [("delta", entry.delta), ("pawn", entry.pawn)]
+        rows += [[name, what, n, *_row(e), ""] for what, table in sets for n, e in table.items()]
+        rows += _measured(name, entry.measure_first)
+    for name, limit in results.limits.items():
+        orders = limit.drivers.orders() if limit.drivers is not None else ()
+        rows += [[name, what, n, *_row(e), ""] for what, table in orders for n, e in table.items()]
+        rows += _measured(name, limit.measure_first)
+    return rows
+
+
+def _measured(name: str, found: MeasureEntry | None) -> list[Row]:
+    rows = () if found is None else found.rows
+    return [[name, "sway" if r.sway is not None else "share", r.input, *_row(r.effect), r.tests] for r in rows]
+
+
+def _tolerance_rows(name: str, entry: QuantityEntry) -> list[Row]:
+    """Rows of the tolerance limits of a quantity: upper and lower as values, both sides as the ends of an interval."""
+    limits = entry.tolerance
+    if limits is None:
+        return []
+    method = f"tolerance limit, {limits.coverage:g} with confidence {limits.confidence:g}"
+    low, high = limits.between or (None, None)
+    places = {
+        "upper tolerance limit": (limits.upper, None, None),
+        "lower tolerance limit": (limits.lower, None, None),
+        "tolerance interval": (None, low, high),
+    }
+    return [
+        [name, entry.unit, what, *_row(Est(value=value, low=low, high=high, std_error=None, method=method,
+                                           evaluations=limits.runs, reason=limits.reason))]
+        for what, (value, low, high) in places.items()
+    ]  # fmt: skip
+
+
+def _fracture_rows(found: FractureEntry) -> list[Row]:
+    """Probabilities of fracture, shares by limit and by order, and the state at fracture: what, of which, unit, EST."""
+    whole = {"union": found.union, "first_loading": found.first_loading, "over_record": found.over_record}
+    rows = [[what, "", "", *_row(e)] for what, e in whole.items() if e is not None]
+    rows += [["governed_by", name, "", *_row(e)] for name, e in found.governed_by.items()]
+    rows += [["order", " > ".join(entry.limits), "", *_row(entry.share)] for entry in found.order]
+    rows += [
+        [what, f"q{p}", entry.unit, *_row(e)]
+        for what, entry in found.states().items()
+        if what != "t10"
+        for p, e in entry.quantiles.items()
+    ]
+    return rows
+
+
+def _instead(row: AssumedEntry) -> str:
+    """What is put in place of what a probability takes for granted."""
+    if row.assumption == "dependence":
+        return f"miss, strength independent of {' and '.join(row.others)}"
+    told = row.instead if isinstance(row.instead, str) else f"{row.instead:.6g}"
+    return f"miss, {row.assumption} of the strength {told}"
+
+
+def _quantity_rows(results: Results) -> list[Row]:
+    rows = []
+    for name, entry in results.quantities.items():
+        rows += [[name, entry.unit, what, *_row(e)] for what, e in (("mean", entry.mean), ("sd", entry.sd))]
+        rows.append([name, "", "censored_share", *_row(entry.censored_share)])
+        rows += [[name, entry.unit, f"q{p}", *_row(e)] for p, e in entry.quantiles.items()]
+        rows += _tolerance_rows(name, entry)
+    return rows
+
+
+def _limit_rows(results: Results) -> list[Row]:
+    rows = []
+    for name, limit in results.limits.items():
+        rows += [[name, what, *_row(e)] for what, e in (("exceedance", limit.exceedance), ("miss", limit.miss))]
+        rows += [[name, f"margin {which}", *_row(e)] for which, e in limit.margin.items()]
+        rows += [[name, _instead(row), *_row(row.miss)] for row in limit.assumed]
+    return rows
+
+
+def _margin_tables(results: Results) -> Tables:
+    """Values at the probabilities asked for, and the curves; over the energy too where that was asked for."""
+    margins = results.margins
+    over = {name: entry.against for name, entry in margins.items() if entry.against is not None}
+    values = [
+        [name, entry.solve, entry.unit, p, *_row(e)] for name, entry in margins.items() for p, e in entry.values.items()
+    ]
+    values += [
+        [name, entry.quantity, entry.unit, p, *_row(e)] for name, entry in over.items() for p, e in entry.values.items()
+    ]
+    curves: list[Row] = [[name, *point] for name, entry in margins.items() for point in entry.curve]
+    families = [(name, entry, entry.family) for name, entry in margins.items() if entry.family is not None]
+    members = [(name, entry, family.path, member) for name, entry, family in families for member in family.members]
+    if members:
+        # the curves of the study itself have no value of a family
+        values, curves = ([[*row, "", ""] for row in rows] for rows in (values, curves))
+        values += [
+            [name, entry.solve, entry.unit, p, *_row(e), path, member.value]
+            for name, entry, path, member in members
+            for p, e in member.values.items()
+        ]
+        curves += [[name, *point, path, member.value] for name, _, path, member in members for point in member.curve]
+    family = ("family", "family_value") if members else ()
+    if results.fracture is not None:
+        curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
+    found: Tables = {
+        "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE, *family), values),
+        "fragility": (("limit", "value", "probability", "low", "high", *family), curves),
+    }
+    if over:
+        points = [[name, entry.quantity, entry.unit, *point] for name, entry in over.items() for point in entry.curve]
+        found["fragility_energy"] = (("limit", "over", "unit", "value", "probability", "low", "high"), points)
+    return found
+
+
+def tables(results: Results) -> dict[str, str]:
+    """CSV tables by file name."""
+    index_rows = [
+        [quantity, order, name, *_row(estimate)]
+        for quantity, entry in results.sensitivity.items()
+        for order, table in entry.orders()
+        for name, estimate in table.items()
+    ]
+    inputs = [[n, e.dist, e.mean, e.sd, e.unit] for n, e in results.inputs.items()]
+    checks = [[c.check, c.share, c.worst, c.text] for c in results.validity]
+    speed = [[r.method, r.quantity, r.evaluations, r.error, r.error_kind] for r in results.speed_error]
+    found: Tables = {
+        "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
+        "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), _quantity_rows(results)),
+        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "drivers": (("of", "statistic", "input", *_ESTIMATE, "tests"), _driver_rows(results)),
+        "limits": (("limit", "statistic", *_ESTIMATE), _limit_rows(results)),
+        **_margin_tables(results),
+        "validity": (("check", "share", "worst", "text"), checks),
+        "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
+    }
+    if results.fracture is not None:
+        found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(results.fracture))
+    if results.paper:
+        found["paper"] = (
+            ("quantity", "unit", "as_printed", "corrected", "full", "note"),
+            [[p.quantity, p.unit, p.as_printed, p.corrected, p.full, p.note] for p in results.paper],
+        )
+    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
