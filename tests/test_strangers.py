@@ -19,6 +19,7 @@ from uqsphere.cli import main
 from uqsphere.console import plain_lines
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import array_of, chunk_of, is_device_name, load_document, plain_files, read_whole, refuse_links
+from uqsphere.results import read_results
 from uqsphere.results.tables import tables
 from uqsphere.runner.log import logged
 from uqsphere.store import csv_text, open_store, write_atomically
@@ -318,7 +319,7 @@ def test_exported_columns_are_no_formulas(folder: Path) -> None:
     names = json.loads((folder / "samples.json").read_text())
     names["inputs"][0] = "=HYPERLINK(1)"
     (folder / "samples.json").write_text(json.dumps(names))
-    for name, text in tables(json.loads((folder / "results.json").read_text())).items():
+    for name, text in tables(read_results(folder)).items():
         write_atomically(folder / "tables" / name, text)
     assert main(["export", str(folder), "--format", "csv"]) == 0
     assert (folder / "export" / "samples.csv").read_text().startswith("'=HYPERLINK(1)")
