@@ -16,7 +16,8 @@ from scipy.stats import norm
 
 import uqsphere
 from uqsphere.runner.campaign import Cost, Missed
-from uqsphere.runner.questions.probabilities import LimitAnswer, _with_cost, narrower
+from uqsphere.runner.limits import LimitAnswer
+from uqsphere.runner.questions.probabilities import _with_cost, narrower
 from uqsphere.uq.estimate import Estimate
 
 TEXT = """\

@@ -16,9 +16,9 @@ from uqsphere.runner.api import check_range
 from uqsphere.runner.curve_rows import CurveRows, half_width
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.evaluate import REPLICATES, Ledger, Work
+from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import limit_values
 from uqsphere.runner.moved import evaluate_at, probabilities
-from uqsphere.runner.questions.probabilities import state_of
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq.estimate import Estimate
 

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from uqsphere.runner.curves import law_curves
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.probabilities import LimitAnswer, state_of, told_by_runs
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import is_fitted, laws_of_more_tests

@@ -14,14 +14,14 @@ from uqsphere.runner.dear_answers import demands_of, widest
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.learning import with_surrogate_design
+from uqsphere.runner.limits import limits_missed
 from uqsphere.runner.questions.distributions import Sampled, find_missed, shortfalls
-from uqsphere.runner.questions.probabilities import limits_missed
 
 if TYPE_CHECKING:
     from uqsphere.runner.dear_end import Dear
+    from uqsphere.runner.limits import LimitAnswer
     from uqsphere.runner.margins import MarginAnswer
     from uqsphere.runner.questions.indices import Sensitivity
-    from uqsphere.runner.questions.probabilities import LimitAnswer
     from uqsphere.uq.describe import Description
     from uqsphere.uq.estimate import Estimate
 

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
+from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
 from uqsphere.runner.moved import axis_of, probabilities
-from uqsphere.runner.questions.probabilities import SEEN, state_of
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals

@@ -18,9 +18,10 @@ from uqsphere.runner.assumed import MOST_TESTS, few_rows, fewest_tests, is_decid
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import law_curves
 from uqsphere.runner.evaluate import OutOfBudget, Work
+from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import axis_of
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.probabilities import find_design, state_of
+from uqsphere.runner.questions.probabilities import find_design
 from uqsphere.study import Limit
 from uqsphere.study.axis import SPEED, strength_name
 from uqsphere.uq.estimate import Estimate

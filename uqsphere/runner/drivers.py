@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.evaluate import REPLICATES, Work, sub_inputs
+from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Pairs, Sensitivity
-from uqsphere.runner.questions.probabilities import state_of, tie_strength
 from uqsphere.runner.questions.shapley import TASK, Shared, orders_at
 from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.limits import LimitAnswer, state_of
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.probabilities import LimitAnswer, state_of
 from uqsphere.study import Limit
 from uqsphere.uq.fitting import count_tests, is_fitted, possible_densities, possible_tails
 from uqsphere.uq.joint import conditional_normal, tied_names

@@ -17,14 +17,8 @@ import numpy.typing as npt
 from uqsphere.model import is_answered
 from uqsphere.runner.campaign import MISS_KIND
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
-from uqsphere.runner.questions.probabilities import (
-    LimitAnswer,
-    complement,
-    limit_space,
-    takes_over,
-    tied_strength,
-    with_design,
-)
+from uqsphere.runner.limits import LimitAnswer, takes_over
+from uqsphere.runner.questions.probabilities import complement, limit_space, tied_strength, with_design
 from uqsphere.study import Limit
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.rare.active import METHOD, ActiveAnswer, learn_probability

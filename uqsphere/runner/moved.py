@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.evaluate import REPLICATES, Work, evaluate_points, with_answered
-from uqsphere.runner.questions.probabilities import state_of
+from uqsphere.runner.limits import state_of
 from uqsphere.study import Axis, Limit
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.limit_state import LimitState, tails

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.runner.evaluate import REPLICATES, Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import Candidate, Pilot
-from uqsphere.runner.questions.probabilities import LimitAnswer, state_of
+from uqsphere.runner.limits import LimitAnswer, state_of
 from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
 from uqsphere.uq.describe import Description

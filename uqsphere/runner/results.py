@@ -23,10 +23,10 @@ from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
+from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
-from uqsphere.runner.questions.probabilities import LimitAnswer
 from uqsphere.runner.sums import write_sums
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins

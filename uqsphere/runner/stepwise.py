@@ -16,8 +16,8 @@ from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.campaign import rounded
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import at_strength, axis_of, evaluate_at, probabilities
-from uqsphere.runner.questions.probabilities import state_of
 from uqsphere.study import Limit
 from uqsphere.uq.margins import METHOD
 

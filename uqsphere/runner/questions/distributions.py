@@ -12,8 +12,8 @@ from uqsphere.errors import UsageError
 from uqsphere.runner.campaign import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, cost_of, out_of_reach
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, draw, evaluate_sample
 from uqsphere.runner.heavy_tails import describe_heavy
+from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
-from uqsphere.runner.questions.probabilities import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.uq.describe import Description, describe, lacking
 from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.sample import Sample

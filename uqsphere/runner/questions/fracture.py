@@ -20,10 +20,11 @@ import numpy.typing as npt
 from uqsphere.model import scene_of
 from uqsphere.runner.chunks import remembered_fractures
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered
+from uqsphere.runner.limits import RARE, state_of
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.probabilities import DOUBTFUL, LEAST, MOST, RARE, SHARE, narrower, state_of
+from uqsphere.runner.questions.probabilities import DOUBTFUL, LEAST, MOST, SHARE, narrower
 from uqsphere.study import Limit, Study
 from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.joint import physical_from_normal

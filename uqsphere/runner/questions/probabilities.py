@@ -1,269 +1,46 @@
-"""Limits: demand against strength at the sampled points, the strength integrated exactly."""
+"""Small probabilities: limits that sampling leaves open go on in standard normal space, and get their design points.
+
+The strength stays integrated: given the inputs' normal scores u, the aim is missed with the probability Phi(-g(u)),
+where g is the strength's normal score at the demand (`uqsphere.uq.rare`).  Everything is evaluated through the
+run's own chunks.  Rows far out of the ordinary may have no answer: they widen the interval and end nothing.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.model import is_answered
-from uqsphere.quantities import told_apart
 from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
+from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
+from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.study import Limit
-from uqsphere.uq.estimate import Estimate, absent, exact
-from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
-from uqsphere.uq.law import Law, cdf, from_normal
-from uqsphere.uq.limit_state import (
-    LimitState,
-    exceedance,
-    margin_quantiles,
-    miss,
-    reliability_index,
-    score_given_inputs,
-    strength_tails,
-    tails,
-    target_met,
-)
+from uqsphere.uq.law import Law, from_normal
+from uqsphere.uq.limit_state import strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
-from uqsphere.uq.sample import Sample
-
-if TYPE_CHECKING:
-    from uqsphere.runner.questions.distributions import Sampled
 
 __all__ = [
     "METHOD",
-    "SEEN",
     "DesignFound",
-    "LimitAnswer",
     "LimitSpace",
-    "carriers",
     "complement",
     "find_design",
-    "judge_limits",
     "limit_space",
-    "limits_missed",
     "narrower",
     "physical_values",
     "refine_limits",
-    "state_of",
-    "takes_over",
-    "tie_strength",
     "tied_strength",
-    "told_by_runs",
-    "unseen",
     "with_design",
 ]
-
-Array = npt.NDArray[np.float64]
-
-#: a probability below this is not chased for its relative accuracy by plain sampling
-NEGLIGIBLE = 1e-12
-#: a probability below this is left to the methods for rare events where sampling is not accurate
-RARE = 0.01
-#: runs that a probability has to rest on
-SEEN = 1.0
-#: runs that have to carry a smaller one for the spread of replicates to tell how well it is known, by Kish's count:
-#: of strengths with a normal score of their own, intervals held 30 % of the answers that one run carries, 60 % with
-#: three, 80 % with ten, and from twenty on 93 to 97 %
-CARRYING = 20.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class LimitAnswer:
-    """What is known of one limit; `met` None: undecided, or no target."""
-
-    quantity: str
-    aim: str
-    target: float | None
-    exceedance: Estimate
-    miss: Estimate
-    reliability_index: float | None
-    reliability_interval: tuple[float | None, float | None]
-    margin: dict[str, Estimate]
-    governing: dict[str, float] | None
-    met: bool | None
-    governing_method: str = BY_DIRECTION
-    design: dict[str, float] | None = None
-    design_points: int = 0
-    design_reason: str = "no search for a design point was made"
-    modes: int | None = None
-    checks: tuple[str, ...] = ()
-
-    def accuracy_missed(self, which: str, asked: float) -> str:
-        """Why a probability is not as accurate as asked, or an empty text."""
-        estimate: Estimate = getattr(self, which)
-        if estimate.value is None:
-            return f"{which}: {estimate.reason}"
-        if self.beneath(which):
-            return ""
-        if estimate.half_width <= asked * estimate.value:
-            return ""
-        if not estimate.value > 0.0:
-            return f"{which}: none seen, at most {estimate.high:.2g}, so that it is not known to {asked:g} of itself"
-        relative = estimate.half_width / estimate.value
-        return f"{which}: half-width {told_apart(relative, asked)} of the probability, asked {asked:g}"
-
-    def with_probabilities(self, exceedance: Estimate, miss: Estimate) -> LimitAnswer:
-        """The same limit by other probabilities, with the reliability index and the verdict that follow."""
-        return replace(
-            self,
-            exceedance=exceedance,
-            miss=miss,
-            reliability_index=reliability_index(miss.value),
-            reliability_interval=(reliability_index(miss.high), reliability_index(miss.low)),
-            met=None if self.target is None else target_met(miss, self.target),
-        )
-
-    def beneath(self, which: str) -> bool:
-        """Whether a probability is too small to matter: beneath notice, or far beneath the target."""
-        high = getattr(self, which).high
-        return high is not None and (high < NEGLIGIBLE or (self.target is not None and high < 0.01 * self.target))
-
-
-def takes_over(work: Work, answer: LimitAnswer) -> bool:
-    """Whether the methods for rare events may take a limit on: its probability is small, or nothing of it was seen.
-
-    They know the Gaussian copula alone.
-    """
-    if work.all_inputs.groups:
-        return False
-    small = answer.miss.value is None or answer.miss.value < RARE
-    return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
-
-
-def limits_missed(work: Work, limits: Mapping[str, LimitAnswer]) -> list[Missed]:
-    """What of the limits is not yet as accurate as the study asks."""
-    asked = work.study.analysis.accuracy.probability
-    return [
-        Missed(subject=f"limits.{name}", kind=which, said=f"limit {name}: {text}")
-        for name, limit in limits.items()
-        for which in (("exceedance", "miss") if limit.aim == "break" else ("miss",))
-        if (text := limit.accuracy_missed(which, asked))
-    ]
-
-
-def state_of(work: Work, limit: Limit, sample: Sample) -> LimitState:
-    """Demands of a limit at the points, with what they tell of the strength."""
-    demands = sample.answer(limit.quantity)
-    names = work.drawn.names
-    if isinstance(limit.model_factor, Law):
-        demands = demands * sample.inputs[:, :, names.index(f"limits.{limit.name}.model_factor")]
-    else:
-        demands = demands * limit.model_factor
-    policy = work.study.analysis.on_failure
-    state = LimitState(
-        demands=demands,
-        strength=limit.strength,
-        censored=sample.late(limit.quantity),
-        failed=sample.failed,
-        on_failure="drop" if policy == "abort" else policy,
-    )
-    if not isinstance(limit.strength, Law) or not work.study.dependence:
-        return state
-    scores = normal_scores(work.drawn, sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
-    return tie_strength(work, limit, state, names, scores)
-
-
-def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[str], scores: Array) -> LimitState:
-    """The state with what the dependent scores (R, n, d) of `names` tell of the strength."""
-    if not isinstance(limit.strength, Law):
-        return state
-    strength = f"limits.{limit.name}.strength"
-    weights, remaining = conditional_normal(work.all_inputs, strength, names)
-    shift = scores @ weights if np.any(weights) else None
-    tie = strength_tie(work.all_inputs, strength, names, scores)
-    return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
-
-
-def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> tuple[dict[str, float] | None, str]:
-    """Shares of the inputs in the failures, the strength among them, and how they were found."""
-    from scipy.special import ndtr, ndtri
-
-    keep = ~state.broken
-    names, score = list(work.drawn.names), None
-    if isinstance(limit.strength, Law):
-        with np.errstate(divide="ignore"):
-            score = np.asarray(ndtri(cdf(limit.strength, np.where(keep, state.demands, 0.0))))
-        score = np.clip(score_given_inputs(state, score), -37.0, 37.0)[keep]
-        weight = np.asarray(ndtr(score))
-        names.append(f"limits.{limit.name}.strength")
-    else:
-        weight = (state.demands > limit.strength)[keep].astype(float)
-    found = failure_shares(sample.scores[keep][:, : len(work.drawn.names)], weight, score)
-    if found is None:
-        return None, BY_DIRECTION
-    return dict(zip(names, found[0].tolist(), strict=True)), found[1]
-
-
-def judge_limits(work: Work, sample: Sample, quantities: Container[str] | None = None) -> dict[str, LimitAnswer]:
-    """Every limit of the study, or those of some quantities, at the points that were sampled."""
-    answers = {}
-    for limit in work.study.limits:
-        if quantities is not None and limit.quantity not in quantities:
-            continue
-        state = state_of(work, limit, sample)
-        missed, exceeded = miss(state, limit.aim), exceedance(state)
-        if not work.drawn.names and not state.late.any() and not state.broken.any():
-            missed, exceeded = (exact(e.value) if e.value is not None else e for e in (missed, exceeded))
-        shares, method = _governing(work, limit, sample, state)
-        answers[limit.name] = LimitAnswer(
-            quantity=limit.quantity,
-            aim=limit.aim,
-            target=limit.target,
-            exceedance=exceeded,
-            miss=missed,
-            reliability_index=reliability_index(missed.value),
-            reliability_interval=(reliability_index(missed.high), reliability_index(missed.low)),
-            margin=margin_quantiles(state),
-            governing=shares,
-            governing_method=method,
-            met=None if limit.target is None else target_met(missed, limit.target),
-        )
-    return answers
-
-
-# --- few runs ---------------------------------------------------------------------------------------------
-
-
-def carriers(state: LimitState, aim: str, runs: int) -> dict[str, float]:
-    """How many of the runs the probabilities of exceedance and of missing the aim rest on: by Kish's count."""
-    counts = []
-    for weights in tails(state):
-        squares = float((weights**2).sum())
-        counts.append(runs * float(weights.sum()) ** 2 / squares / weights.size if squares > 0.0 else 0.0)
-    return {"exceedance": counts[0], "miss": counts[0 if aim == "survive" else 1]}
-
-
-def told_by_runs(found: Estimate, state: LimitState, which: str, aim: str) -> Estimate:
-    """A probability by the spread of replicates, as far as it is known by that.
-
-    It says little of one that hangs on a few runs: where fewer than one in all would show it and few carry it, it is
-    bounded only.
-    """
-    runs = state.demands.size
-    if not found.value or found.value * runs >= SEEN or carriers(state, aim, runs)[which] >= CARRYING:
-        return found
-    return unseen(found, runs, f"{runs:,} runs alone: too few of them carry it")
-
-
-def unseen(estimate: Estimate, runs: int, why: str) -> Estimate:
-    """No value, since it is too small for `why`, and the bound that `runs` of which none shows it allow."""
-    bound = max(estimate.high or 0.0, -math.expm1(math.log(0.05) / runs))
-    return replace(absent(f"too small for {why}", estimate.method, runs), low=0.0, high=min(bound, 1.0))
-
-
-# --- Small probabilities: limits that sampling leaves open go on in standard normal space, and get their design points.
-# The strength stays integrated: given the inputs' normal scores u, the aim is missed with the probability Phi(-g(u)),
-# where g is the strength's normal score at the demand (`uqsphere.uq.rare`).  Everything is evaluated through the
-# run's own chunks.  Rows far out of the ordinary may have no answer: they widen the interval and end nothing.
 
 METHOD: Final = "importance sampling"
 #: evaluations that one limit may take at most, the share of what is left that all limits may take, and the least
