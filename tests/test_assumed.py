@@ -15,8 +15,8 @@ import uqsphere
 from uqsphere.errors import FolderError
 from uqsphere.results import Results
 from uqsphere.results.entries import checked_entry
-from uqsphere.runner.assumed import fewest_tests, other_family, with_scatter
 from uqsphere.uq.law import make_law, mean, sd
+from uqsphere.uq.whatif import fewest_tests, other_family, with_scatter
 
 #: a demand and a strength, both normal, tied to each other
 STUDY = """

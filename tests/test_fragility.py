@@ -14,9 +14,9 @@ import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
 from uqsphere.report.margin_verdict import margin_verdicts
-from uqsphere.runner.design_margins import _roots
 from uqsphere.study import ENERGY
 from uqsphere.uq.fragility import fit_lognormal_curve, interpolate_rows
+from uqsphere.uq.whatif import roots
 
 GRID = np.geomspace(0.3, 5.0, 40)
 SMALL = (
@@ -117,8 +117,8 @@ def test_no_lognormal_curve_is_said(table: np.ndarray, says: str) -> None:
 def test_roots_of_many_laws() -> None:
     places = np.linspace(-2.0, 2.0, 81)
     curves = np.array([ndtr(places - 0.5), ndtr(places), ndtr(places - 9.0)])
-    assert _roots(places, curves, 0.3, True) == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
-    assert _roots(places, 1.0 - curves, 0.3, False)[:2] == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
+    assert roots(places, curves, 0.3, True) == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
+    assert roots(places, 1.0 - curves, 0.3, False)[:2] == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
 
 
 def test_a_run_finds_a_curve_that_is_known(tmp_path: Path) -> None:

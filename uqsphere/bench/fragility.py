@@ -18,9 +18,10 @@ from uqsphere.runner.curves import find_rows
 from uqsphere.runner.evaluate import REPLICATES, Ledger, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import limit_values
-from uqsphere.runner.moved import evaluate_at, probabilities
+from uqsphere.runner.moved import evaluate_at
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.whatif import probability
 
 __all__ = ["Coverage", "CurveCost", "curve_cost", "straight_value", "value_coverage"]
 
@@ -66,7 +67,7 @@ def _work(study: Study) -> Work:
 
 def _straight(work: Work, limit: Limit, value: float, rows: int) -> npt.NDArray[np.float64]:
     """Probability (R,) by so many rows of each replicate at the value itself."""
-    return probabilities(state_of(work, limit, evaluate_at(work, value, start=0, count=rows)))
+    return probability(state_of(work, limit, evaluate_at(work, value, start=0, count=rows)))
 
 
 def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tuple[int, float]:
@@ -74,7 +75,7 @@ def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tup
     work = _work(study)
     begun = time.perf_counter()
     rows = evaluate_at(work, value, start=0, count=STEP)
-    while half_width(probabilities(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
+    while half_width(probability(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
         rows = rows.join(evaluate_at(work, value, start=rows.count, count=STEP))
     return work.ledger.total, time.perf_counter() - begun
 

@@ -17,12 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.moved import draw_points, evaluate_at, limit_state, probabilities
+from uqsphere.runner.moved import draw_points, evaluate_at, limit_state
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import student
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.row_fit import RowBasis, RowFit, fit_rows
 from uqsphere.uq.sample import Sample
+from uqsphere.uq.whatif import probability
 
 __all__ = ["MANY", "CurveRows", "Judge", "half_width", "half_widths", "judge_of"]
 
@@ -149,7 +150,7 @@ class CurveRows:
         """What the polynomial alone is off by (R,), by rows evaluated at the value."""
         fit, _ = self._fit(quantity)
         ours = fit.predict(value, fit.basis(rows.scores))
-        true = probabilities(judge(rows, rows.answer(quantity), value))
+        true = probability(judge(rows, rows.answer(quantity), value))
         return true - self._expected(fit, judge, rows, ours, value)[0]
 
     def table(self, quantity: str, judge: Judge) -> Array:

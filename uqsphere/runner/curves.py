@@ -18,17 +18,18 @@ import numpy.typing as npt
 from uqsphere.runner.band import Band, Stage, stage_of
 from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
-from uqsphere.runner.moved import axis_of, evaluate_at, limit_state, probabilities
+from uqsphere.runner.moved import axis_of, evaluate_at, limit_state
+from uqsphere.runner.whatif import laws_of
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced
-from uqsphere.uq.fitting import is_fitted, possible_laws
+from uqsphere.uq.fitting import is_fitted
 from uqsphere.uq.fragility import interpolate_rows
 from uqsphere.uq.law import Law, LawError
-from uqsphere.uq.limit_state import LimitState, tails
-from uqsphere.uq.points import random_generator
+from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.sample import Sample
+from uqsphere.uq.whatif import curves_under, probability
 
-__all__ = ["Found", "Look", "find_rows", "law_curves", "shortage"]
+__all__ = ["Found", "Look", "find_rows", "shortage"]
 
 Array = npt.NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class Look:
 
     def curve(self, limit: Limit, values: Array) -> Array:
         """Probability of exceeding (J, R) at some values."""
-        return np.array([probabilities(state) for state in self.states(limit, values)])
+        return np.array([probability(state) for state in self.states(limit, values)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,28 +199,16 @@ def _open_to_tests(work: Work, limit: Limit, look: Look, fine: Array, least: flo
     nothing = np.zeros(fine.size, dtype=bool)
     if not (isinstance(limit.strength, Law) and is_fitted(limit.strength)):
         return nothing
-    generator = random_generator(seed=work.study.seed, task=f"ignorance limits.{limit.name}.strength")
     try:
-        laws = possible_laws(limit.strength, TRIED, generator)
+        laws = laws_of(work, limit, limit.strength, TRIED)
     except LawError:
         return nothing
     coarse = fine[:: max(1, fine.size // 30)]
-    curves = law_curves(look.states(limit, coarse), laws)
+    curves = curves_under(look.states(limit, coarse), laws)
     # one law in fifty may leave the range
     low, high = np.quantile(curves, [0.02, 0.98], axis=0)
     inside = (high > least) & (low < 1.0 - least)
     return np.asarray(np.interp(np.arange(fine.size), np.searchsorted(fine, coarse), inside.astype(float)) > 0.0)
-
-
-def law_curves(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
-    """Probability of exceeding (laws, J) at J states with one law after the other in place of the strength."""
-    found = np.full((len(laws), len(states)), 0.5)
-    for j, state in enumerate(states):
-        for k, law in enumerate(laws):
-            below, above = tails(replace(state, strength=law))
-            if (total := float(below.sum() + above.sum())) > 0.0:
-                found[k, j] = float(below.sum()) / total
-    return found
 
 
 def _grow(

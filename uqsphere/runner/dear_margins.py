@@ -18,7 +18,7 @@ import numpy.typing as npt
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
-from uqsphere.runner.moved import axis_of, probabilities
+from uqsphere.runner.moved import axis_of
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
@@ -29,6 +29,7 @@ from uqsphere.uq.law import LawError
 from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
+from uqsphere.uq.whatif import probability
 
 __all__ = ["dear_margins"]
 
@@ -233,5 +234,5 @@ def _exceeding(work: Work, limit: Limit, large: Sample, centre: Array, reach: Ar
     found = []
     for side in (0.0, -1.0, 1.0):
         values[:, :, k] = centre + side * reach
-        found.append(probabilities(state_of(work, limit, large.with_answers(work.quantities, values))))
+        found.append(probability(state_of(work, limit, large.with_answers(work.quantities, values))))
     return np.array(found)

@@ -5,8 +5,6 @@ All of it concerns one limit at one probability: that of its target, or the smal
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -14,23 +12,21 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.bars import pulse_stress
-from uqsphere.runner.assumed import MOST_TESTS, few_rows, fewest_tests, is_decided
 from uqsphere.runner.curve_rows import CurveRows
-from uqsphere.runner.curves import law_curves
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import axis_of
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import find_design
+from uqsphere.runner.whatif import laws_of, more_tests, value_range
 from uqsphere.study import Limit
 from uqsphere.study.axis import SPEED, strength_name
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws
+from uqsphere.uq.fitting import count_tests, is_fitted
 from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.law import Law, LawError, median, ppf
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.margins import fragility
-from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 
 __all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
@@ -41,14 +37,6 @@ Array = npt.NDArray[np.float64]
 YIELD_FACTOR: Final = 1.6
 #: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit
 BARS_SHARE: Final = 0.01
-#: laws that are tried in place of a fitted one, points of each replicate, and values of the free scalar
-LAWS: Final = 200
-FEW: Final = 32
-VALUES: Final = 25
-#: confidence with which a value is sure
-SURE: Final = 0.95
-#: half-width of the 95 % range, relative, within which a value counts as known
-KNOWN: Final = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +78,9 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
     strength = where.limit.strength
     if isinstance(strength, Law) and is_fitted(strength):
         try:
-            about["ignorance"] = _ignorance(work, where, strength) if known else {"reason": value.reason}
-            about["more_tests"] = _more_tests(work, sampled, where, strength, about["ignorance"])
+            left: dict[str, Any] = _left_open(work, where, strength) if known else {"reason": value.reason}
+            about["ignorance"] = left
+            about["more_tests"] = more_tests(work, sampled, where.limit, strength, left.get("sd_log"))
         except LawError as error:
             about["ignorance"] = {"reason": str(error)}
     about["split"] = _split(where, about.get("ignorance"))
@@ -179,99 +168,17 @@ def _split(where: Where, ignorance: dict[str, Any] | None) -> dict[str, float | 
     }
 
 
-def _roots(places: Array, curves: Array, probability: float, rising: bool) -> Array:
-    """Places (laws,) at which monotone curves (laws, J) take a probability; -inf and inf beyond the ends."""
-    from scipy.special import ndtri
-
-    scores = ndtri(np.clip(curves, 1e-300, 1.0 - 1e-16))
-    scores = np.maximum.accumulate(scores if rising else -scores, axis=1)
-    wanted = float(ndtri(probability)) * (1.0 if rising else -1.0)
-    return np.array([np.interp(wanted, row, places, left=-math.inf, right=math.inf) for row in scores])
-
-
-def _ignorance(work: Work, where: Where, strength: Law) -> dict[str, Any]:
-    """Where the value may lie over the laws that the tests allow, the value that is sure, and the mean law's.
-
-    Raises
-    ------
-    LawError
-        Where it is not known which laws the tests allow.
-    """
-    rows = where.rows
+def _left_open(work: Work, where: Where, strength: Law) -> dict[str, Any]:
+    """Where the value may lie over the laws that the tests allow.  Raises LawError where these are not known."""
+    rows, limit = where.rows, where.limit
     if rows is None:
-        return {
-            "tests": count_tests(strength),
-            "reason": "the demands are not known in full, so that no rows serve all values",
-        }
-    generator = random_generator(seed=work.study.seed, task=f"ignorance {strength_name(where.limit.name)}")
-    laws = possible_laws(strength, LAWS, generator)
-    places = rows.grid
-    logarithmic = places[0] > 0.0
-    space = np.geomspace if logarithmic else np.linspace
-    values = space(places[0], places[-1], VALUES)
-    values[0], values[-1] = places[0], places[-1]
-    states = rows.states(where.limit, values.tolist(), FEW)
-    curves = law_curves(states, laws)
-    u = np.log(values) if logarithmic else values
-    back: Callable[[float], float] = math.exp if logarithmic else float
-    roots = _roots(u, curves, where.probability, where.rising)
-    # on these few rows the law itself answers a little differently: what is known better is kept
-    own = float(_roots(u, law_curves(states, [strength]), where.probability, where.rising)[0])
-    value = where.value.value
-    shift = 0.0 if value is None or not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
-    ends = np.quantile(roots, [0.025, 0.975], method="nearest") + shift
-    safe = where.limit.aim == "survive"
-    share = 1.0 - SURE if safe == where.rising else SURE
-    sure = float(np.quantile(roots, share, method="nearest")) + shift
-    mean_law = float(_roots(u, curves.mean(axis=0)[None, :], where.probability, where.rising)[0]) + shift
-    known = roots[np.isfinite(roots)]
-    return {
-        "tests": count_tests(strength), "stopped": len(strength.censored), "laws": LAWS,
-        "low": _told(ends[0], back), "high": _told(ends[1], back), "sure": _told(sure, back), "confidence": SURE,
-        "mean_law": _told(mean_law, back),
-        "sd_log": float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * LAWS else None,
-        "beyond": float(1.0 - known.size / LAWS),
-    }  # fmt: skip
-
-
-def _told(place: float, back: Callable[[float], float]) -> float | None:
-    """The value at a place; None beyond the range that was looked at."""
-    return back(float(place)) if math.isfinite(place) else None
-
-
-# --- how many more tests would settle it ---------------------------------------------------------------
-
-
-def _more_tests(work: Work, sampled: Sampled, where: Where, strength: Law, ignorance: dict[str, Any]) -> dict[str, Any]:
-    """How many more tests decide the target as planned, and how many give the value to within `KNOWN`.
-
-    Both take it that further tests come out as those so far: the answer is the size of the effort, no promise.
-    """
-    tests = count_tests(strength)
-    found: dict[str, Any] = {"tests": tests, "known_to": KNOWN}
-    spread = ignorance.get("sd_log")
-    if spread is not None:
-        # the range shrinks with the root of the number of tests
-        found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
-    limit = where.limit
-    if limit.target is None:
-        return found
-    few = few_rows(state_of(work, limit, sampled.sample))
-
-    def decided(laws: Sequence[Law]) -> bool:
-        return is_decided(law_curves([few], laws)[:, 0], limit)
-
-    def simulated(count: int) -> bool:
-        generator = random_generator(seed=work.study.seed, task=f"more tests {limit.name} {count}")
-        return decided(laws_of_more_tests(strength, count, LAWS, generator))
-
-    generator = random_generator(seed=work.study.seed, task=f"ignorance {strength_name(limit.name)}")
-    if decided(possible_laws(strength, LAWS, generator)):
-        return {**found, "to_settle": 0}
-    in_all = fewest_tests(simulated, tests)
-    if in_all is None:
-        return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
-    return {**found, "to_settle": in_all - tests}
+        reason = "the demands are not known in full, so that no rows serve all values"
+        return {"tests": count_tests(strength), "reason": reason}
+    return value_range(
+        strength, laws_of(work, limit, strength), lambda values, count: rows.states(limit, values, count),
+        (rows.grid[0], rows.grid[-1]), probability=where.probability, value=where.value.value, rising=where.rising,
+        survive=limit.aim == "survive",
+    )  # fmt: skip
 
 
 # --- bars that must stay elastic -----------------------------------------------------------------------

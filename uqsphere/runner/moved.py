@@ -13,9 +13,10 @@ from uqsphere.runner.evaluate import REPLICATES, Work, evaluate_points, with_ans
 from uqsphere.runner.limits import state_of
 from uqsphere.study import Axis, Limit
 from uqsphere.uq.joint import physical_from_normal
-from uqsphere.uq.limit_state import LimitState, tails
+from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
+from uqsphere.uq.whatif import WhatIf
 
 __all__ = [
     "at_strength",
@@ -23,7 +24,6 @@ __all__ = [
     "draw_points",
     "evaluate_at",
     "limit_state",
-    "probabilities",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -79,13 +79,6 @@ def evaluate_at(work: Work, value: float, *, start: int, count: int, tag: str = 
     return with_answered(work, points, answered)
 
 
-def probabilities(state: LimitState) -> Array:
-    """Exceedance of every replicate by itself, (R,)."""
-    below, above = tails(state)
-    total = below.sum(axis=1) + above.sum(axis=1)
-    return np.asarray(below.sum(axis=1) / np.where(total > 0.0, total, 1.0))
-
-
 def limit_state(work: Work, limit: Limit, points: Sample, demands: Array, value: float) -> LimitState:
     """The state of a limit at a value, with demands (R, n) before its model factor, all of them known."""
     full = np.ones((*demands.shape, len(work.quantities)))
@@ -99,5 +92,4 @@ def at_strength(work: Work, limit: Limit, state: LimitState, value: float) -> Li
 
     All values of the strength go in proportion to the mean, or the demands the other way.
     """
-    factor = axis_of(work).demand_factor(limit, value)
-    return state if factor == 1.0 else replace(state, demands=state.demands * factor)
+    return WhatIf(demands=axis_of(work).demand_factor(limit, value)).of(state)

@@ -16,18 +16,17 @@ from uqsphere.results import Results
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
-from uqsphere.runner.assumed import find_assumed
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Pilot
-from uqsphere.runner.ignorance import find_ignorance
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.sums import write_sums
+from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins
 from uqsphere.study.axis import limit_of, quantity_of

@@ -17,9 +17,10 @@ from uqsphere.runner.campaign import rounded
 from uqsphere.runner.curves import shortage
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.moved import at_strength, axis_of, evaluate_at, probabilities
+from uqsphere.runner.moved import at_strength, axis_of, evaluate_at
 from uqsphere.study import Limit
 from uqsphere.uq.margins import METHOD
+from uqsphere.uq.whatif import probability
 
 __all__ = ["Coarse", "Steps", "stepwise_curves"]
 
@@ -133,7 +134,7 @@ def stepwise_curves(work: Work, limits: Sequence[Limit], tag: str, *, least: flo
                 ended = "the time was over, or the run was stopped"
                 break
             states = [at_strength(work, limit, state_of(work, limit, sample), value) for limit in limits]
-            found[value] = {limit.name: probabilities(state) for limit, state in zip(limits, states, strict=True)}
+            found[value] = {limit.name: probability(state) for limit, state in zip(limits, states, strict=True)}
         todo = _steep(sorted(found), found, names) if not ended else []
         if not todo:
             break

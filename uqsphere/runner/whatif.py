@@ -1,0 +1,427 @@
+"""What if: how the answers move where something is taken otherwise, on the rows that are there.
+
+A law fitted to n tests enters every answer as if it were known: here others that the same tests allow take its place.
+A strength is held against the demands by another law, or without its assumed dependence on the inputs.  And how many
+tests would settle what these leave undecided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.study import Limit
+from uqsphere.study.axis import spaced, strength_name
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
+from uqsphere.uq.joint import conditional_normal, tied_names
+from uqsphere.uq.law import Law, LawError, cdf, is_steps
+from uqsphere.uq.limit_state import LimitState, miss, target_met
+from uqsphere.uq.points import random_generator
+from uqsphere.uq.sample import Sample
+from uqsphere.uq.whatif import (
+    MOST_TESTS,
+    WhatIf,
+    curves_under,
+    fewest_tests,
+    importance_weights,
+    is_decided,
+    logit,
+    other_family,
+    probability_of_logit,
+    roots,
+    sides,
+    with_scatter,
+)
+
+__all__ = ["find_assumed", "find_ignorance", "laws_of", "more_tests", "value_range"]
+
+Array = npt.NDArray[np.float64]
+
+#: laws in place of every fitted one, and rows of the sample that they are tried on
+LAWS: Final = 400
+ROWS: Final = 8192
+#: laws for every number of tests, or along a curve, rows of each replicate, and values of the free scalar
+FEW_LAWS: Final = 200
+FEW_ROWS: Final = 32
+VALUES: Final = 25
+#: nine normal scores out a kernel density has nothing more to say
+FURTHEST_SCORE: Final = 9.0
+#: by how much the scatter of a strength, or its modulus, is taken otherwise
+FIFTH: Final = 0.2
+#: confidence with which a value is sure, and the half-width of the 95 % range, relative, within which it is known
+SURE: Final = 0.95
+KNOWN: Final = 0.05
+
+
+def _generator(work: Work, name: str) -> np.random.Generator:
+    """The same laws wherever a variable is asked for."""
+    return random_generator(seed=work.study.seed, task=f"ignorance {name}")
+
+
+def laws_of(work: Work, limit: Limit, strength: Law, count: int = FEW_LAWS) -> list[Law]:
+    """Laws that the tests behind a strength allow.  Raises LawError where it is not known which."""
+    return possible_laws(strength, count, _generator(work, strength_name(limit.name)))
+
+
+def _missing(exceeded: Array, limit: Limit) -> Array:
+    return exceeded if limit.aim == "survive" else 1.0 - exceeded
+
+
+# --- other laws that the tests allow -----------------------------------------------------------------------
+
+
+def find_ignorance(work: Work, sampled: Sampled) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the tests leave open: (by limit, by quantity), of those that hang on a law fitted to tests.
+
+    Each is a table ready for results.json: 95 % ranges over the laws that the tests allow, or a reason.
+    """
+    sample = sampled.sample.head(max(1, ROWS // sampled.sample.replicates)).whole()
+    limits = {}
+    for limit in work.study.limits:
+        own = (*work.scene_names, f"limits.{limit.name}.model_factor", strength_name(limit.name))
+        fitted = _fitted(work, own)
+        if fitted and sampled.limits[limit.name].exceedance.value is not None:
+            limits[limit.name] = _limit_left_open(work, limit, sampled.limits[limit.name], sample, fitted)
+    fitted = _fitted(work, work.scene_names)
+    if not fitted:
+        return limits, {}
+    try:
+        weights = _weights(work, fitted, sample)
+    except LawError as error:
+        return limits, {q: {"from": _about(fitted), "reason": str(error)} for q in work.quantities}
+    together = np.prod(list(weights.values()), axis=0).reshape(LAWS, -1)
+    quantities = {}
+    for quantity in work.quantities:
+        values = sample.answer(quantity)
+        known = (np.isfinite(values) & ~sample.late(quantity)).ravel()
+        if known.sum() > 1:
+            about = {"from": _about(fitted), "laws": LAWS}
+            quantities[quantity] = {**about, **_quantity_left_open(work, together[:, known], values.ravel()[known])}
+    return limits, quantities
+
+
+def _fitted(work: Work, names: Iterable[str]) -> dict[str, Law]:
+    """Those of the variables whose laws were fitted to tests."""
+    laws = dict(zip(work.all_inputs.names, work.all_inputs.laws, strict=True))
+    return {name: laws[name] for name in names if is_fitted(laws.get(name))}
+
+
+def _about(fitted: dict[str, Law]) -> list[dict[str, Any]]:
+    return [
+        {"input": name, "fit": "kde" if law.kind == "empirical" else law.kind, "tests": count_tests(law)}
+        for name, law in fitted.items()
+    ]
+
+
+def _weights(work: Work, fitted: dict[str, Law], sample: Sample) -> dict[str, Array]:
+    """Weights (laws, R, n) of the rows under other laws of each input.  Raises LawError where there are none."""
+    found = {}
+    for name, law in fitted.items():
+        if name in tied_names(work.drawn):
+            # a strength may depend on inputs, these are weighted one by one
+            raise LawError(f"{name} depends on other inputs, and the tests say nothing of their dependence", name)
+        column = sample.input(name)
+        weights = importance_weights(law, column.ravel(), LAWS, _generator(work, name))
+        if weights is None:
+            raise LawError("the tests leave open laws that lie too far from the rows that were sampled", name)
+        found[name] = weights.reshape(LAWS, *column.shape)
+    return found
+
+
+def _spread(values: Array) -> list[float]:
+    low, high = np.quantile(values, [0.025, 0.975])
+    return [float(low), float(high)]
+
+
+def _quantity_left_open(work: Work, weight: Array, values: Array) -> dict[str, Any]:
+    """Where mean and quantiles of one quantity may lie, by the weights (laws, rows) of its values (rows,)."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    weight = weight / weight.sum(axis=1, keepdims=True)
+    running = np.cumsum(weight[:, order], axis=1)
+    quantiles = {}
+    for p in work.study.analysis.quantiles:
+        at = np.minimum((running < p).sum(axis=1), ordered.size - 1)
+        quantiles[f"{p:.15g}"] = _spread(ordered[at])
+    return {"mean": _spread(weight @ values), "quantiles": quantiles}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Others:
+    """One limit on its rows, and what each of the laws does to them that may take the place of the fitted ones.
+
+    `weights` and `shifts` (laws, R, n) by input, `tails` (laws, R, n) in place of the strength's; `offset` puts the
+    logit on these rows right by what all rows gave.
+    """
+
+    state: LimitState
+    weights: dict[str, Array]
+    shifts: dict[str, Array]
+    tails: tuple[Array, Array] | None
+    offset: float
+
+    def exceedance(self, names: Iterable[str], *, with_strength: bool) -> Array:
+        """Probability of exceeding (LAWS,) with the laws of some inputs, and of the strength, replaced."""
+        inputs = [name for name in names if name in self.weights]
+        moved = [name for name in inputs if name in self.shifts]
+        whatifs = (
+            WhatIf(
+                strength=(self.tails[0][k], self.tails[1][k]) if with_strength and self.tails else None,
+                weights=np.prod([self.weights[name][k] for name in inputs], axis=0) if inputs else None,
+                shift=np.sum([self.shifts[name][k] for name in moved], axis=0) if moved else None,
+            )
+            for k in range(LAWS)
+        )
+        return np.array([probability_of_logit(logit(*sides(self.state, one)) + self.offset) for one in whatifs])
+
+
+def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]) -> _Others:
+    """Raises LawError where the rows cannot tell."""
+    from scipy.special import ndtri
+
+    key = strength_name(limit.name)
+    state = state_of(work, limit, sample)
+    if state.tie is not None:
+        raise LawError("another than the Gaussian copula ties the strength to inputs", key)
+    inputs = {name: law for name, law in fitted.items() if name != key}
+    weights, shifts = _weights(work, inputs, sample), {}
+    if state.shift is not None:
+        ties = dict(zip(work.drawn.names, conditional_normal(work.all_inputs, key, work.drawn.names)[0], strict=True))
+        for name in (name for name in inputs if ties[name]):
+            column = sample.input(name)
+            after = possible_tails(inputs[name], column.ravel(), LAWS, _generator(work, name))[0]
+            scores = [ndtri(cdf(inputs[name], column)), ndtri(after).reshape(LAWS, *column.shape)]
+            before, scores_after = (np.clip(one, -FURTHEST_SCORE, FURTHEST_SCORE) for one in scores)
+            shifts[name] = ties[name] * (scores_after - before)
+    tails = None
+    if isinstance(limit.strength, Law) and key in fitted:
+        at = np.nextafter(state.demands, -math.inf) if is_steps(limit.strength) else state.demands
+        below, above = possible_tails(limit.strength, at.ravel(), LAWS, _generator(work, key))
+        tails = below.reshape(LAWS, *at.shape), above.reshape(LAWS, *at.shape)
+    value = answer.exceedance.value
+    offset = 0.0 if value is None else logit(value, 1.0 - value) - logit(*sides(state))
+    offset = offset if math.isfinite(offset) else 0.0
+    return _Others(state=state, weights=weights, shifts=shifts, tails=tails, offset=offset)
+
+
+def _limit_left_open(
+    work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitted: dict[str, Law]
+) -> dict[str, Any]:
+    """Where the probability of one limit may lie, all fitted laws together and each alone."""
+    key, about = strength_name(limit.name), _about(fitted)
+    try:
+        others = _others(work, limit, answer, sample, fitted)
+    except LawError as error:
+        return {"from": about, "reason": str(error)}
+    together = others.exceedance(fitted, with_strength=key in fitted)
+    missed = _missing(together, limit)
+    met = None
+    if limit.target is not None and is_decided(missed, limit.target):
+        met = _spread(missed)[1] < limit.target
+    single = {}
+    if len(fitted) > 1:
+        for name in fitted:
+            single[name] = _spread(_missing(others.exceedance([name], with_strength=name == key), limit))
+    return {
+        "from": about,
+        "laws": LAWS,
+        "exceedance": _spread(together),
+        "miss": _spread(missed),
+        "miss_mean": float(missed.mean()),
+        "alone": single,
+        "met": met,
+    }
+
+
+# --- other laws of a strength that is given -----------------------------------------------------------------
+
+
+def find_assumed(work: Work, sampled: Sampled) -> dict[str, dict[str, Any]]:
+    """For every limit with a random strength: `assumed` rows and `tests_to_settle`, as plain JSON.
+
+    A row names what is assumed (`dependence`, `modulus`, `cov`, `law`), what is `taken` and what is put `instead`,
+    and has the probability of missing the aim that follows (`miss`, an EST) and whether the target is then `met`.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for limit in work.study.limits:
+        answer = sampled.limits.get(limit.name)
+        if not isinstance(limit.strength, Law) or answer is None or answer.miss.value is None:
+            continue
+        state = state_of(work, limit, sampled.sample)
+        rows = [_row(limit, answer, state, one, about) for one, about in _assumptions(work, limit, state)]
+        found[limit.name] = {"assumed": rows}
+        settled = _tests_to_settle(work, limit, limit.strength, sampled.sample)
+        if settled is not None:
+            found[limit.name]["tests_to_settle"] = settled
+    return found
+
+
+def _assumptions(work: Work, limit: Limit, state: LimitState) -> list[tuple[WhatIf, dict[str, Any]]]:
+    """What may be taken otherwise: no tie, another scatter about the same mean, another family with both the same."""
+    found: list[tuple[WhatIf, dict[str, Any]]] = []
+    law = limit.strength
+    assert isinstance(law, Law)
+    if state.tie is not None or state.shift is not None:
+        own = strength_name(limit.name)
+        groups = [group for group in work.study.dependence if own in group.of]
+        others = list(dict.fromkeys(name for group in groups for name in group.of if name != own))
+        found.append((WhatIf(untied=True), {"assumption": "dependence", "with": others}))
+    # what a fitted law does not know of its scatter, its tests tell
+    for factor in () if is_fitted(law) else (1.0 - FIFTH, 1.0 + FIFTH):
+        other = with_scatter(law, factor)
+        if other is not None:
+            what, taken, instead, changed = other
+            found.append((WhatIf(strength=changed), {"assumption": what, "taken": taken, "instead": instead}))
+    another = other_family(law)
+    if another is not None:
+        about = {"assumption": "law", "taken": law.kind, "instead": another.kind}
+        found.append((WhatIf(strength=another), about))
+    return found
+
+
+def _row(limit: Limit, answer: LimitAnswer, state: LimitState, whatif: WhatIf, about: dict[str, Any]) -> dict[str, Any]:
+    other = whatif.of(state)
+    told = told_by_runs(miss(other, limit.aim), other, "miss", limit.aim)
+    found = _against(answer.miss, miss(state, limit.aim), told)
+    met = None if limit.target is None or found.value is None else target_met(found, limit.target)
+    return {**about, "miss": found.as_dict(), "met": met}
+
+
+def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:
+    """The probability by another strength; put right by what these rows are off, where the run knows its answer better.
+
+    The uncertainty of the answer and that of the rows are then added.
+    """
+    known = [e for e in (answer, same, other) if e.value is not None and e.low is not None and e.high is not None]
+    if len(known) < 3 or answer.value == same.value:
+        return other
+    logits = [[_logit_of(p) for p in (e.low or 0.0, e.value or 0.0, 1.0 if e.high is None else e.high)] for e in known]
+    if not np.isfinite(logits).all() or logits[0][2] - logits[0][0] >= logits[1][2] - logits[1][0]:
+        return other
+    value = logits[2][1] + logits[0][1] - logits[1][1]
+    half = [math.hypot(*(abs(row[end] - row[1]) for row in logits)) for end in (0, 2)]
+    low, middle, high = (probability_of_logit(x) for x in (value - half[0], value, value + half[1]))
+    return replace(other, value=middle, low=low, high=high, std_error=0.25 * (high - low),
+                   method=f"{other.method}, put right by the answer's own method")  # fmt: skip
+
+
+def _logit_of(p: float) -> float:
+    return math.inf if p >= 1.0 else -math.inf if p <= 0.0 else math.log(p) - math.log1p(-p)
+
+
+# --- how many tests would settle the target -----------------------------------------------------------------
+
+
+def _tests_to_settle(work: Work, limit: Limit, law: Law, sample: Sample) -> dict[str, Any] | None:
+    """How many tests of a strength that is given as a law would put the target outside of what they leave open.
+
+    The tests are taken to come out as the law says, with it at their largest likelihood; None where that is not known.
+    """
+    if is_fitted(law) or limit.target is None or law.parameters.get("threshold", 0.0) != 0.0:
+        return None
+    try:
+        tests = fewest_tests(_simulated(work, limit, law, sample, f"tests {limit.name}"), 3)
+    except LawError:
+        return None
+    if tests is None:
+        reason = f"more than {MOST_TESTS} tests: it is too close to call"
+        return {"tests": None, "confidence": SURE, "reason": reason}
+    return {"tests": tests, "confidence": SURE}
+
+
+def _decided(work: Work, limit: Limit, sample: Sample) -> Callable[[Sequence[Law]], bool]:
+    """Whether laws of the strength agree on which side of the target the limit is, by few rows."""
+    assert limit.target is not None
+    state, target = state_of(work, limit, sample.head(FEW_ROWS)), limit.target
+    return lambda laws: is_decided(_missing(curves_under([state], laws)[:, 0], limit), target)
+
+
+def _simulated(work: Work, limit: Limit, law: Law, sample: Sample, task: str) -> Callable[[int], bool]:
+    """Whether a number of tests that come out as a law says decides the target."""
+    decided = _decided(work, limit, sample)
+
+    def simulated(tests: int) -> bool:
+        generator = random_generator(seed=work.study.seed, task=f"{task} {tests}")
+        return decided(laws_of_more_tests(law, tests, FEW_LAWS, generator))
+
+    return simulated
+
+
+def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread: float | None) -> dict[str, Any]:
+    """How many more tests decide the target as planned, and how many give a value with this spread to within `KNOWN`.
+
+    Both take it that further tests come out as those so far: the answer is the size of the effort, no promise.
+    """
+    tests = count_tests(strength)
+    found: dict[str, Any] = {"tests": tests, "known_to": KNOWN}
+    if spread is not None:
+        # the range shrinks with the root of the number of tests
+        found["to_know_the_value"] = max(0, math.ceil(tests * (1.96 * spread / KNOWN) ** 2) - tests)
+    if limit.target is None:
+        return found
+    if _decided(work, limit, sampled.sample)(laws_of(work, limit, strength)):
+        return {**found, "to_settle": 0}
+    in_all = fewest_tests(_simulated(work, limit, strength, sampled.sample, f"more tests {limit.name}"), tests)
+    if in_all is None:
+        return {**found, "to_settle": None, "reason": f"more than {MOST_TESTS} tests: it is too close to call"}
+    return {**found, "to_settle": in_all - tests}
+
+
+# --- the value of a free scalar under other laws ----------------------------------------------------------
+
+
+def value_range(
+    strength: Law,
+    laws: Sequence[Law],
+    states_at: Callable[[Sequence[float], int], Sequence[LimitState]],
+    ends: tuple[float, float],
+    *,
+    probability: float,
+    value: float | None,
+    rising: bool,
+    survive: bool,
+) -> dict[str, Any]:
+    """Where the value at a probability may lie over laws that the tests allow, the value that is sure, the mean law's.
+
+    `states_at` gives the states at some values between the ends, on so many rows of each replicate.
+    """
+    logarithmic = ends[0] > 0.0
+    values = spaced(*ends, VALUES)
+    places = np.log(values) if logarithmic else np.array(values)
+    states = states_at(values, FEW_ROWS)
+    curves = curves_under(states, laws)
+    found = roots(places, curves, probability, rising)
+    # on these few rows the law itself answers a little differently: what is known better is kept
+    own = float(roots(places, curves_under(states, [strength]), probability, rising)[0])
+    shift = 0.0 if value is None or not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
+    low, high = np.quantile(found, [0.025, 0.975], method="nearest") + shift
+    sure = float(np.quantile(found, 1.0 - SURE if survive == rising else SURE, method="nearest")) + shift
+    mean_law = float(roots(places, curves.mean(axis=0)[None, :], probability, rising)[0]) + shift
+    known = found[np.isfinite(found)]
+
+    def told(place: float) -> float | None:
+        if not math.isfinite(place):
+            return None
+        return math.exp(place) if logarithmic else float(place)
+
+    return {
+        "tests": count_tests(strength),
+        "stopped": len(strength.censored),
+        "laws": len(laws),
+        "low": told(low),
+        "high": told(high),
+        "sure": told(sure),
+        "confidence": SURE,
+        "mean_law": told(mean_law),
+        "sd_log": float(np.std(known, ddof=1)) if logarithmic and known.size > 0.9 * len(laws) else None,
+        "beyond": float(1.0 - known.size / len(laws)),
+    }

@@ -1,0 +1,256 @@
+"""What if: the probability of exceeding a limit on rows that are there, with something taken otherwise.
+
+A strength's law is replaced in its integral, a tie is cut, a strength is scaled by dividing the demands; an input's law
+is replaced by weighting the rows that were drawn from another one.  Nothing is evaluated again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.uq.fitting import possible_densities
+from uqsphere.uq.law import Law, LawError, make_law, mean, sd
+from uqsphere.uq.limit_state import LimitState, shifted_tails, tails
+
+__all__ = [
+    "AS_GIVEN",
+    "MOST_TESTS",
+    "WhatIf",
+    "curves_under",
+    "fewest_tests",
+    "importance_weights",
+    "is_decided",
+    "logit",
+    "other_family",
+    "probability",
+    "probability_of_logit",
+    "roots",
+    "sides",
+    "with_scatter",
+]
+
+#: more tests than this are not asked of anybody
+MOST_TESTS: Final = 5000
+#: logits beyond this are those of 0 and 1
+_FURTHEST: Final = 700.0
+#: weighted rows must be worth this share of as many without weights, for all but this share of the laws: the ends of
+#: a range are those of the farthest laws, and rows that hardly reach them make it too narrow (normal laws of 4, 6 and 8
+#: observations: 0.65, 0.79 and 0.92 of Student's interval of the mean, worth 0.02, 0.08 and 0.15)
+LEAST_WORTH: Final = 0.1
+BUT_FOR: Final = 0.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WhatIf:
+    """What is taken otherwise.
+
+    strength : another law of the strength, or the two tails (R, n) that it gives at the demands of the rows
+    untied : whether the strength does not depend on the inputs
+    demands : what all demands are multiplied by: a strength with all its values scaled divides them
+    weights : (R, n) of rows whose inputs follow other laws, with mean 1
+    shift : (R, n) what a strength that depends on such inputs moves by, in normal scores
+    """
+
+    strength: Law | tuple[Array, Array] | None = None
+    untied: bool = False
+    demands: float = 1.0
+    weights: Array | None = None
+    shift: Array | None = None
+
+    def of(self, state: LimitState) -> LimitState:
+        """The state with its strength, ties and demands taken so."""
+        if isinstance(self.strength, Law):
+            state = replace(state, strength=self.strength)
+        if self.untied:
+            state = replace(state, shift=None, tie=None, remaining_sd=1.0, weights=())
+        if self.shift is not None and state.shift is not None:
+            state = replace(state, shift=state.shift + self.shift)
+        return state if self.demands == 1.0 else replace(state, demands=state.demands * self.demands)
+
+    def tails(self, state: LimitState) -> tuple[Array, Array]:
+        """P(strength < demand | inputs) and its complement, (R, n) each, weighted."""
+        state = self.of(state)
+        if isinstance(self.strength, tuple):
+            below, above = self.strength
+            if state.shift is not None:
+                below, above = shifted_tails(below, above, state.shift, state.remaining_sd)
+        else:
+            below, above = tails(state)
+        return (below, above) if self.weights is None else (self.weights * below, self.weights * above)
+
+
+AS_GIVEN: Final = WhatIf()
+
+
+def probability(state: LimitState, whatif: WhatIf = AS_GIVEN) -> Array:
+    """Probability of exceeding of every replicate by itself, (R,)."""
+    below, above = whatif.tails(state)
+    total = below.sum(axis=1) + above.sum(axis=1)
+    return np.asarray(below.sum(axis=1) / np.where(total > 0.0, total, 1.0))
+
+
+def sides(state: LimitState, whatif: WhatIf = AS_GIVEN) -> tuple[float, float]:
+    """Means over all rows of the probability of exceeding and of its complement, so that both keep their digits."""
+    below, above = whatif.tails(state)
+    return float(below.mean()), float(above.mean())
+
+
+def curves_under(states: Sequence[LimitState], laws: Sequence[Law]) -> Array:
+    """Probability of exceeding (laws, J) at J states with one law after the other in place of the strength.
+
+    One half where no row has a demand.
+    """
+    found = np.full((len(laws), len(states)), 0.5)
+    for j, state in enumerate(states):
+        for k, law in enumerate(laws):
+            below, above = sides(state, WhatIf(strength=law))
+            if below + above > 0.0:
+                found[k, j] = below / (below + above)
+    return found
+
+
+def roots(places: Array, curves: Array, wanted: float, rising: bool) -> Array:
+    """Places (laws,) at which monotone curves (laws, J) take a probability; -inf and inf beyond the ends."""
+    from scipy.special import ndtri
+
+    scores = ndtri(np.clip(curves, 1e-300, 1.0 - 1e-16))
+    scores = np.maximum.accumulate(scores if rising else -scores, axis=1)
+    score = float(ndtri(wanted)) * (1.0 if rising else -1.0)
+    return np.array([np.interp(score, row, places, left=-math.inf, right=math.inf) for row in scores])
+
+
+def logit(below: float, above: float) -> float:
+    """ln(below/above) of a probability and its complement."""
+    if below <= 0.0 or above <= 0.0:
+        return math.inf if above <= 0.0 else -math.inf
+    return math.log(below) - math.log(above)
+
+
+def probability_of_logit(value: float) -> float:
+    """The probability with a logit."""
+    return 1.0 / (1.0 + math.exp(-max(-_FURTHEST, min(_FURTHEST, value))))
+
+
+def importance_weights(law: Law, x: Array, count: int, generator: np.random.Generator) -> Array | None:
+    """Weights (count, rows) that turn rows (rows,) drawn from a law into rows of the laws that its tests allow.
+
+    The mean of each law's is 1; None where the laws lie too far from the rows.  Raises LawError as `possible_laws`.
+    """
+    drawn, others = possible_densities(law, x, count, generator)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = others / drawn
+    weights = np.where(np.isfinite(weights), weights, 0.0)
+    total = weights.mean(axis=1, keepdims=True)
+    worth = (weights.sum(axis=1) ** 2 / np.maximum((weights**2).sum(axis=1), 1e-300)) / x.size
+    if float(np.quantile(worth, BUT_FOR)) < LEAST_WORTH or (total <= 0.0).any():
+        return None
+    return np.asarray(weights / total)
+
+
+# --- how many tests decide -------------------------------------------------------------------------------
+
+
+def is_decided(missed: Array, target: float) -> bool:
+    """Whether nineteen of twenty laws put the probability of missing the aim on one side of the target."""
+    low, high = np.quantile(missed, [0.025, 0.975])
+    return bool(high < target or low > target)
+
+
+def fewest_tests(decided: Callable[[int], bool], known: int) -> int | None:
+    """The least number of tests above `known` with which something is decided, to 5 %; None above `MOST_TESTS`.
+
+    >>> fewest_tests(lambda tests: tests >= 40, 3)
+    40
+    """
+    low, high = known, max(2 * known, 6)
+    while not decided(high):
+        low, high = high, 2 * high
+        if high > MOST_TESTS:
+            return None
+    while high - low > max(1, low // 20):
+        middle = (low + high) // 2
+        low, high = (low, middle) if decided(middle) else (middle, high)
+    return high
+
+
+# --- other laws of a strength ----------------------------------------------------------------------------
+
+
+def with_scatter(law: Law, factor: float) -> tuple[str, float, float, Law] | None:
+    """A law with the same mean and its modulus, or coefficient of variation, times a factor; None where it has none.
+
+    Returns
+    -------
+    str, float, float, Law
+        `modulus` or `cov`, what it is, what it becomes, and the law.
+
+    >>> weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
+    >>> what, taken, instead, other = with_scatter(weibull, 0.5)
+    >>> what, taken, instead, round(mean(other), 12)
+    ('modulus', 12.0, 6.0, 4.0)
+    """
+    own = law.parameters
+    try:
+        if law.kind == "weibull":
+            threshold, modulus = own["threshold"], own["modulus"]
+            centre = threshold + own["scale"] * math.gamma(1.0 + 1.0 / modulus)
+            given = {"mean": centre, "modulus": factor * modulus, "threshold": threshold}
+            return "modulus", modulus, _plain(factor * modulus), make_law("weibull", given, *_bounds(law))
+        if law.kind not in ("normal", "lognormal", "gamma", "gumbel", "beta"):
+            return None
+        centre, scatter = _moments(law)
+        given = {"mean": centre, "sd": factor * scatter}
+        cov = scatter / centre
+        return "cov", _plain(cov), _plain(factor * cov), make_law(law.kind, given, *_bounds(law))
+    except (LawError, OverflowError, ZeroDivisionError):
+        return None
+
+
+def other_family(law: Law) -> Law | None:
+    """The lognormal law with the same mean and scatter, for a lognormal the Weibull one; None where there is none.
+
+    >>> round(sd(other_family(make_law("weibull", {"mean": 4.0, "modulus": 12.0}))), 3)
+    0.405
+    """
+    if law.kind not in ("normal", "lognormal", "weibull", "gamma", "gumbel"):
+        return None
+    try:
+        centre, scatter = _moments(law)
+        if not (centre > 0.0 and 0.0 < scatter < centre):
+            return None
+        if law.kind != "lognormal":
+            return make_law("lognormal", {"mean": centre, "sd": scatter}, *_bounds(law))
+        return make_law("weibull", {"mean": centre, "modulus": _modulus(scatter / centre)}, *_bounds(law))
+    except (LawError, OverflowError, ZeroDivisionError):
+        return None
+
+
+def _plain(value: float) -> float:
+    """Without the last digits, which are rounding."""
+    return float(f"{value:.12g}")
+
+
+def _modulus(cov: float) -> float:
+    """Weibull modulus with a coefficient of variation below 1."""
+    from scipy.optimize import brentq
+
+    def gap(m: float) -> float:
+        return math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - math.log1p(cov**2)
+
+    return float(brentq(gap, 0.9, 2.0 / cov + 2.0))
+
+
+def _moments(law: Law) -> tuple[float, float]:
+    """Mean and standard deviation before truncation, but for a law that its bounds belong to."""
+    bare = law if law.kind == "beta" else replace(law, lower=-math.inf, upper=math.inf)
+    return float(mean(bare)), float(sd(bare))
+
+
+def _bounds(law: Law) -> tuple[float | None, float | None]:
+    return tuple(None if math.isinf(end) else end for end in (law.lower, law.upper))  # type: ignore[return-value]
