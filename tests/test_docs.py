@@ -350,7 +350,7 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
         f"at least {stopping.SLOWEST:g}, at most {stopping.FASTEST:g}",
         f"from {sampling.JUDGED} points of each scrambling (indices: {sensitivity.JUDGED} base points)",
         f"total index (28) puts above {indices.LARGE:g} are taken from (29)",
-        f"half-width is above {sensitivity.WORTHLESS:g} is withheld",
+        f"half-width is above {indices.WORTHLESS:g} is withheld",
         f"up to {sensitivity.FIT_POINTS} points of each of {sensitivity.FITS} scramblings",
     ):
         assert text in flat, text

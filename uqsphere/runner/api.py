@@ -228,14 +228,13 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
     from uqsphere.runner.drivers import find_drivers
     from uqsphere.runner.fidelity import first_look
-    from uqsphere.runner.heavy_shares import share_heavy
     from uqsphere.runner.index_control import IndexControl
     from uqsphere.runner.margins import band_history, find_margins
     from uqsphere.runner.multifidelity import propose
     from uqsphere.runner.price import price
     from uqsphere.runner.questions.distributions import sample_distributions
     from uqsphere.runner.questions.fracture import find_fracture
-    from uqsphere.runner.questions.indices import dependent_names, find_sensitivity
+    from uqsphere.runner.questions.indices import dependent_names, find_sensitivity, share_heavy
     from uqsphere.runner.questions.probabilities import refine_limits
     from uqsphere.runner.questions.shapley import share_variance
     from uqsphere.runner.questions.tolerance import find_tolerance

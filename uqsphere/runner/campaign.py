@@ -16,7 +16,6 @@ __all__ = [
     "MOST_NAMED",
     "NO_NUMBER",
     "QUANTILE_KIND",
-    "WORTHLESS",
     "Cost",
     "Missed",
     "cost_of",
@@ -33,8 +32,6 @@ SLOWEST, FASTEST = 0.5, 1.2
 LONG, USUAL = 4.0, 0.75
 #: how far a forecast must lie beyond the budget before it is acted on
 CAUTION = 1.5
-#: an index whose half-width is above this is withheld
-WORTHLESS = 0.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
 #: how errors are called in the speed-error table; what two of them are over follows

@@ -19,7 +19,7 @@ from uqsphere.uq.augmented import Trusted, deviation, joined
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.augmented_sets import group_indices, pair_indices
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import OUT_OF_REACH, Estimate, absent
+from uqsphere.uq.estimate import NEVER, Estimate, absent
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.released import Believed, believed, held, shifted
 from uqsphere.uq.sample import Sample
@@ -94,7 +94,7 @@ def answers_of(work: Work, runs: int, usable: Mapping[str, Trusted]) -> Answers:
     indices = {quantity: told[quantity].indices(found) for quantity, found in indices.items()}
     excess = excess_of(work, descriptions, limits)
     for quantity, described in descriptions.items():
-        if described.mean.value is None and not (described.mean.reason or "").startswith(OUT_OF_REACH):
+        if described.mean.value is None and described.mean.why not in NEVER:
             excess[quantity] = math.inf
     for limit in _limits(work, usable):
         # what active learning goes on with is not waited for

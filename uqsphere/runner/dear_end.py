@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.runner.campaign import WORTHLESS, Cost, Missed, indices_missed
+from uqsphere.runner.campaign import Cost, Missed, indices_missed
 from uqsphere.runner.dear_answers import Answers, answers_of, dear_sets, demands_of, limits_of_runs, widest
 from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_fits import fit_design, simpler_fits
@@ -23,6 +23,7 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.indices import WORTHLESS
 from uqsphere.uq.sample import Sample
 
 __all__ = ["Dear", "End", "blocks_of_runs", "conclude", "refusal", "to_be_sampled"]

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.heavy_shares import shares_with_tails
 from uqsphere.runner.questions.distributions import Sampled, find_missed
-from uqsphere.runner.questions.indices import Sensitivity
+from uqsphere.runner.questions.indices import Sensitivity, shares_with_tails
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import NOT_KNOWN, OUT_OF_REACH
+from uqsphere.uq.estimate import NEVER, Why
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
 from uqsphere.uq.law import tail_orders
 
@@ -66,14 +65,13 @@ def settle_heavy(
         # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs
         kept = name in believed and tail is None
         descriptions[name] = described if kept else without_moments(described, tail, outputs, order)
-    absent_mean = (*OUT_OF_REACH, NOT_KNOWN)
-    gone = {(q, "mean") for q, d in descriptions.items() if (d.mean.reason or "").startswith(absent_mean)}
+    gone = {(q, "mean") for q, d in descriptions.items() if d.mean.why in (*NEVER, Why.NOT_KNOWN)}
     rescaled = {q: d for q, d in descriptions.items() if d.scale != sampled.descriptions[q].scale}
     missed = [one for one in _rejudged(work, sampled, rescaled) if (one.subject, one.kind) not in gone]
     missed += [
         Missed(subject=q, kind="mean", said=f"{q}: mean: {d.mean.reason}")
         for q, d in descriptions.items()
-        if (d.mean.reason or "").startswith(NOT_KNOWN)
+        if d.mean.why is Why.NOT_KNOWN
     ]
     settled = replace(sampled, descriptions=descriptions, missed=missed)
     return settled, shares_with_tails(work, settled, found, tails, None)

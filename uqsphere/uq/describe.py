@@ -20,7 +20,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.quantities import told_apart
-from uqsphere.uq.estimate import NO_CONVERGENCE, OUT_OF_REACH, Estimate, absent, from_replicates, share, student
+from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, from_replicates, share, student
 
 __all__ = [
     "LEAST_BEYOND",
@@ -226,7 +226,7 @@ def describe(
     counts = kept.sum(axis=1)
     total = samples.size
     if samples.shape[0] < 2 or counts.min(initial=total) < 2:
-        nothing = absent("too few successful samples in a replicate", method, total)
+        nothing = absent("too few successful samples in a replicate", method, total, Why.TOO_FEW)
         return Description(
             mean=nothing,
             sd=nothing,
@@ -238,7 +238,7 @@ def describe(
     shown += ", without failed rows" if broken.any() else ""
     mean, sd, spread = _moments(samples, kept, counts, shown)
     if (late | broken).all():
-        mean = sd = absent("every sample outlasts the record", method, total)
+        mean = sd = absent("every sample outlasts the record", method, total, Why.CENSORED)
     estimates, exempt = quantile_estimates(
         samples, censored=late, failed=broken, on_failure=on_failure, quantiles=quantiles, method=method
     )
@@ -285,7 +285,9 @@ def describe_moments(
         reach = _skew_reach(found, count)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + reach * sd.std_error)
     if found.largest_share > 0.4 and total >= 1000:
-        reason = f"{NO_CONVERGENCE}one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
+        reason = Absent.because(
+            Why.NO_CONVERGENCE, f"one sample of {total} makes {100.0 * found.largest_share:.0f} % of the variance"
+        )
         low, high = inner()
         return mean, absent(reason, method, total), 0.5 * (high - low)
     return mean, sd, found.deviation
@@ -366,14 +368,14 @@ def quantile_estimates(
     for p in quantiles:
         value, highest = _at(ordered, p), _at(upper, p)
         if min(p, 1.0 - p) * ordered.size < LEAST_BEYOND:
-            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
+            answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total, Why.TOO_FEW)
             continue
         at = value if math.isfinite(value) else highest
         below = ((least <= at) & kept).sum(axis=1) / counts
         reach = woodruff_reach(below, n)
         low, high = _at(ordered, max(p - reach, 0.0)), _at(upper, min(p + reach, 1.0))
         if not (math.isfinite(low) and math.isfinite(high) and math.isfinite(value)):
-            answers[p] = absent(_why(censored, failed & kept, total), method, total)
+            answers[p] = absent(_why(censored, failed & kept, total), method, total, Why.CENSORED)
             exempt += [p] if censored.any() else []
             continue
         middle = value if highest == value else 0.5 * (value + highest)
@@ -404,7 +406,7 @@ def lacking(description: Description, *, mean: float, quantile: float) -> list[t
     exempt.
     """
     missed = []
-    exists = description.mean.value is not None or not str(description.mean.reason).startswith(OUT_OF_REACH)
+    exists = description.mean.why not in NEVER
     asked: list[tuple[float | None, Estimate, float]] = [(None, description.mean, mean)] if exists else []
     asked += [(p, estimate, quantile) for p, estimate in description.quantiles.items() if p not in description.exempt]
     for p, estimate, wanted in asked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Final
 
 import numpy as np
@@ -11,12 +12,10 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 
 __all__ = [
-    "NOT_KNOWN",
-    "NO_CONVERGENCE",
-    "NO_MOMENT",
-    "OUT_OF_REACH",
-    "UNTOLD",
+    "NEVER",
+    "Absent",
     "Estimate",
+    "Why",
     "absent",
     "exact",
     "from_replicates",
@@ -27,24 +26,46 @@ __all__ = [
     "student",
 ]
 
-#: of one that a law of the inputs leaves none of, or that the samples rule out
-NO_MOMENT: Final = "does not exist: "
-#: of one that may exist, which no number of samples would tell
-UNTOLD: Final = "not to be told from samples: "
-#: of one that more evaluations may give
-NOT_KNOWN: Final = "not known: "
-#: of a standard deviation that one of many samples makes
-NO_CONVERGENCE: Final = "does not converge: "
-#: those whose accuracy is not pursued
-OUT_OF_REACH: Final = (NO_MOMENT, UNTOLD)
+
+class Why(Enum):
+    """Why an answer is not given; the value is how its text begins, where it begins in one way."""
+
+    NO_MOMENT = "does not exist: "  # a law of the inputs leaves none, or the samples rule it out
+    UNTOLD = "not to be told from samples: "  # it may exist, and no number of samples would tell
+    NOT_KNOWN = "not known: "  # more evaluations may give it
+    NO_CONVERGENCE = "does not converge: "  # one of many samples makes a standard deviation
+    NO_VARIANCE = "the variance "  # a share of a variance that is not there itself
+    NO_SCATTER = "the output does not vary"
+    CENSORED = "beyond "  # the record, or the rows with an answer, end before
+    TOO_FEW = "too few "  # samples or runs
+    OUT_OF_BUDGET = "out of budget"
+    REFUSED = "refused"  # a method or surrogate that may not be used
 
 
-# --- estimates ------------------------------------------------------------------------------------
+#: what no number of evaluations would give: its accuracy is not pursued
+NEVER: Final = (Why.NO_MOMENT, Why.UNTOLD)
+
+
+@dataclass(frozen=True)
+class Absent:
+    """What an answer without value carries: why in one word, and in the words that people read."""
+
+    why: Why
+    text: str
+
+    def __post_init__(self) -> None:
+        if not self.text:
+            raise ValueError("an absent estimate needs a reason")
+
+    @classmethod
+    def because(cls, why: Why, text: str) -> Absent:
+        """With the beginning that all texts of this kind have."""
+        return cls(why, why.value + text)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number with its 95 % interval; an absent answer has value None and a reason.
+    """A number with its 95 % interval; where there is none, `value` is None and `absent` says why.
 
     `evaluations` counts the model evaluations that it rests on.
     """
@@ -55,15 +76,25 @@ class Estimate:
     std_error: float | None
     method: str
     evaluations: int
-    reason: str | None = None
+    absent: Absent | None = None
 
     def __post_init__(self) -> None:
         for name in ("value", "low", "high", "std_error"):
             number = getattr(self, name)
             if number is not None and not math.isfinite(number):
                 raise ValueError(f"{name} of an estimate must be finite or absent, found {number}")
-        if self.value is None and not self.reason:
-            raise ValueError("an absent estimate needs a reason")
+        if self.value is None and self.absent is None:
+            raise ValueError("an estimate without value needs a reason")
+
+    @property
+    def why(self) -> Why | None:
+        """Why it is absent; None where it is there."""
+        return None if self.absent is None else self.absent.why
+
+    @property
+    def reason(self) -> str | None:
+        """The same in words."""
+        return None if self.absent is None else self.absent.text
 
     @property
     def half_width(self) -> float:
@@ -90,8 +121,8 @@ def exact(value: float, method: str = "one evaluation, nothing random") -> Estim
     return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
 
 
-def absent(reason: str, method: str, evaluations: int) -> Estimate:
-    """An answer that cannot be given, and why."""
+def absent(reason: Absent | str, method: str, evaluations: int, why: Why = Why.REFUSED) -> Estimate:
+    """An answer that cannot be given, and why: in words of its own, or as another answer is absent."""
     return Estimate(
         value=None,
         low=None,
@@ -99,7 +130,7 @@ def absent(reason: str, method: str, evaluations: int) -> Estimate:
         std_error=None,
         method=method,
         evaluations=evaluations,
-        reason=reason,
+        absent=reason if isinstance(reason, Absent) else Absent(why, reason),
     )
 
 

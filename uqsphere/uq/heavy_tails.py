@@ -15,17 +15,26 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import NO_CONVERGENCE, NO_MOMENT, NOT_KNOWN, UNTOLD, Estimate, absent
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent
+from uqsphere.uq.indices import WORTHLESS
 from uqsphere.uq.law import Law, tail_orders
+from uqsphere.uq.sample import Sample
 
 __all__ = [
+    "FEW_CARRIERS",
     "MEAN",
+    "NONE_SEEN",
     "VARIANCE",
     "HeavyTail",
+    "carriers",
+    "describe_heavy",
     "half_range",
     "heavy_tail",
     "hill",
+    "no_narrower",
     "of_variance",
+    "tail_of",
+    "why_no_shares",
     "widened_share",
     "without_moments",
 ]
@@ -47,6 +56,14 @@ _FEWEST_MET: Final = 4
 #: a Hill estimate below this is no mean: that of a Cauchy law from as many rows as are taken here
 CAUCHY: Final = 1.2
 
+
+#: samples that must differ from the most frequent value for the variance to be shared out
+FEWEST_VARIED: Final = 20
+#: base points that carry the variance of a design, below which its replicates do not show what they lack
+FEW_CARRIERS: Final = 100.0
+#: half-width of an index times the points that carry it: a product of two answers of which none was seen together in
+#: n points may still have the share 3/n, by the one-sided 95 % bound of a count of none
+NONE_SEEN: Final = 3.0
 
 #: index of a stable law of mean zero and scale 1, skewed to the right, and minus its 2.5 % point (scipy's levy_stable)
 _STABLE: Final = (
@@ -72,25 +89,25 @@ class HeavyTail:
     doubt: float = 0.0
     bend: float = 0.0
 
-    def reason(self, moment: float) -> str:
+    def reason(self, moment: float) -> Absent:
         """Why a moment of this order is not given: it does not exist, or the rows leave open whether it does.
 
         A whole power that they leave possible is taken for the growth.
         """
         if math.isnan(self.growth):
-            return (
-                f"{NOT_KNOWN}{self.name} has no moments from order {self.law_order:.3g} on, and {self.rows} runs are "
-                f"too few to show how this grows with it: at least {UNREADABLE}, or truncate the law where it ends"
+            return Absent.because(
+                Why.NOT_KNOWN,
+                f"{self.name} has no moments from order {self.law_order:.3g} on, and {self.rows} runs are too few to "
+                f"show how this grows with it: at least {UNREADABLE}, or truncate the law where it ends",
             )
         least = self.growth - self.bend
         whole = round(least) if abs(least - round(least)) <= self.doubt else 0
         open_ = self.law_order > moment * max(least, whole)
         further = f", or up to {self.growth + self.doubt:.2g}" + (", but not steadily" if self.bend > 0.0 else "")
-        return (
-            f"{NOT_KNOWN if open_ else NO_MOMENT}{self.name} has no moments from order {self.law_order:.3g} on, and "
-            f"this grows like its power {self.growth:.2g}"
-            + (further if open_ else "")
-            + ": truncate the law where it ends"
+        return Absent.because(
+            Why.NOT_KNOWN if open_ else Why.NO_MOMENT,
+            f"{self.name} has no moments from order {self.law_order:.3g} on, and this grows like its power "
+            f"{self.growth:.2g}{further if open_ else ''}: truncate the law where it ends",
         )
 
 
@@ -198,21 +215,21 @@ def without_moments(
     and the mean as well where a law of the inputs has no moments from `law_order` 1 on.
     """
     mean, sd = described.mean, described.sd
-    if tail is not None and tail.order <= VARIANCE and (sd.value is not None or sd.reason is not None):
+    if tail is not None and tail.order <= VARIANCE:
         mean = _gone(mean, tail.reason(MEAN)) if tail.order <= MEAN else mean
         sd = _gone(sd, tail.reason(VARIANCE))
         return replace(described, mean=mean, sd=sd, scale=half_range(outputs))
     if tail is not None and sd.value is not None and tail.order <= 2.0 * VARIANCE:
         sd = _with_rarest(sd, outputs, tail.order)
         described = replace(described, sd=sd)
-    if sd.value is not None and outputs.size < FEW and (text := _dominated(outputs)):
-        described = replace(described, sd=_gone(sd, text), scale=half_range(outputs))
-        return replace(described, mean=_gone(mean, text)) if min(law_order, hill(outputs)) <= CAUCHY else described
+    if sd.value is not None and outputs.size < FEW and (lone := _dominated(outputs)):
+        described = replace(described, sd=_gone(sd, lone), scale=half_range(outputs))
+        return replace(described, mean=_gone(mean, lone)) if min(law_order, hill(outputs)) <= CAUCHY else described
     if sd.value is None and mean.value is not None and (order := hill(outputs)) <= CAUCHY:
         # Hill's estimate from k values is off by 1/sqrt(k) of itself
         surely = order * (1.0 + DOUBT / math.sqrt(_far(int(np.isfinite(outputs).sum())))) <= MEAN
         text = f"large values are as frequent as in a law without moments from order {order:.2g} on"
-        return replace(described, mean=_gone(mean, (NO_MOMENT if surely else UNTOLD) + text))
+        return replace(described, mean=_gone(mean, Absent.because(Why.NO_MOMENT if surely else Why.UNTOLD, text)))
     return described
 
 
@@ -248,29 +265,28 @@ def half_range(outputs: Array) -> float:
     return float(0.5 * (high - low))
 
 
-def _dominated(outputs: Array) -> str:
-    """Why a variance is not known where one of few outputs (n,) makes most of it; empty where none does."""
+def _dominated(outputs: Array) -> Absent | None:
+    """Why a variance is not known where one of few outputs (n,) makes most of it; None where none does."""
     kept = outputs[np.isfinite(outputs)]
     if kept.size < UNREADABLE:
-        return ""
+        return None
     away = np.abs(kept - kept.mean())
     largest = float(away.max())
     share = 1.0 / float(((away / largest) ** 2).sum()) if 0.0 < largest < math.inf else 0.0
     if share <= DOMINANT:
-        return ""
-    return f"{NOT_KNOWN}one of {kept.size} runs makes {100.0 * share:.0f} % of the variance"
+        return None
+    return Absent.because(Why.NOT_KNOWN, f"one of {kept.size} runs makes {100.0 * share:.0f} % of the variance")
 
 
-def _gone(estimate: Estimate, reason: str) -> Estimate:
+def _gone(estimate: Estimate, reason: Absent) -> Estimate:
     return absent(reason, estimate.method, estimate.evaluations)
 
 
 def of_variance(sd: Estimate) -> str:
     """What is said of a variance without a standard deviation `sd`: that it does not exist, or that it is not known."""
-    reason = sd.reason or ""
-    if reason.startswith(NOT_KNOWN):
-        return f"is {reason}"
-    return reason if reason.startswith((NO_MOMENT, NO_CONVERGENCE)) else "is not known"
+    if sd.why is Why.NOT_KNOWN:
+        return f"is {sd.reason}"
+    return str(sd.reason) if sd.why in (Why.NO_MOMENT, Why.NO_CONVERGENCE) else "is not known"
 
 
 def widened_share(share: Estimate, sd: Estimate) -> Estimate:
@@ -282,9 +298,68 @@ def widened_share(share: Estimate, sd: Estimate) -> Estimate:
     if share.value is None or share.low is None or share.high is None:
         return share
     if not sd.value or not sd.low or sd.high is None:
-        return absent(f"the variance that it is a share of {of_variance(sd)}", share.method, share.evaluations)
+        reason = Absent.because(Why.NO_VARIANCE, f"that it is a share of {of_variance(sd)}")
+        return absent(reason, share.method, share.evaluations)
     less, more = (sd.low / sd.value) ** 2, (sd.high / sd.value) ** 2
     ends = [end / factor for end in (share.low, share.high) for factor in (less, more)]
     ends += [1.0 - (1.0 - end) / factor for end in (share.low, share.high) for factor in (less, more)]
     low, high = min(min(ends), share.low), max(min(max(ends), 1.0), share.high)
     return replace(share, low=low, high=high, std_error=max(share.std_error or 0.0, 0.25 * (high - low)))
+
+
+# --- shares of the variance -----------------------------------------------------------------------
+
+
+def why_no_shares(outputs: Array, sd: Estimate) -> Absent | None:
+    """Why the variance of outputs (n,) with a standard deviation `sd` cannot be shared out; None where it can."""
+    if sd.value is None and sd.why in (Why.NO_MOMENT, Why.NOT_KNOWN, Why.NO_CONVERGENCE):
+        return Absent.because(Why.NO_VARIANCE, of_variance(sd))
+    kept = outputs[np.isfinite(outputs)]
+    varied = int((kept != np.median(kept)).sum()) if kept.size else 0
+    if kept.size > 10 * FEWEST_VARIED and varied < FEWEST_VARIED:
+        times = "none" if varied == 0 else f"{varied}"
+        text = f"{times} of the {kept.size:,} samples differ from {np.median(kept):.6g}: too few for shares"
+        return Absent(Why.TOO_FEW, text)
+    return None
+
+
+def carriers(outputs: Array) -> float:
+    """How many of the outputs (n,) carry their variance, by Kish's count."""
+    away = np.abs(outputs - outputs.mean())
+    largest = float(away.max(initial=0.0))
+    if largest == 0.0:
+        return 1.0
+    squares = (away / largest) ** 2
+    return float(squares.sum() ** 2 / (squares**2).sum())
+
+
+def no_narrower(share: Estimate, half: float) -> Estimate:
+    """A share of the variance with at least this half-width; none where that would be the whole range."""
+    if share.value is None or share.half_width >= half:
+        return share
+    if half > WORTHLESS:
+        reason = Absent.because(Why.NOT_KNOWN, "too few samples carry the variance")
+        return absent(reason, share.method, share.evaluations)
+    value = min(max(share.value, 0.0), 1.0)
+    return replace(share, value=value, low=value - half, high=value + half, std_error=0.5 * half)
+
+
+# --- samples --------------------------------------------------------------------------------------
+
+
+def tail_of(laws: Mapping[str, Law], sample: Sample, quantity: str) -> HeavyTail | None:
+    """The tail that a quantity inherits of the laws of its inputs, the first columns of a sample."""
+    if not laws:
+        return None
+    inputs = sample.inputs[:, :, : len(laws)].reshape(-1, len(laws))
+    return heavy_tail(laws, inputs, sample.outputs(quantity))
+
+
+def describe_heavy(
+    laws: Mapping[str, Law], sample: Sample, descriptions: Mapping[str, Description]
+) -> dict[str, Description]:
+    """Descriptions of the quantities of a sample without moments that do not exist."""
+    return {
+        name: without_moments(found, tail_of(laws, sample, name), sample.outputs(name))
+        for name, found in descriptions.items()
+    }

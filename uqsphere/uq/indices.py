@@ -27,6 +27,7 @@ __all__ = [
     "ESTIMATORS",
     "LARGE",
     "METHOD",
+    "WORTHLESS",
     "Blocks",
     "Outputs",
     "Ratio",
@@ -373,6 +374,10 @@ def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str,
 
 
 # --- the answer of a design ---------------------------------------------------------------------------------
+
+
+#: an index whose half-width is above this is withheld: the interval spans the whole range
+WORTHLESS: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.augmented import METHOD, Trusted, joined, widened, with_residuals
 from uqsphere.uq.beyond_runs import within_runs
 from uqsphere.uq.describe import Description, describe
-from uqsphere.uq.estimate import NOT_KNOWN, Estimate, absent
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent
 from uqsphere.uq.expansion import Chaos, predict
 from uqsphere.uq.expansion.expansion import Piece
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
@@ -149,8 +149,10 @@ def stretched(held: Description, free: Description, values: Array, runs: int) ->
     mean, sd = _stretched(held.mean, free.mean, runs), _stretched(held.sd, free.sd, runs)
     order = hill(values)
     if sd.value is not None and order <= _HEAVY:
-        reason = f"{NOT_KNOWN}beyond the reach of the {runs} runs large values are as frequent as in a law without "
-        sd = absent(f"{reason}moments from order {order:.2g} on", sd.method, sd.evaluations)
+        text = (
+            f"beyond the reach of the {runs} runs large values are as frequent as in a law without moments from order "
+        )
+        sd = absent(Absent.because(Why.NOT_KNOWN, f"{text}{order:.2g} on"), sd.method, sd.evaluations)
     quantiles = {p: _stretched(estimate, free.quantiles[p], runs) for p, estimate in held.quantiles.items()}
     scale = held.scale if sd.value is not None else half_range(values)
     return replace(held, mean=mean, sd=sd, quantiles=quantiles, scale=scale)
@@ -160,8 +162,9 @@ def _stretched(held: Estimate, free: Estimate, runs: int) -> Estimate:
     if held.value is None:
         return held
     if free.value is None or free.low is None or free.high is None or held.low is None or held.high is None:
-        reason = free.reason or "the surrogate has no bounds there"
-        return absent(f"{reason}, beyond the reach of the {runs} runs", held.method, held.evaluations)
+        free_of = free.absent or Absent(Why.NOT_KNOWN, "the surrogate has no bounds there")
+        text = f"{free_of.text}, beyond the reach of the {runs} runs"
+        return absent(text, held.method, held.evaluations, free_of.why)
     if free.low >= held.low and free.high <= held.high:
         return held
     low, high = min(held.low, free.low), max(held.high, free.high)

@@ -11,11 +11,11 @@ import numpy as np
 from uqsphere.errors import UsageError
 from uqsphere.runner.campaign import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, cost_of, out_of_reach
 from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, draw, evaluate_sample
-from uqsphere.runner.heavy_tails import describe_heavy
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.uq.describe import Description, describe, lacking
 from uqsphere.uq.estimate import absent, exact
+from uqsphere.uq.heavy_tails import describe_heavy
 from uqsphere.uq.sample import Sample
 
 __all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
@@ -280,7 +280,7 @@ def sample_distributions(work: Work, *, more_to_come: bool, control: Control | N
             control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
         if control.used:
             descriptions, limits = control.descriptions, control.limits
-        descriptions = describe_heavy(work, sample, descriptions)
+        descriptions = describe_heavy({n: study.random[n] for n in work.scene_names}, sample, descriptions)
         missed = find_missed(work, descriptions, limits)
         for name, ratio in excess_of(work, descriptions, limits).items():
             course.setdefault(name, []).append((sample.size, ratio))

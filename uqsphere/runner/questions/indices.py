@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -13,14 +13,102 @@ import numpy.typing as npt
 
 from uqsphere.model import is_answered
 from uqsphere.quantities import told_apart
-from uqsphere.runner.campaign import INDEX_KIND, WORTHLESS, Cost, Missed, index_cost, indices_missed, out_of_reach
+from uqsphere.runner.campaign import INDEX_KIND, Cost, Missed, index_cost, indices_missed, out_of_reach
 from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.indices import METHOD, Blocks, SampledIndices, ordered, sampled_indices, uniform_halves
+from uqsphere.uq.estimate import Estimate, Why, absent
+from uqsphere.uq.heavy_tails import (
+    FEW_CARRIERS,
+    NONE_SEEN,
+    HeavyTail,
+    carriers,
+    no_narrower,
+    tail_of,
+    why_no_shares,
+    widened_share,
+)
+from uqsphere.uq.indices import METHOD, WORTHLESS, Blocks, SampledIndices, ordered, sampled_indices, uniform_halves
 from uqsphere.uq.joint import tied_names
 from uqsphere.uq.sample import without
+
+# --- variances that are not there, or rest on a handful of samples -------------------------------------------
+
+
+def share_heavy(
+    work: Work, sampled: Sampled, found: dict[str, Sensitivity], pairs: Pairs | None
+) -> dict[str, Sensitivity]:
+    """Indices without those of a variance that does not exist, does not converge, or rests on a handful of samples.
+
+    Where the variance exists and fourth moments do not, the intervals hold what the variance may be.  Where few points
+    of the design carry it and no expansion helps, they hold what so few may have missed.
+    """
+    laws = {name: work.study.random[name] for name in work.scene_names}
+    tails = {q: tail_of(laws, sampled.sample, q) for q in work.quantities}
+    return shares_with_tails(work, sampled, found, tails, pairs)
+
+
+def shares_with_tails(
+    work: Work,
+    sampled: Sampled,
+    found: dict[str, Sensitivity],
+    tails: Mapping[str, HeavyTail | None],
+    pairs: Pairs | None,
+) -> dict[str, Sensitivity]:
+    """The same with the tail that each quantity inherits."""
+    answers, asked = {}, work.study.analysis.accuracy.sobol
+    for k, quantity in enumerate(work.quantities):
+        indices, sd, tail = found[quantity], sampled.descriptions[quantity].sd, tails[quantity]
+        reason = why_no_shares(sampled.sample.outputs(quantity), sd)
+        if reason is not None:
+            # that the variance is not there weighs more than why an index was absent before
+            every = reason.why is Why.NO_VARIANCE
+            indices = _each(indices, lambda e, why=reason: absent(why, e.method, e.evaluations), every)  # type: ignore[misc]
+            # no number of evaluations gives what is not there, so that none is missed
+            missed = [] if sd.why is Why.NO_MOMENT else [indices_missed(quantity, None, asked, f": {reason.text}")]
+            indices = replace(indices, text=reason.text, missed=missed, sampled={}, expanded={}, agree=None)
+        elif tail is not None and tail.order <= 4.0:
+            indices = _each(indices, lambda e, sd=sd: widened_share(e, sd))  # type: ignore[misc]
+        elif pairs is not None and not indices.expanded:
+            count = carriers(pairs.values[:, :, 0, k][~pairs.failed])
+            if count < FEW_CARRIERS:
+                indices = _each(indices, lambda e, half=NONE_SEEN / count: no_narrower(e, half))  # type: ignore[misc]
+        answers[quantity] = _admitted(quantity, indices, found[quantity], asked)
+    return answers
+
+
+def _admitted(quantity: str, indices: Sensitivity, before: Sensitivity, asked: float) -> Sensitivity:
+    """Indices whose intervals were widened beyond what was asked, with that said, of the width that they have now."""
+    width = _width(indices)
+    if width <= asked or (indices.missed and width <= _width(before)):
+        return indices
+    why = " (so few samples carry the variance: how many evaluations would reach it is not known)"
+    return replace(indices, missed=[indices_missed(quantity, width, asked, why)])
+
+
+def _width(indices: Sensitivity) -> float:
+    """The largest half-width of the indices that there are."""
+    rows = (indices.first, indices.total, indices.shapley)
+    return max((e.half_width for row in rows for e in row.values() if e.value is not None), default=0.0)
+
+
+def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: bool = False) -> Sensitivity:
+    """Every index that is given changed, and with `every` those that are absent too."""
+
+    def row(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
+        return {name: change(e) if every or e.value is not None else e for name, e in estimates.items()}
+
+    return replace(
+        indices,
+        first=row(indices.first),
+        total=row(indices.total),
+        second=row(indices.second),
+        group_first=row(indices.group_first),
+        group_total=row(indices.group_total),
+        shapley=row(indices.shapley),
+        kucherenko={order: row(estimates) for order, estimates in indices.kucherenko.items()},
+    )
+
 
 if TYPE_CHECKING:
     from uqsphere.uq.expansion import Chaos
@@ -36,6 +124,8 @@ __all__ = [
     "lost_designs",
     "note",
     "pick_and_freeze",
+    "share_heavy",
+    "shares_with_tails",
     "surrogate_outputs",
 ]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.estimate import Absent, Estimate, Why, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
@@ -229,4 +229,4 @@ def _bound(runs: list[_Repetition], method: str, evaluations: int, spent: bool) 
     else:
         reason = "no failure domain was reached"
     return Estimate(value=None, low=0.0, high=bound, std_error=None, method=method, evaluations=evaluations,
-                    reason=f"{reason}; the probability is below {bound:.2g}")  # fmt: skip
+                    absent=Absent(Why.TOO_FEW, f"{reason}; the probability is below {bound:.2g}"))  # fmt: skip
