@@ -13,11 +13,11 @@ from threadpoolctl import threadpool_limits
 import uqsphere
 from uqsphere.study import Study
 
-#: `tests.fuzz` is run as a program too, and goes by its whole name
+#: `tests.campaigns` and `tests.independent` are run as programs too, and go by their whole names
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 #: programs, each run by a command of its own (docs/validation.md)
-collect_ignore = ["campaigns"]
+collect_ignore = ["campaigns", "independent"]
 
 #: heavy enough for both faces, reflections and every analysis; light enough to be run in a second or two
 SMALL = """\

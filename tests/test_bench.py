@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.campaigns import sweep
+from tests.campaigns.composite import peak_errors
 from uqsphere.bench import run_bench
-from uqsphere.bench.composite import peak_errors
 from uqsphere.bench.machine import describe_machine
 from uqsphere.bench.measure import Entry, ratio_at_error
 from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
 from uqsphere.bench.scenes import bench_scenes, scattered_scene
 from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
-from uqsphere.cli import main
 from uqsphere.errors import FolderError
 from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.integrator.tracked import ANSWER_CONTACT, ANSWER_X_MAX
@@ -106,10 +106,9 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_the_sweep_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--sweep", "10", "--seed", "4"]) == 0
+    assert sweep.main(["10", "--seed", "4"]) == 0
     assert "wrong and silent: 0 rows" in capsys.readouterr().out
-    assert main(["bench", "--sweep", "0"]) == 2
-    assert main(["bench", "--sweep", "5", "--seed", "4", "--json"]) == 0
+    assert sweep.main(["5", "--seed", "4", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["wrong_and_silent"] == []
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import t as student_t
 
-from uqsphere.bench.chaos_models import MODELS, ChaosModel
+from tests.campaigns.chaos import MODELS, ChaosModel
 from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.expansion.choice import compete, lowered, prepare
 from uqsphere.uq.expansion.germs import orthonormal_values

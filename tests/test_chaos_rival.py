@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqsphere.bench import chaos, chaos_rival
-from uqsphere.bench.chaos import Measured, verdicts
-from uqsphere.bench.chaos_models import MODELS, design
-from uqsphere.bench.chaos_rival import Rival, fingerprint, rival_present, same_design, stored
+from tests.campaigns import chaos
+from tests.campaigns.chaos import (
+    MODELS,
+    Measured,
+    Rival,
+    design,
+    fingerprint,
+    rival_present,
+    same_design,
+    stored,
+    verdicts,
+)
 
 
 def rival(model: str, samples: int, true: float, told: tuple[float, ...] = (0.0,) * 4) -> Rival:
@@ -77,12 +85,12 @@ def test_no_worse_and_better_are_counted_with_the_tolerance_that_is_said() -> No
 
 @pytest.mark.skipif(not rival_present(), reason="needs the extra `peers`")
 def test_the_peer_has_a_polynomial_exactly() -> None:
-    from uqsphere.bench.chaos_models import ChaosModel
+    from tests.campaigns.chaos import ChaosModel
 
     model = ChaosModel(
         name="polynomial", laws=(("uniform", -1.0, 1.0),) * 2,
         function=lambda x: np.asarray(1.0 + x[:, 0] * x[:, 1] + x[:, 1] ** 2),
     )  # fmt: skip
-    found = chaos_rival.rival_fit(model, 32, 1)
+    found = chaos.rival_fit(model, 32, 1)
     assert found.true < 1e-20
     assert found.fits > 3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from uqsphere.bench.chaos_models import MODELS, checked, design
+from tests.campaigns.chaos import MODELS, checked, design
 from uqsphere.uq.expansion import (
     Germ,
     chaos_indices,

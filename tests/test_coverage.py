@@ -9,15 +9,17 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from uqsphere.bench.coverage import (
+from tests.campaigns.coverage import (
     LEAST,
     POOLED,
+    QUANTILES,
+    coverage_models,
     coverage_rows,
     coverage_text,
     pooled,
+    reference,
     surrogate_rows,
 )
-from uqsphere.bench.coverage_models import QUANTILES, coverage_models, reference
 
 MODELS = {model.name: model for model in coverage_models()}
 

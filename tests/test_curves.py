@@ -12,7 +12,7 @@ import pytest
 from scipy.special import ndtr
 
 import uqsphere
-from uqsphere.bench.fragility import straight_value, value_coverage
+from tests.campaigns.fragility import straight_value, value_coverage
 from uqsphere.cli import main
 from uqsphere.report.margin_verdict import margin_answer
 from uqsphere.results import Results

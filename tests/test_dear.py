@@ -15,8 +15,7 @@ import pytest
 from scipy.special import ndtr
 
 import uqsphere
-from uqsphere.bench.coverage_models import coverage_models
-from uqsphere.bench.dear import dear_rows
+from tests.campaigns.coverage import coverage_models, dear_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
 from uqsphere.report.wording import without_failed

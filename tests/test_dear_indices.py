@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.arrays import Array, Flags
-from uqsphere.bench.coverage_models import CoverageModel, coverage_models
 from uqsphere.uq.augmented import Trusted, piece_rows, trust
 from uqsphere.uq.augmented_indices import (
     FIRST,

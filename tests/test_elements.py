@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from uqsphere.bench import elements
-from uqsphere.bench.elements import compare, elements_figure, make_mesh, solve_elements
+from tests.independent import elements
+from tests.independent.elements import compare, elements_figure, make_mesh, solve_elements
 from uqsphere.report.canvas import render, style
 
 

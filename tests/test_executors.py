@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.bench.kills import answers_of
+from tests.campaigns.kills import answers_of
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
 from uqsphere.model import model_digest
 from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked

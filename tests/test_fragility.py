@@ -194,7 +194,7 @@ def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
 
 
 def test_a_curve_costs_little_more_than_a_point() -> None:
-    from uqsphere.bench.fragility import curve_cost
+    from tests.campaigns.fragility import curve_cost
 
     study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
     found = curve_cost(study, reference_rows=64)

@@ -1,4 +1,4 @@
-"""A short stretch of the fuzzing that `tests/fuzz` does at length, and proof that it sees what it looks for."""
+"""A short stretch of the fuzzing that `tests.campaigns` does at length, and proof that it sees what it looks for."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz import folders, studies
-from tests.fuzz.mutate import damage_bytes, damage_json, damage_text
-from tests.fuzz.watch import Outcome, faults_of, guarded, watched
+from tests.campaigns import fuzz_folders as folders
+from tests.campaigns import fuzz_studies as studies
+from tests.campaigns.fuzz_mutate import damage_bytes, damage_json, damage_text
+from tests.campaigns.fuzz_watch import Outcome, faults_of, guarded, watched
 
 #: numbered from elsewhere than a long run begins
 START = 10**9
@@ -79,6 +80,6 @@ def test_faults_of_a_command_are_seen(monkeypatch: pytest.MonkeyPatch, tmp_path:
 def test_a_hang_is_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import time
 
-    monkeypatch.setattr("tests.fuzz.watch.PATIENCE", 0.2)
+    monkeypatch.setattr("tests.campaigns.fuzz_watch.PATIENCE", 0.2)
     monkeypatch.setattr("uqsphere.cli.main", lambda arguments: time.sleep(60) or 0)
     assert faults_of(watched(["show"], tmp_path)) == ["hangs"]

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqsphere.bench import given as bench_given
-from uqsphere.bench.coverage import CoverageRow
-from uqsphere.bench.given import given_rows, model_of
-from uqsphere.bench.given_models import closed_effects, shares_of
+from tests.campaigns import given as bench_given
+from tests.campaigns.coverage import CoverageRow
+from tests.campaigns.given import closed_effects, given_rows, model_of, shares_of
 from uqsphere.given import analyse_data
 from uqsphere.report.canvas import render, style
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.bench.dear import POINTS, REPLICATES
+from tests.campaigns.coverage import POINTS, REPLICATES
 from uqsphere.errors import TooManyFailures
 from uqsphere.study import load_study
 from uqsphere.uq.augmented import trust

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from uqsphere.bench.coverage_models import CoverageModel, coverage_models
+from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.indices import (
     ESTIMATORS,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uqsphere.bench.instability import MU, exact_difference, fixed_steps
+from tests.campaigns.instability import MU, exact_difference, fixed_steps
 
 
 def runs_away(step: float, bars: bool) -> bool:

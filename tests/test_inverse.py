@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqsphere.bench.inverse import Made, coverage, make_test, read_back, rig_of, scene_of_test
+from tests.campaigns.inverse import Made, coverage, make_test, read_back, rig_of, scene_of_test
 from uqsphere.cli import main
 from uqsphere.mechanics.dispersion import disperse
 from uqsphere.records.inverse import Rig, at_faces, forces_of
@@ -71,7 +71,7 @@ def test_energy_of_the_waves_is_that_of_the_contacts(clean: Made) -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    # 200 repetitions: python -m uqsphere.bench.inverse; here so many that a wrong variance shows
+    # 200 repetitions: python -m tests.campaigns.inverse; here so many that a wrong variance shows
     found = coverage(8, seed=7)
     for face in "AB":
         share = found["forces"][face]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqsphere.bench.links import CASES, compare_links, even_odds, force_at, principal_field
+from tests.campaigns.links import CASES, compare_links, even_odds, force_at, principal_field
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.bench.auto import compare
-from uqsphere.bench.auto import main as print_table
+from tests.campaigns.auto import compare
+from tests.campaigns.auto import main as print_table
 from uqsphere.runner.api import Run
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Candidate, first_look

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from test_kernel import SOLVER, random_scene, scaled_scene
 
+from tests.independent.integrator import integrate_plain
 from uqsphere.mechanics.integrator import tracked as layout
 from uqsphere.mechanics.integrator.solve import integrate
-from uqsphere.mechanics.plain import integrate_plain
 from uqsphere.mechanics.scene import Scene
 
 NAMES = {
@@ -82,28 +79,3 @@ def test_the_largest_approach_alone_needs_no_tail() -> None:
     short, long = integrate_plain(scene, quantities=("p_max",)), integrate_plain(scene)
     assert short.steps[0] < 0.7 * long.steps[0]
     assert short.answers[0, layout.ANSWER_X_MAX] == long.answers[0, layout.ANSWER_X_MAX]
-
-
-def test_it_takes_over_where_there_is_no_compiler() -> None:
-    program = (
-        "import sys\n"
-        "class Hidden:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name.split('.')[0] in ('numba', 'llvmlite'): raise ModuleNotFoundError(name)\n"
-        "sys.meta_path.insert(0, Hidden())\n"
-        "import importlib.util\n"
-        "known = importlib.util.find_spec\n"
-        "importlib.util.find_spec = lambda name, *rest: None if name == 'numba' else known(name, *rest)\n"
-        "import numpy as np\n"
-        "from uqsphere.mechanics.scene import Scene\n"
-        "from uqsphere.mechanics.integrator.solve import solve\n"
-        "numbers = {'sphere.E': 52e9, 'sphere.nu': 0.25, 'sphere.radius': 0.01, 'sphere.density': 2650.0,\n"
-        "           'bars.E': 210e9, 'bars.nu': 0.3, 'bars.density': 7850.0, 'bars.diameter': 0.04,\n"
-        "           'striker.speed': 1.0, 'striker.length': 0.4}\n"
-        "scene = Scene(columns={k: np.array([v]) for k, v in numbers.items()}, infinite=True)\n"
-        "print(repr(float(solve(scene, quantities=('p_max',)).values['p_max'][0])), 'numba' in sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    value, loaded = done.stdout.split()
-    assert loaded == "False"
-    assert float(value) == pytest.approx(2.554e9, rel=2e-3)

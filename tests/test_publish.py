@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uqsphere.bench import errata, publish
-from uqsphere.bench.publish import BENCHMARK, REPORTS, Published
+from tests.campaigns import errata, publish
+from tests.campaigns.publish import BENCHMARK, REPORTS, Published
 from uqsphere.errors import UsageError
 from uqsphere.report.canvas import render, style
 from uqsphere.study import load_study, shipped_studies
@@ -47,7 +47,7 @@ def test_what_is_kept_is_of_the_shipped_study(name: str) -> None:
     results = json.loads((folder / "results.json").read_text("utf-8"))
     study = load_study(shipped_studies()[entry.study],
                        [f"analysis.budget.evaluations={entry.evaluations}", 'analysis.budget.time="12 h"'])  # fmt: skip
-    assert results["study"]["hash"] == study.hash, "the study was changed: python -m uqsphere.bench.publish"
+    assert results["study"]["hash"] == study.hash, "the study was changed: python -m tests.campaigns.publish"
     assert sum(results["model"]["evaluations"].values()) <= entry.evaluations
     page = (folder / "report.html").read_text("utf-8")
     assert len(page.encode()) < 1_200_000

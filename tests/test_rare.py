@@ -11,8 +11,7 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import chi2, norm
 
-from uqsphere.bench.rare import integrate_plane
-from uqsphere.bench.rare_models import PROBLEMS, problem
+from tests.campaigns.rare import PROBLEMS, integrate_plane, problem
 from uqsphere.uq.rare.active import fit_kriging, learn_probability, predict
 from uqsphere.uq.rare.auto import _paths, find_probability
 from uqsphere.uq.rare.form import find_design_points

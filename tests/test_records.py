@@ -282,8 +282,8 @@ def test_a_record_drives_the_model_as_its_ideal_pulse_does(tmp_path: Path) -> No
 
 
 def test_the_integrators_follow_the_cubics_alike(tmp_path: Path) -> None:
+    from tests.independent.integrator import integrate_plain
     from uqsphere.mechanics.integrator.solve import solve
-    from uqsphere.mechanics.plain import integrate_plain
     from uqsphere.model import scene_of
 
     study = study_of(tmp_path, text_of(noisy()))

@@ -12,9 +12,7 @@ import pytest
 from scipy.integrate import OdeSolution, solve_ivp
 from test_kernel import EXAMPLE, scaled_scene
 
-from uqsphere.bench.reference import Problem, Unaffordable, follow, problem_of, refer
-from uqsphere.bench.reference.events import Course
-from uqsphere.bench.reference.steps import POINTS, WEIGHTS
+from tests.independent.reference import POINTS, WEIGHTS, Course, Problem, Unaffordable, follow, problem_of, refer
 from uqsphere.mechanics.scene import Scene
 
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.bench.coverage_models import coverage_models
+from tests.campaigns.coverage import coverage_models
 from uqsphere.errors import StudyError
 from uqsphere.study import Study
 from uqsphere.uq.estimate import student

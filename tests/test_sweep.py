@@ -7,9 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqsphere.bench import sweep
-from uqsphere.bench.hard_scenes import RANGES, STRATA, as_inputs, design, rows_of, take
-from uqsphere.bench.sweep import ALLOWED, against_itself, against_reference, join, table
+from tests.campaigns import sweep
+from tests.campaigns.sweep import (
+    ALLOWED,
+    RANGES,
+    STRATA,
+    against_itself,
+    against_reference,
+    as_inputs,
+    design,
+    join,
+    rows_of,
+    table,
+    take,
+)
 from uqsphere.mechanics.integrator.solve import Answers, solve
 from uqsphere.mechanics.scene import Scene, answered
 

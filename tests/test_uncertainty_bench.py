@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uqsphere.bench import overhead, rough, study_runs, surrogates, uncertainty
-from uqsphere.bench.chaos import Measured
-from uqsphere.bench.coverage import CoverageRow
-from uqsphere.bench.coverage_models import reference
-from uqsphere.bench.uncertainty import PARTS, Part, run_uncertainty
-from uqsphere.bench.uncertainty_figures import study_figure, surrogate_figure
-from uqsphere.cli import main
+from tests.campaigns import overhead, rough, study_runs, surrogates, uncertainty
+from tests.campaigns.chaos import Measured
+from tests.campaigns.coverage import CoverageRow, reference
+from tests.campaigns.uncertainty import PARTS, Part, run_uncertainty, study_figure, surrogate_figure
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.report.canvas import render, style
 from uqsphere.study import load_study, shipped_studies
@@ -31,10 +28,10 @@ def silent(text: str) -> None:
 # --- the command and its folder -------------------------------------------------------------------
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    assert main(["bench", "--uq", "--quick", "--out", str(tmp_path)]) == 5
-    assert "no such benchmark" in capsys.readouterr().err
+    with pytest.raises(FolderError, match="no such benchmark"):
+        uncertainty.main(["--quick", "--out", str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
     with pytest.raises(FolderError, match="no such benchmark"):
         run_uncertainty(tmp_path / "mine.txt", parts=["rough"], quick=True, notice=silent)
@@ -48,9 +45,9 @@ def test_a_damaged_benchmark_is_not_written_over(tmp_path: Path, text: str) -> N
     assert (tmp_path / "uq.json").read_text(encoding="utf-8") == text
 
 
-def test_a_part_that_does_not_exist_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--uq", "chaos,colour", "--out", str(tmp_path / "new")]) == 2
-    assert "'colour'" in capsys.readouterr().err
+def test_a_part_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="'colour'"):
+        uncertainty.main(["chaos", "colour", "--out", str(tmp_path / "new")])
     assert not (tmp_path / "new").exists()
     with pytest.raises(UsageError, match="studies"):
         run_uncertainty(tmp_path, parts=[""], quick=True, notice=silent)
@@ -87,7 +84,7 @@ def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pyt
                     figures=real[name].figures)  # fmt: skip
         monkeypatch.setitem(uncertainty.PARTS, name, part)
     out = tmp_path / "uq"
-    assert main(["bench", "--uq", "coverage", "--quick", "--out", str(out)]) == 0
+    assert uncertainty.main(["coverage", "--quick", "--out", str(out)]) == 0
     elsewhere = {"processor": "another", "system": "Linux", "python": "3.12", "packages": {"numpy": "2.0"}}
     monkeypatch.setattr(uncertainty, "_machine", lambda: elsewhere)
     found = run_uncertainty(out, parts=["chaos"], quick=False, notice=silent)
@@ -98,8 +95,8 @@ def test_parts_are_measured_one_by_one_and_kept(tmp_path: Path, monkeypatch: pyt
     text = (out / "uq.md").read_text(encoding="utf-8")
     assert text == found["text"] + "\n"
     assert "another, Linux, Python 3.12; numpy 2.0." in text
-    assert "another" not in text.split("--uq coverage`")[1]
-    assert " On " in text.split("--uq coverage`")[1].split("\n")[0]
+    assert "another" not in text.split("uncertainty coverage`")[1]
+    assert " On " in text.split("uncertainty coverage`")[1].split("\n")[0]
     assert "| 64 | 2 | 2 | 3 |" in text
     assert "| c | 1 | 0 | 1 | 0.1 |" in text
     assert "Lowest of 2 cells: 90.0%" in text
@@ -224,6 +221,6 @@ def test_a_study_tells_what_it_reached_of_what_was_asked() -> None:
 
 def test_every_part_has_a_title_and_stands_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["bench", "--help"])
+        uncertainty.main(["--help"])
     told = "".join(capsys.readouterr().out.split())
     assert ",".join(PARTS) in told

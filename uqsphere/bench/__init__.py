@@ -1,4 +1,4 @@
-"""Evidence: how fast the models are against their error, and how right they are in hard cases."""
+"""The command `bench`: speed against error on this machine, beside general integrators."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
     FolderError
         When the folder holds something that is no benchmark.
     """
-    from uqsphere.bench.machine import describe_machine, massless_rate, memory_of, peak_rate, ready_seconds
+    from uqsphere.bench.machine import STEP_WORK, describe_machine, massless_rate, memory_of, peak_rate, ready_seconds
     from uqsphere.bench.measure import cost_tables, measure_scene, reference_gap
-    from uqsphere.bench.peak import STEP_WORK
     from uqsphere.bench.scenes import bench_scenes
     from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
     from uqsphere.report.canvas import render, style
@@ -39,7 +38,7 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
         notice(f"scene {chosen.name}: {chosen.text}")
         found = measure_scene(chosen, tolerances=tolerances, rounds=rounds, slow_rows=slow)
         entries += found
-        gap = reference_gap(chosen, 8 if quick else 64)
+        gap = reference_gap(found, chosen.name)
         scenes.append({"name": chosen.name, "text": chosen.text, "reference_gap": gap})
     notice("cost against rows, threads, mu and theta")
     cost = cost_tables(largest=10_000 if quick else 1_000_000, rounds=rounds)

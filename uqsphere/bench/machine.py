@@ -12,7 +12,19 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["describe_machine", "massless_rate", "memory_of", "peak_rate", "ready_seconds"]
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.step import ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.vectors import products, row
+
+__all__ = [
+    "STEP_WORK",
+    "describe_machine",
+    "massless_rate",
+    "memory_of",
+    "peak_rate",
+    "ready_seconds",
+    "vector_work",
+]
 
 
 def describe_machine() -> dict[str, Any]:
@@ -103,7 +115,6 @@ def peak_rate() -> float | None:
 
     if find_spec("numba") is None:
         return None
-    from uqsphere.bench.peak import vector_work
 
     vector_work(10)
     rounds, best = 20_000, np.inf
@@ -112,3 +123,18 @@ def peak_rate() -> float | None:
         operations = vector_work(rounds)
         best = min(best, (time.process_time() - begin) / operations)
     return float(1.0 / best)
+
+
+# --- A loop of nothing but the integrator's own sums, to measure how near the integrator comes to the machine.
+
+#: multiplications with an addition that the series of one step of one row needs: root and force at both faces
+STEP_WORK = 2 * sum((k + 1) // 2 + k + 1 for k in range(ORDER + 1))
+
+
+@compiled()
+def vector_work(rounds: int) -> int:
+    """Do `rounds` of the longest sum; the number of multiplications with an addition."""
+    a, b, out = np.full((TERMS, PAIR), 0.5), np.full((TERMS, PAIR), 0.25), np.zeros((1, PAIR))
+    for _ in range(rounds):
+        products(a, b, ORDER, 0, TERMS, row(out, 0, 0))
+    return rounds * TERMS * PAIR + int(out[0, 0] < 0.0)

@@ -1,7 +1,7 @@
 """Speed against error, measured side by side in one process: contenders take turns, the best of several rounds counts.
 
 Times are processor seconds of one thread.  Errors are relative, against the compiled integrator at its tightest
-tolerance, which is itself compared with the plain integrator, a method of another family.
+tolerance, which is itself compared with a Runge-Kutta method of order 8, of another family.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from uqsphere.bench.scenes import BenchScene, scattered_scene
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked as layout
-from uqsphere.mechanics.plain import integrate_plain
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Entry", "cost_tables", "measure_scene", "ratio_at_error", "reference_gap"]
@@ -99,23 +98,14 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
     def turn(fidelity: str, tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
         return fidelity, tolerance, lambda: _scaled(chosen, ours(fidelity, tolerance))
 
-    def plain_turn(tolerance: float) -> tuple[str, float | None, Callable[[], Any]]:
-        return (
-            "full, numpy path",
-            tolerance,
-            lambda: _scaled(chosen, integrate_plain(few, tolerance=tolerance, quantities=quantities)),
-        )
-
-    few = _part(scene, min(slow_rows * 8, len(scene)))
     turns = [turn("full", tolerance) for tolerance in tolerances]
     for fidelity in ("linear", "massless"):
         if fidelity == "massless" and closed_form.closed_form_applies(scene, fidelity):
             turns.append((fidelity, None, lambda: closed_form.scaled_answers(scene)[:, :1]))
         else:
             turns.append(turn(fidelity, 1e-6))
-    turns += [plain_turn(tolerance) for tolerance in tolerances[1::3]]
     for name, tolerance, run in turns:
-        seconds = _best_time(run, 1 if "numpy" in name else rounds)
+        seconds = _best_time(run, rounds)
         entries += _entries(chosen, name, tolerance, run(), exact, seconds)
     contact = "contact_time" in quantities
     for method in METHODS:
@@ -134,12 +124,10 @@ def measure_scene(chosen: BenchScene, *, tolerances: list[float], rounds: int, s
     return entries
 
 
-def reference_gap(chosen: BenchScene, rows: int) -> dict[str, float]:
-    """Largest relative difference of the two integrators at 1e-11, by quantity, on the first rows of a scene."""
-    few = _part(chosen.scene, rows)
-    ours = _scaled(chosen, dynamics.integrate(few, tolerance=TIGHTEST, quantities=chosen.quantities))
-    other = _scaled(chosen, integrate_plain(few, tolerance=1e-11, quantities=chosen.quantities))
-    return {name: float(np.abs(other[:, k] / ours[:, k] - 1.0).max()) for k, name in enumerate(chosen.quantities)}
+def reference_gap(entries: list[Entry], scene: str) -> dict[str, float]:
+    """Largest relative difference of two integrators of different families at 1e-12, by quantity, on one scene."""
+    at = [e for e in entries if (e.scene, e.contender, e.tolerance) == (scene, "solve_ivp DOP853", TIGHTEST)]
+    return {entry.quantity: entry.worst for entry in at}
 
 
 def ratio_at_error(entries: list[Entry], scene: str, quantity: str, rival: str, error: float) -> float | None:

@@ -86,14 +86,14 @@ def _room() -> tuple[bool, str]:
 
 
 def _integration() -> tuple[bool, str]:
-    """The compiled integrator against the second one, in numpy, on the granite scene."""
+    """The compiled integrator against one of scipy's, on a scene of the benchmark."""
+    from uqsphere.bench.rivals import solve_scipy
+    from uqsphere.bench.scenes import scattered_scene
     from uqsphere.mechanics.integrator.solve import integrate
     from uqsphere.mechanics.integrator.tracked import ANSWER_X_MAX
-    from uqsphere.mechanics.plain import integrate_plain
-    from uqsphere.model import scene_of
-    from uqsphere.study import load_study, shipped_studies
 
-    scene = scene_of(load_study(shipped_studies()["granite"]), {})
-    force = [float(f(scene, tolerance=1e-8).answers[0, ANSWER_X_MAX]) for f in (integrate, integrate_plain)]
-    error = abs(force[0] - force[1]) / abs(force[1])
-    return error < 1e-6, f"two integrators differ by {error:.1e} of the largest approach in the granite scene"
+    scene = scattered_scene(1)
+    ours = float(integrate(scene, tolerance=1e-8, quantities=("p_max",)).answers[0, ANSWER_X_MAX])
+    other = float(solve_scipy(scene, 1, "DOP853", 1e-10, contact=False)[0, 0])
+    error = abs(ours - other) / abs(other)
+    return error < 1e-6, f"two integrators differ by {error:.1e} of the largest approach in a scene"

@@ -46,7 +46,7 @@ METHOD: Final = "surrogate, corrected by its residuals"
 #: largest share of the variance that a surrogate may leave and still be used
 MOST: Final = 0.05
 #: standard errors to either side of a level of the distribution and of a standard deviation: more than Student's t,
-#: since a few skewed residuals carry them where a surrogate is rough: `uqsphere.bench.dear` measures what they cover
+#: since a few skewed residuals carry them where a surrogate is rough: tests/campaigns/coverage.py has what they cover
 _LEVEL: Final = 3.2
 _SPREAD: Final = 3.7
 #: the same for an index: what residuals leave of it is mostly far less than their share of the variance, not always

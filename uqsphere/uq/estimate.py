@@ -242,7 +242,7 @@ def sd_alone(values: Array) -> Estimate:
     a = sum u³/(6 (sum u²)^1.5) and the bias b of the jackknife: the few large values that carry the standard deviation
     of a skewed law are mostly not among the runs, and then e is small as well.  The power lies between that of the
     accelerated bootstrap, 1, and of its quadratic approximation, 2 (T. DiCiccio, B. Efron, Biometrika 79, 1992, 231);
-    `uqsphere.bench.given` measures what the interval covers.
+    `tests.campaigns.given` measures what the interval covers.
 
     >>> found = sd_alone(np.random.default_rng(1).normal(0.0, 2.0, 1000))
     >>> f"{found.value:.2f}, {found.low:.2f} to {found.high:.2f}"

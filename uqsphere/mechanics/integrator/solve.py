@@ -14,7 +14,6 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
@@ -478,16 +477,8 @@ def integrate(
     threads: int | None = None,
     quantities: Collection[str] | None = None,
 ) -> Scaled:
-    """Integrate a batch in scaled variables; what `quantities` does not name is not followed.
-
-    Where there is no compiler, `uqsphere.mechanics.plain` does it: slower, and without the status 7.
-    """
+    """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
     from uqsphere.mechanics.integrator.tracked import empty_answers
-
-    if find_spec("numba") is None:
-        from uqsphere.mechanics.plain import integrate_plain
-
-        return integrate_plain(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)

@@ -164,7 +164,7 @@ METHOD: Final = "polynomial chaos"
 #: times what the fits tell themselves of what they leave unexplained: they do so within this factor
 _WITHIN: Final = 3.0
 #: part of the unexplained share that an index may be off by beside the spread of the fits: chosen on models with
-#: kinks and steps that `uqsphere.bench.coverage` does not count
+#: kinks and steps that `tests.campaigns.coverage` does not count
 _SHIFT: Final = 0.25
 
 

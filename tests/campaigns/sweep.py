@@ -1,0 +1,562 @@
+"""Scenes spread over everything that can be asked of the model, balanced and reproducible.
+
+Every stratum is one structure (shape of the pulse, infinite or finite bars, ...); inside it a Latin hypercube
+spreads mu, theta and the inputs over their ranges, logarithmically where they span decades.  What is left over
+is solved for: the bar's diameter, or the sphere's density where the bar would be thinner than the sphere, gives
+mu; the pulse's duration gives theta; the bars' lengths follow from the pulse.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics.integrator.solve import Answers, solve
+from uqsphere.mechanics.scene import STATUS, Scene, answered
+from uqsphere.quantities import OUTPUTS
+
+__all__ = [
+    "RANGES",
+    "STRATA",
+    "Comparison",
+    "Design",
+    "Stratum",
+    "Wrong",
+    "against_itself",
+    "against_reference",
+    "as_document",
+    "as_inputs",
+    "design",
+    "join",
+    "rows_of",
+    "table",
+    "take",
+]
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+#: name -> low end, high end, evenly over the logarithm
+Ranges = Mapping[str, tuple[float, float, bool]]
+
+#: what a Latin hypercube spreads: range, and whether evenly over the logarithm
+RANGES: Final[Ranges] = {
+    "mu": (1e-7, 1e3, True),
+    "theta": (1e-4, 1e4, True),
+    "sphere.E": (1e6, 1e12, True),
+    "sphere.nu": (0.0, 0.4999, False),
+    "sphere.radius": (1e-5, 1.0, True),
+    "sphere.density": (500.0, 2e4, True),
+    "striker.speed": (1e-6, 100.0, True),
+    "bars.E": (1e9, 1e12, True),
+    "bars.nu": (0.0, 0.4999, False),
+    "bars.density": (500.0, 2e4, True),
+    "bars.end_radius": (1e-2, 1e3, True),  # over the sphere's radius
+    "incident": (1.0, 1e3, True),  # round trip of the incident bar over the whole pulse
+    "ratio": (1e-2, 1e2, True),  # receiving bar over incident bar
+    "rise": (1e-4, 1.0, True),  # over the pulse's width
+    "fall": (1e-4, 1.0, True),
+    "first": (0.05, 0.45, False),  # places of the two peaks over the pulse's duration
+    "second": (0.5, 0.95, False),
+    "level1": (0.1, 2.0, True),
+    "level2": (0.1, 2.0, True),
+    "valley": (0.0, 1.0, False),
+    "end1": (-1.0, 1.0, False),
+    "end3": (-1.0, 1.0, False),
+}
+#: ends of the bars that have names; every second row has one of these, the others any number between
+_NAMED_ENDS: Final = np.array([1.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stratum:
+    """One structure of scenes.  `rounded`: bar ends with a radius; `by_striker`: the striker's length gives theta."""
+
+    shape: str = "rectangular"
+    infinite: bool = False
+    first_loading_only: bool = False
+    rigid_contact: bool = False
+    rounded: bool = False
+    by_striker: bool = False
+
+
+STRATA: Final[tuple[Stratum, ...]] = (
+    Stratum(infinite=True, by_striker=True),
+    Stratum(by_striker=True),
+    Stratum(first_loading_only=True),
+    Stratum(shape="trapezoid", infinite=True, rounded=True),
+    Stratum(shape="trapezoid"),
+    Stratum(shape="half_sine", infinite=True, rigid_contact=True),
+    Stratum(shape="half_sine"),
+    Stratum(shape="two_peak", infinite=True),
+    Stratum(shape="two_peak", rounded=True),
+    Stratum(shape="step", infinite=True),
+    Stratum(shape="step"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """Scenes of a sweep: one per structure and horizon; `order` (n, 2) shuffles (scene, row), so that any slice is
+    as balanced as the whole."""
+
+    scenes: tuple[Scene, ...]
+    order: Rows
+    seed: int
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+
+def _hypercube(count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
+    """Latin hypercube over RANGES, a column each."""
+    columns = {}
+    for name, (low, high, log) in {**RANGES, **narrower}.items():
+        share = (rng.permutation(count) + rng.random(count)) / count
+        columns[name] = low * (high / low) ** share if log else low + (high - low) * share
+    return columns
+
+
+def _ends(drawn: Array, rng: np.random.Generator) -> Array:
+    named = _NAMED_ENDS[rng.integers(0, len(_NAMED_ENDS), len(drawn))]
+    return np.where(rng.random(len(drawn)) < 0.5, named, drawn)
+
+
+def _pulse(stratum: Stratum, drawn: Mapping[str, Array], width: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Columns of the pulse whose width is `width` [s]."""
+    if stratum.shape == "trapezoid":
+        flat = rng.random((2, len(width))) < 0.1  # a tenth of them jump
+        return {
+            "pulse.rise": np.where(flat[0], 0.0, drawn["rise"] * width),
+            "pulse.fall": np.where(flat[1], 0.0, drawn["fall"] * width),
+        }
+    if stratum.shape == "two_peak":
+        return {
+            "pulse.t1": drawn["first"] * width,
+            "pulse.t2": drawn["second"] * width,
+            "pulse.level1": drawn["level1"],
+            "pulse.level2": drawn["level2"],
+            "pulse.valley": drawn["valley"] * np.minimum(drawn["level1"], drawn["level2"]),
+        }
+    return {}
+
+
+def _columns(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
+    """Inputs of `count` scenes of one structure."""
+    drawn = _hypercube(count, rng, narrower)
+    columns = {name: drawn[name] for name in drawn if name.startswith(("sphere.", "bars.", "striker."))}
+    end_radius = columns.pop("bars.end_radius") * columns["sphere.radius"]
+    if stratum.rounded:
+        columns["bars.end_radius"] = end_radius
+    # mu goes with diameter^(-10/3) and with the density; measured on a bar twice as wide as the sphere
+    columns["bars.diameter"] = 4.0 * columns["sphere.radius"]
+    trial = Scene(columns={**columns, "pulse.duration": np.ones(count)}, infinite=True,
+                  rigid_contact=stratum.rigid_contact).scales.mass_number  # fmt: skip
+    wider = (trial / drawn["mu"]) ** 0.3
+    columns["bars.diameter"] = columns["bars.diameter"] * np.maximum(wider, 0.51)
+    columns["sphere.density"] = columns["sphere.density"] * np.minimum(1.0, wider / 0.51) ** (-10.0 / 3.0)
+    time = Scene(columns={**columns, "pulse.duration": np.ones(count)}, infinite=True,
+                 rigid_contact=stratum.rigid_contact).scales.time  # fmt: skip
+    width = drawn["theta"] * time
+    speed = np.sqrt(columns["bars.E"] / columns["bars.density"])
+    if stratum.by_striker:
+        columns["striker.length"] = 0.5 * speed * width
+    else:
+        columns["pulse.duration"] = width
+    pulse = _pulse(stratum, drawn, width, rng)
+    columns.update(pulse)
+    if not stratum.infinite:
+        whole = width + 0.5 * (pulse["pulse.rise"] + pulse["pulse.fall"]) if stratum.shape == "trapezoid" else width
+        columns["bars.incident_length"] = 0.5 * speed * whole * drawn["incident"]
+        columns["bars.receiving_length"] = columns["bars.incident_length"] * drawn["ratio"]
+        columns["bars.incident_end"] = _ends(drawn["end1"], rng)
+        columns["bars.receiving_end"] = _ends(drawn["end3"], rng)
+        if stratum.shape == "step":  # it is longer than any round trip: nothing may come back behind it
+            columns["bars.incident_end"] = np.zeros(count)
+    return columns
+
+
+def take(scene: Scene, rows: Any) -> Scene:
+    """The scene with these rows only."""
+    return replace(scene, columns={name: column[rows] for name, column in scene.columns.items()})
+
+
+def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> list[Scene]:
+    """Scenes of one structure; a step on infinite bars needs a horizon, which a batch shares."""
+    columns = _columns(stratum, count, rng, narrower)
+    structure: dict[str, Any] = {
+        "shape": stratum.shape,
+        "infinite": stratum.infinite,
+        "first_loading_only": stratum.first_loading_only,
+        "rigid_contact": stratum.rigid_contact,
+    }
+    if not (stratum.shape == "step" and stratum.infinite):
+        return [Scene(columns=columns, **structure)]
+    wanted = columns.pop("pulse.duration")
+    parts = np.array_split(np.argsort(wanted), max(1, min(32, count // 4)))
+    return [
+        Scene(columns={name: column[part] for name, column in columns.items()}, **structure,
+              horizon=float(np.exp(np.log(wanted[part]).mean())))
+        for part in parts if len(part)
+    ]  # fmt: skip
+
+
+def design(
+    count: int, seed: int, *, strata: tuple[Stratum, ...] = STRATA, narrower: Ranges = MappingProxyType({})
+) -> Design:
+    """`count` scenes, as evenly over the strata as can be; the same for the same count and seed.
+
+    narrower: entries of RANGES to put in their place, to keep a sweep short: light spheres under long pulses cost most.
+    """
+    scenes: list[Scene] = []
+    for index, share in enumerate(np.array_split(np.arange(count), len(strata))):
+        if len(share):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+            scenes += _scenes(strata[index], len(share), rng, narrower)
+    pairs = [(index, row) for index, scene in enumerate(scenes) for row in range(len(scene))]
+    order = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    shuffle = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(strata),)))
+    return Design(scenes=tuple(scenes), order=order[shuffle.permutation(len(order))], seed=seed)
+
+
+def rows_of(plan: Design, start: int, count: int) -> list[tuple[Scene, Rows]]:
+    """Scenes of the slice [start, start + count) of a design, and the places of their rows in the slice."""
+    part = plan.order[start : start + count]
+    found = []
+    for index in np.unique(part[:, 0]):
+        places = np.flatnonzero(part[:, 0] == index)
+        found.append((take(plan.scenes[index], part[places, 1]), places))
+    return found
+
+
+def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
+    """One row as a dict that builds it again: `Scene(**{**found, "columns": {name: np.array([value]) ...}})`."""
+    return {
+        "columns": {name: float(column[row]) for name, column in scene.columns.items()},
+        "shape": scene.shape,
+        "infinite": scene.infinite,
+        "rigid_contact": scene.rigid_contact,
+        "first_loading_only": scene.first_loading_only,
+        "horizon": scene.horizon,
+    }
+
+
+# --- The kernel over the whole range of inputs: against the reference, and against itself at a closer tolerance.
+# python -m tests.campaigns.sweep 2000 --reference
+#
+# A row is wrong and silent if it has an answer and a quantity is off by more than five times the tolerance; a row of
+# status 7 has two answers, of which one has to be right, or the times of events lie between them.
+
+#: an error may be this many times the tolerance that was asked for
+ALLOWED: Final = 5.0
+#: rows that the kernel is given at once
+_BATCH: Final = 8192
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong:
+    """A row that is wrong: inputs, status, similarity numbers, and (found, expected, error over tolerance).
+
+    With status 0 it is silent; with status 7 it said that it was not sure, but neither of its answers is right, and no
+    time lies between them.
+    """
+
+    inputs: dict[str, Any]
+    status: int
+    mu: float
+    theta: float
+    quantities: dict[str, tuple[float, float, float]]
+    note: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Errors of n rows over the tolerance, (n, quantities), NaN where there is nothing to compare.
+
+    `status` (n,) are those of the kernel at `tolerance`; `judged` (n,) says where the other side has an answer;
+    `mu`, `theta` (n,); `steps` (n,) of the kernel.
+    """
+
+    names: tuple[str, ...]
+    errors: Array
+    status: npt.NDArray[np.int64]
+    judged: npt.NDArray[np.bool_]
+    mu: Array
+    theta: Array
+    steps: npt.NDArray[np.int64]
+    wrong: tuple[Wrong, ...]
+    tolerance: float
+    judge: str
+
+    @property
+    def silent(self) -> tuple[Wrong, ...]:
+        """Rows that are wrong and do not say so."""
+        return tuple(row for row in self.wrong if row.status == 0)
+
+
+#: quantities that follow from others row by row: their errors are those of the pressure
+_DERIVED: Final = frozenset(
+    {"core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear", "ring_crack_toughness"}
+)
+
+
+def _names(answers: Answers) -> tuple[str, ...]:
+    return tuple(name for name in OUTPUTS if name in answers.values and name not in _DERIVED)
+
+
+#: times of events, of which an undecided row has an earlier and a later one
+_TIMES: Final = frozenset({"contact_time", "pulse_width", "rise_time"})
+#: one set of answers: values by name, and which times were cut off by the record's end (None: not known)
+_Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
+
+
+def _answers(found: Answers, rows: Any) -> list[_Answer]:
+    """The answers of some rows; two where a row is undecided."""
+    sets: list[_Answer] = [
+        (
+            {name: value[rows] for name, value in found.values.items()},
+            {name: flag[rows] for name, flag in found.censored.items()},
+        )
+    ]
+    if found.others:
+        sets.append(({name: value[rows] for name, value in found.others.items()}, None))
+    return sets
+
+
+def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array:
+    """Error of one quantity over the tolerance.
+
+    It is relative, but for the force imbalance, a difference of two forces over the largest: absolute.  A time
+    that one side says was cut off by the record's end and the other says was not differs without bound, unless
+    both times agree.
+    """
+    value, expected = np.asarray(found[0][name]), np.asarray(truth[0][name])
+    with np.errstate(all="ignore"):
+        error = np.abs(value - expected) / (1.0 if name == "force_imbalance" else np.abs(expected)) / tolerance
+    error = np.where(value == expected, 0.0, error)
+    if found[1] is not None and truth[1] is not None and name in truth[1]:
+        error = np.where((found[1][name] != truth[1][name]) & (error > ALLOWED), np.inf, error)
+    return np.asarray(error)
+
+
+def _errors(names: Sequence[str], found: Sequence[_Answer], truths: Sequence[_Answer], tolerance: float) -> Array:
+    """Errors over the tolerance, last axis the quantities; of an undecided row, those of the nearer answer.
+
+    Between the two answers of an undecided row there may be more: a time between them is none of its errors.
+    """
+    columns = []
+    for name in names:
+        error = np.fmin.reduce([_error(name, one, truth, tolerance) for one in found for truth in truths])
+        if len(found) > 1 and name in _TIMES:
+            ends = np.stack([np.asarray(one[0][name]) for one in found])
+            for truth in truths:
+                expected = np.asarray(truth[0][name])
+                error = np.where((ends.min(axis=0) <= expected) & (expected <= ends.max(axis=0)), 0.0, error)
+        columns.append(error)
+    return np.stack(columns, axis=-1)
+
+
+def _wrong(scene: Scene, row: Any, found: Answers, errors: Array, expected: Mapping[str, Any], note: str = "") -> Wrong:
+    names = _names(found)
+    return Wrong(
+        inputs=as_inputs(scene, row),
+        status=int(found.status[row]),
+        mu=float(scene.scales.mass_number[row]),
+        theta=float(scene.scales.pulse_number[row]),
+        quantities={
+            name: (float(found.values[name][row]), float(expected[name]), float(error))
+            for name, error in zip(names, errors, strict=True)
+            if not error <= ALLOWED
+        },
+        note=note,
+    )
+
+
+def _compare(plan: Design, start: int, count: int, tolerance: float, judge: str, parts: Any) -> Comparison:
+    """Put the answers of every scene of a slice together; `parts` yields (scene, places, answers, errors, judged,
+    wrong)."""
+    count = len(plan.order[start : start + count])
+    names: tuple[str, ...] = ()
+    errors = np.empty((count, 0))
+    status, steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    judged = np.zeros(count, dtype=bool)
+    mu, theta = np.zeros(count), np.zeros(count)
+    wrong: list[Wrong] = []
+    for scene, places, answers, found, known, off in parts:
+        if not names:
+            names = _names(answers)
+            errors = np.full((count, len(names)), np.nan)
+        errors[places], judged[places] = found, known
+        status[places], steps[places] = answers.status, answers.steps
+        mu[places], theta[places] = scene.scales.mass_number, scene.scales.pulse_number
+        wrong += off
+    return Comparison(names=names, errors=errors, status=status, judged=judged, mu=mu, theta=theta, steps=steps,
+                      wrong=tuple(wrong), tolerance=tolerance, judge=judge)  # fmt: skip
+
+
+def against_itself(
+    plan: Design,
+    *,
+    start: int = 0,
+    count: int | None = None,
+    tolerance: float = 1e-6,
+    closer: float = 1e-8,
+    quantities: Collection[str] | None = None,
+) -> Comparison:
+    """The kernel at `tolerance` against the kernel at `closer`, rows [start, start + count) of a design."""
+
+    def parts(begin: int, size: int) -> Any:
+        for scene, places in rows_of(plan, begin, size):
+            found = solve(scene, tolerance=tolerance, quantities=quantities)
+            truth = solve(scene, tolerance=closer, quantities=quantities)
+            # a judge that is not sure itself is heard where the row is not sure either
+            known = answered(found.status) & ((truth.status == 0) | (found.status == truth.status))
+            known &= answered(truth.status)
+            every = slice(None)
+            errors = _errors(_names(found), _answers(found, every), _answers(truth, every), tolerance)
+            errors[~known] = np.nan
+            off = [
+                _wrong(scene, row, found, errors[row], {name: truth.values[name][row] for name in truth.values})
+                for row in np.flatnonzero(known & ~(errors <= ALLOWED).all(axis=1))
+            ]
+            yield scene, places, found, errors, known, off
+
+    count = len(plan) - start if count is None else count
+    slices = range(start, start + count, _BATCH)
+    sizes = [min(_BATCH, start + count - begin) for begin in slices]
+    judge = f"the kernel at {closer:g}"
+    return join([
+        _compare(plan, begin, size, tolerance, judge, parts(begin, size))
+        for begin, size in zip(slices, sizes, strict=True)
+    ])  # fmt: skip
+
+
+def against_reference(
+    plan: Design,
+    *,
+    start: int = 0,
+    count: int | None = None,
+    tolerance: float = 1e-6,
+    budget: int = 3000,
+    quantities: Collection[str] | None = None,
+) -> Comparison:
+    """The kernel at `tolerance` against the reference, rows [start, start + count) of a design.
+
+    A scene that would take the reference more than `budget` steps is not judged.
+    """
+    from tests.independent.reference import Unaffordable, refer
+
+    def parts(size: int) -> Any:
+        for scene, places in rows_of(plan, start, size):
+            found = solve(scene, tolerance=tolerance, quantities=quantities)
+            names = _names(found)
+            errors, known = np.full((len(scene), len(names)), np.nan), np.zeros(len(scene), dtype=bool)
+            off = []
+            for row in np.flatnonzero(scene.status == 0):
+                try:
+                    truth = refer(scene, int(row), budget=budget)
+                except Unaffordable:
+                    continue
+                known[row] = True
+                if not answered(found.status[row]):
+                    continue
+                errors[row] = _errors(names, _answers(found, row), [(truth.values, truth.censored)], tolerance)
+                if not (errors[row] <= ALLOWED).all():
+                    note = f"reference: {truth.steps} steps, tail {truth.tail:.0e}"
+                    if truth.dips:
+                        at, depth = min(truth.dips, key=lambda dip: abs(dip[1]))
+                        note += f", nearest miss {depth:.1e} of the largest approach at {at!r} s"
+                    off.append(_wrong(scene, row, found, errors[row], truth.values, note))
+            yield scene, places, found, errors, known, off
+
+    count = len(plan) - start if count is None else count
+    return _compare(plan, start, count, tolerance, "the reference", parts(count))
+
+
+def join(comparisons: Sequence[Comparison]) -> Comparison:
+    """Slices of one comparison as one."""
+    first = comparisons[0]
+
+    def stack(name: str) -> Any:
+        return np.concatenate([getattr(one, name) for one in comparisons])
+
+    return Comparison(
+        names=first.names, errors=stack("errors"), status=stack("status"), judged=stack("judged"), mu=stack("mu"),
+        theta=stack("theta"), steps=stack("steps"), tolerance=first.tolerance, judge=first.judge,
+        wrong=tuple(wrong for one in comparisons for wrong in one.wrong),
+    )  # fmt: skip
+
+
+def table(found: Comparison) -> str:
+    """The comparison as text: errors over the tolerance by quantity, rows by status, wrong and silent rows."""
+    compared = found.judged & answered(found.status)
+    sides = f"kernel at {found.tolerance:g} against {found.judge}"
+    lines = [
+        f"{len(found.status)} scenes, {sides}; {int(compared.sum())} compared",
+        "",
+        "| error over tolerance | median | 99.9 % | worst | rows above 5 |",
+        "|---|---|---|---|---|",
+    ]
+    errors = found.errors[compared]
+    for name, column in zip(found.names, errors.T, strict=True):
+        if len(column):
+            middle, high = np.quantile(column, [0.5, 0.999], method="higher")
+            above = int((~(column <= ALLOWED)).sum())
+            lines.append(f"| `{name}` | {middle:.1e} | {high:.2g} | {column.max():.2g} | {above} |")
+    lines += ["", "| status | rows | not judged | mu | theta | meaning |", "|---|---|---|---|---|---|"]
+    for code in np.unique(found.status):
+        here = found.status == code
+        mu, theta = found.mu[here], found.theta[here]
+        lines.append(
+            f"| {code} | {int(here.sum())} | {int((here & ~found.judged).sum())} | {mu.min():.0e} to {mu.max():.0e} | "
+            f"{theta.min():.0e} to {theta.max():.0e} | {STATUS[int(code)]} |"
+        )
+    flagged = len(found.wrong) - len(found.silent)
+    lines += ["", f"wrong and silent: {len(found.silent)} rows; undecided, and beside both answers: {flagged} rows"]
+    for wrong in sorted(found.wrong, key=lambda row: row.status):
+        listed = ", ".join(f"{name} {error:.2g}" for name, (_, _, error) in wrong.quantities.items())
+        which = f"status {wrong.status}, mu {wrong.mu:.3g}, theta {wrong.theta:.3g}, {wrong.inputs['shape']}"
+        lines.append(f"- {which}: {listed}{'; ' if wrong.note else ''}{wrong.note}")
+        if wrong.status == 0:
+            lines.append(f"  {wrong.inputs}")
+    return "\n".join(lines)
+
+
+def as_document(found: Comparison) -> dict[str, Any]:
+    """The comparison for JSON: errors over the tolerance by quantity (null: not compared), statuses, wrong rows."""
+    return {
+        "judge": found.judge,
+        "tolerance": found.tolerance,
+        "errors_over_tolerance": {
+            name: [float(e) if np.isfinite(e) else None for e in column]
+            for name, column in zip(found.names, found.errors.T, strict=True)
+        },
+        "status": found.status.tolist(),
+        "wrong_and_silent": [asdict(row) for row in found.silent],
+        "undecided_and_wrong": [asdict(row) for row in found.wrong if row.status != 0],
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the table, or one JSON document."""
+    parser = argparse.ArgumentParser(description="N hard scenes against a tighter tolerance, or the reference")
+    parser.add_argument("scenes", type=int, metavar="N")
+    parser.add_argument("--reference", action="store_true", help="against the reference integrator")
+    parser.add_argument("--seed", type=int, default=1, help="of the scenes (default 1)")
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args(arguments)
+    plan = design(asked.scenes, asked.seed)
+    found = against_reference(plan, budget=600) if asked.reference else against_itself(plan)
+    print(json.dumps(as_document(found), indent=1) if asked.json else table(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
