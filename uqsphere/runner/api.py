@@ -14,18 +14,14 @@ from uqsphere.files import refuse_links
 from uqsphere.model import BlackBox, load_black_box, model_digest
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.results import Results, read_results
-from uqsphere.results.entries import Manifest, PricesEntry, read_manifest
-from uqsphere.store import Store, open_store, read_json
+from uqsphere.results.entries import Manifest, read_manifest
+from uqsphere.store import open_store, read_json
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.runner.dear_end import Dear
-    from uqsphere.runner.evaluate import Work
-    from uqsphere.runner.fidelity import Pilot
-    from uqsphere.runner.price import Priced
-    from uqsphere.runner.results import Findings
+    from uqsphere.runner.evaluate import SpeedRow
     from uqsphere.runner.workers import Executor
 
 __all__ = [
@@ -107,7 +103,7 @@ def run(
     progress: Callable[[str, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
-    reached: Callable[[list[dict[str, Any]]], None] | None = None,
+    reached: Callable[[list[SpeedRow]], None] | None = None,
 ) -> Run:
     """Run a study and write its result folder.
 
@@ -151,6 +147,7 @@ def run(
     from threadpoolctl import threadpool_limits
 
     from uqsphere.model import NO_DAMPER
+    from uqsphere.runner.analyse import analyse
     from uqsphere.runner.cluster import as_executor
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.log import logged
@@ -220,151 +217,6 @@ def run(
         store.close()
 
 
-def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
-    """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
-    from uqsphere.quantities import format_estimate
-    from uqsphere.runner.answer_validity import judge_answers
-    from uqsphere.runner.dear import answer_dear
-    from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
-    from uqsphere.runner.drivers import find_drivers
-    from uqsphere.runner.fidelity import first_look
-    from uqsphere.runner.index_control import IndexControl
-    from uqsphere.runner.margins import band_history, find_margins
-    from uqsphere.runner.multifidelity import propose
-    from uqsphere.runner.price import price
-    from uqsphere.runner.questions.distributions import sample_distributions
-    from uqsphere.runner.questions.fracture import find_fracture
-    from uqsphere.runner.questions.indices import dependent_names, find_sensitivity, share_heavy
-    from uqsphere.runner.questions.probabilities import refine_limits
-    from uqsphere.runner.questions.shapley import share_variance
-    from uqsphere.runner.questions.tolerance import find_tolerance
-    from uqsphere.runner.results import Findings
-
-    ledger = work.ledger
-    pilot = first_look(work)
-    work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
-    ledger.evaluations.update(pilot.evaluations)
-    priced = price(work)
-    ledger.close("pilot")
-    whole, dear = work, None
-    if priced.way.surrogate:
-        work = priced.bounded(work)
-        dear = answer_dear(work, priced)
-        ledger.close("surrogate")
-        if dear.sampled is not None:
-            return _write(whole, store, priced, dear, findings_of_dear(work, pilot, dear))
-    proposed = propose(pilot)
-    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
-    ledger.close("sampling")
-    sampled = refine_limits(work, sampled)
-    if dear is not None:
-        sampled = keep_answers(work, sampled, dear)
-    ledger.close("rare events")
-    if notice is not None:
-        for name, limit in sampled.limits.items():
-            if limit.miss.value is not None and limit.miss.low is not None and limit.miss.high is not None:
-                interval = format_estimate(limit.miss.value, limit.miss.low, limit.miss.high, most=5)
-                notice(f"limit {name}: probability of missing its aim {interval}")
-    tolerance = find_tolerance(work)
-    ledger.close("tolerance intervals")
-    margins = find_margins(work, sampled)
-    if dear is not None:
-        margins = keep_margins(work, margins, dear)
-    margins = judge_answers(work, margins)
-    ledger.close("margins")
-    band_rows, band_seconds = band_history(margins)
-    fracture = find_fracture(work, sampled, margins)
-    ledger.close("fracture")
-    sensitivity, history, seconds, stopped, index_control, pairs = find_sensitivity(
-        work, sampled, IndexControl(plan=proposed.plan)
-    )
-    shared = share_variance(work, sensitivity) if dependent_names(work) and stopped != "failures" else None
-    if shared is not None:
-        sensitivity, history, seconds, stopped = shared.sensitivity, shared.history, shared.seconds, shared.stopped
-    sensitivity = share_heavy(work, sampled, sensitivity, pairs)
-    if dear is not None:
-        sensitivity = keep_indices(sensitivity, dear)
-    ledger.close("sensitivity")
-    drivers = find_drivers(work, sampled, sensitivity, pairs, shared)
-    ledger.close("drivers")
-    found = Findings(
-        pilot=pilot,
-        sampled=sampled,
-        sensitivity=sensitivity,
-        drivers=drivers,
-        index_control=index_control,
-        margins=margins,
-        fracture=fracture,
-        tolerance=tolerance,
-        history=(dear.history if dear else []) + sampled.history + band_rows + history,
-        seconds=(dear.seconds if dear else []) + sampled.seconds + band_seconds + seconds,
-        stops={"sampling": sampled.stopped, "sensitivity": stopped},
-        paper=compare_with_paper(work.study),
-    )
-    if notice is not None and store.damaged:
-        notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
-    return _write(whole, store, priced, dear, found)
-
-
-def _write(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
-    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
-    from uqsphere.runner.account import account, further_rows
-    from uqsphere.runner.courses import save_courses
-    from uqsphere.runner.datafiles import keep_data
-    from uqsphere.runner.results import build_manifest, build_results, write_results
-    from uqsphere.runner.samples import save_points
-
-    way = priced.way
-    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
-    plan = {
-        "way": taken,
-        "why": way.why if dear is None else dear.why,
-        "sampling_evaluations": way.sampling,
-        "surrogate_evaluations": way.runs,
-        "parts": account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
-    }
-    found = replace(found, plan=plan)
-    store.settle()
-    save_points(work, store, found.sampled)
-    save_courses(work, store, found.sampled)
-    keep_data(work.study, store.folder)
-    results = build_results(work, found)
-    further = further_rows(results)
-    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
-    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
-    prices = PricesEntry(
-        cost_seconds_per_evaluation=priced.cost,
-        crossover_seconds_per_evaluation=way.crossover,
-        balance_seconds_per_evaluation=way.balance,
-        affordable_evaluations=way.affordable,
-    )
-    manifest = build_manifest(work, work.ledger, [*found.seconds, *ends], prices)
-    write_results(store, results, manifest)
-    return Run(folder=store.folder, results=results, manifest=manifest)
-
-
-def findings_of_dear(work: Work, pilot: Pilot, dear: Dear) -> Findings:
-    """What the surrogate way found, as every run writes it."""
-    from uqsphere.runner.dear_tails import settle_heavy
-    from uqsphere.runner.questions.tolerance import find_tolerance
-    from uqsphere.runner.results import Findings
-
-    assert dear.sampled is not None
-    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity, dear.believed, dear.tails)
-    tolerance = find_tolerance(work)
-    work.ledger.close("tolerance intervals")
-    return Findings(
-        pilot=pilot,
-        sampled=sampled,
-        sensitivity=sensitivity,
-        margins=dear.margins,
-        tolerance=tolerance,
-        history=dear.history,
-        seconds=dear.seconds,
-        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
-    )
-
-
 def check_range(study: Study) -> None:
     """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
     if study.margins is None or study.black_box:
@@ -380,26 +232,6 @@ def check_range(study: Study) -> None:
         code = int(scene_of(study, {name: np.array([value])}).status[0])
         if code:
             raise UsageError(f"margins.between: {format_value(value, name)} for {name}: {STATUS[code]}")
-
-
-def compare_with_paper(study: Study) -> list[dict[str, Any]]:
-    """Rows of as printed, corrected and full answers at the means, where the study asks for them."""
-    if study.black_box or not study.model.compare_with_paper:
-        return []
-    from uqsphere.mechanics.as_printed import compare
-    from uqsphere.model import scene_of
-
-    return [
-        {
-            "quantity": row.quantity,
-            "unit": row.unit,
-            "as_printed": row.as_printed,
-            "corrected": row.corrected,
-            "full": row.full,
-            "note": row.note,
-        }
-        for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
-    ]
 
 
 # --- When a study may go on with the evaluations of another one.

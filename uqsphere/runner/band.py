@@ -11,6 +11,7 @@ import numpy.typing as npt
 from uqsphere.quantities import told_apart
 from uqsphere.runner.campaign import evaluations_needed, rounded
 from uqsphere.runner.curve_rows import half_widths
+from uqsphere.runner.evaluate import SpeedRow
 
 __all__ = ["ASKED", "KIND", "METHOD", "Band", "Stage", "stage_of"]
 
@@ -103,10 +104,18 @@ class Band:
             "needed": None if needed is None else rounded(needed),
         }
 
-    def rows(self, name: str) -> list[dict[str, Any]]:
+    def rows(self, name: str) -> list[SpeedRow]:
         """Rows of the speed-error table."""
-        about = {"method": self.method, "quantity": f"margins.{name}", "error_kind": KIND}
-        return [{**about, "evaluations": s.evaluations, "error": s.half_width} for s in self.course]
+        return [
+            SpeedRow(
+                method=self.method,
+                quantity=f"margins.{name}",
+                evaluations=stage.evaluations,
+                error=stage.half_width,
+                error_kind=KIND,
+            )
+            for stage in self.course
+        ]
 
 
 def stage_of(curve: Array, counts: Array, least: float, evaluations: int, seconds: float = 0.0) -> Stage:

@@ -1,13 +1,19 @@
-"""Accuracies that are missed, and when one is given up: what it would take, from how the error has fallen so far."""
+"""The one adaptive loop of a run, and what an accuracy that it misses would take.
+
+A question is answered in stages.  After each the campaign looks at what is still less accurate than asked, forecasts
+from the course of its error what it would take, and goes on until everything is accurate, the budget or the time is
+over, or the rest is out of the budget's reach.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Protocol
 
 from uqsphere.quantities import told_apart
+from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
 
 __all__ = [
     "INDEX_KIND",
@@ -16,14 +22,18 @@ __all__ = [
     "MOST_NAMED",
     "NO_NUMBER",
     "QUANTILE_KIND",
+    "Accuracy",
     "Cost",
+    "Course",
     "Missed",
+    "Question",
+    "campaign",
     "cost_of",
     "evaluations_needed",
-    "index_cost",
     "indices_missed",
     "out_of_reach",
     "rounded",
+    "speed_rows_of",
 ]
 
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
@@ -35,11 +45,19 @@ CAUTION = 1.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
 #: how errors are called in the speed-error table; what two of them are over follows
-INDEX_KIND = "largest half-width of an index"
-MEAN_KIND = "half-width of the mean over "
-QUANTILE_KIND = "half-width of the worst quantile over "
-MISS_KIND = "half-width of the miss probability over itself"
-NO_NUMBER = "no number of evaluations that could be made would reach it"
+INDEX_KIND: Final = "largest half-width of an index"
+MEAN_KIND: Final = "half-width of the mean over "
+QUANTILE_KIND: Final = "half-width of the worst quantile over "
+MISS_KIND: Final = "half-width of the miss probability over itself"
+NO_NUMBER: Final = "no number of evaluations that could be made would reach it"
+
+
+class Accuracy(NamedTuple):
+    """What is asked: of a quantity or "limits.NAME" its mean, a quantile (`at` its probability), indices, ..."""
+
+    subject: str
+    kind: str
+    at: float | None = None
 
 
 @dataclass(frozen=True)
@@ -65,9 +83,107 @@ class Missed:
     at: float | None = None
 
     @property
+    def accuracy(self) -> Accuracy:
+        """What was asked."""
+        return Accuracy(self.subject, self.kind, self.at)
+
+    @property
     def text(self) -> str:
         """The sentence that people are told."""
         return self.said + self.cost.text
+
+
+class Question(Protocol):
+    """What a run is asked, and how far it has come with it: answered in stages by `campaign`.
+
+    `size` counts the evaluations that the answer rests on, `judged` those from which on its course tells what an
+    accuracy would take.
+    """
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def judged(self) -> int: ...
+    def advance(self, room: float) -> bool:
+        """One stage more, within so many evaluations; False where none is wanted or has room."""
+        ...
+
+    def lacking(self) -> Mapping[Accuracy, float]:
+        """Half-width over what is asked of all that is not as accurate yet, inf where there is no answer."""
+        ...
+
+    def errors(self) -> list[SpeedRow]:
+        """The errors that the stage has reached."""
+        ...
+
+
+@dataclass(kw_only=True)
+class Course:
+    """How far from what was asked each accuracy was after every stage, why the stages ended, and what was given up.
+
+    `stopped` is "accuracy", "evaluations", "time", "out of reach", or "failures".
+    """
+
+    ratios: dict[Accuracy, list[tuple[int, float]]] = field(default_factory=dict)
+    given_up: dict[Accuracy, Cost] = field(default_factory=dict)
+    stopped: str = "accuracy"
+
+    def note(self, size: int, lacking: Mapping[Accuracy, float]) -> None:
+        """What a stage leaves to be done."""
+        for accuracy, ratio in lacking.items():
+            self.ratios.setdefault(accuracy, []).append((size, ratio))
+
+    def hopeless(self, lacking: Mapping[Accuracy, float], judged: int, affordable: float) -> bool:
+        """Whether all that a stage lacks, as far as it has a number, is out of reach."""
+        finite = [accuracy for accuracy, ratio in lacking.items() if math.isfinite(ratio)]
+        self.given_up = {}
+        for accuracy in finite:
+            late = [point for point in self.ratios[accuracy] if point[0] >= judged]
+            if (cost := out_of_reach(late, 1.0, affordable)) is not None:
+                self.given_up[accuracy] = cost
+        return bool(finite) and len(self.given_up) == len(finite)
+
+    def cost(self, accuracy: Accuracy) -> Cost:
+        """What an accuracy that was missed would take."""
+        return self.given_up.get(accuracy) or cost_of(self.ratios.get(accuracy, ()))
+
+
+def speed_rows_of(method: str, quantity: str, evaluations: int, error: float | None, kind: str) -> list[SpeedRow]:
+    """The row of one error; none where it is no number."""
+    if error is None or not math.isfinite(error):
+        return []
+    return [
+        SpeedRow(method=method, quantity=quantity, evaluations=int(evaluations), error=float(error), error_kind=kind)
+    ]
+
+
+def campaign(work: Work, question: Question, share: float = 1.0) -> Course:
+    """Answer a question by as many stages as its accuracies take and a share of the budget, and the time, allow."""
+    budget, course = work.study.analysis.budget, Course()
+    while True:
+        room = budget.evaluations * share - work.ledger.total
+        try:
+            if not question.advance(room):
+                course.stopped = "evaluations"
+                return course
+        except OutOfBudget:
+            course.stopped = "time"
+            return course
+        work.tell(question.errors())
+        lacking = question.lacking()
+        if not lacking:
+            return course
+        course.note(question.size, lacking)
+        room = budget.evaluations * share - work.ledger.total
+        if not budget.exhaust and course.hopeless(lacking, question.judged, question.size + room):
+            course.stopped = "out of reach"
+            return course
+        if work.out_of_time:
+            course.stopped = "time"
+            return course
+
+
+# --- what an accuracy would take ------------------------------------------------------------------------
 
 
 def evaluations_needed(course: Sequence[tuple[int, float]], asked: float) -> float:
@@ -118,12 +234,6 @@ def cost_of(course: Sequence[tuple[int, float]]) -> Cost:
     if needed > MOST_NAMED:
         return Cost(f" ({NO_NUMBER})")
     return Cost(f" (about {rounded(needed):,} evaluations would reach it)", rounded(needed))
-
-
-def index_cost(given_up: Cost | None, history: Sequence[Mapping[str, Any]], quantity: str, asked: float) -> Cost:
-    """What indices that were missed would take: as they were given up, or from their rows of the speed-error table."""
-    rows = [row for row in history if row["quantity"] == quantity and row["error_kind"] == INDEX_KIND]
-    return given_up or cost_of([(int(row["evaluations"]), float(row["error"]) / asked) for row in rows])
 
 
 def indices_missed(quantity: str, width: float | None, asked: float, why: str = "", cost: Cost = Cost()) -> Missed:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
-from uqsphere.runner.campaign import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, cost_of
+from uqsphere.runner.campaign import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, cost_of, speed_rows_of
 from uqsphere.runner.dear_answers import Answers, widest
-from uqsphere.runner.evaluate import Work
+from uqsphere.runner.evaluate import SpeedRow, Work
 from uqsphere.runner.price import Priced
 from uqsphere.runner.questions.distributions import METHOD, shortfalls, speed_rows
-from uqsphere.runner.questions.indices import note
 from uqsphere.uq import augmented
 
 __all__ = ["BEFORE", "UNEXPLAINED", "Course", "needed"]
@@ -30,20 +29,19 @@ Question = tuple[str, str, float | None]
 class Course:
     """Errors by size of the design.
 
-    `history` and `seconds` are rows of the speed-error table and when they were known.  `worst` has the largest error
+    `history` has rows of the speed-error table, `worst` the largest error
     over what is asked by the name that `Answers.excess` gives it, `questions` that of every question by subject, kind
     and `at` of `Missed`; `alone` the same of what the runs answer without a surrogate, at the end.
     """
 
-    history: list[dict[str, Any]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
+    history: list[SpeedRow] = field(default_factory=list)
     worst: dict[str, Errors] = field(default_factory=dict)
     questions: dict[Question, Errors] = field(default_factory=dict)
     alone: dict[Question, tuple[int, float]] = field(default_factory=dict)
 
     def note(self, work: Work, method: str, quantity: str, count: int, error: float | None, kind: str) -> None:
         """One row more, where the error is a number."""
-        note(self.history, self.seconds, work, method, quantity, count, error, kind)
+        self._tell(work, speed_rows_of(method, quantity, count, error, kind))
 
     def add(self, work: Work, count: int, found: Answers) -> None:
         """What the answers of surrogates of `count` runs lack."""
@@ -66,9 +64,11 @@ class Course:
         self.alone |= {question: (count, ratio) for question, ratio in lacking.items()}
 
     def _extend(self, work: Work, count: int, found: Answers, method: str) -> None:
-        rows = speed_rows(found.descriptions, found.limits, count, "")
-        self.history += [{**row, "method": method} for row in rows]
-        self.seconds += [work.ledger.elapsed] * len(rows)
+        self._tell(work, speed_rows(found.descriptions, found.limits, count, method))
+
+    def _tell(self, work: Work, rows: list[SpeedRow]) -> None:
+        self.history += rows
+        work.tell(rows)
 
     def errors(self, quantity: str, kind: str) -> Errors:
         """Errors of one kind, as they are."""

@@ -43,8 +43,6 @@ class Dear:
     found: Answers = field(default_factory=Answers)
     sensitivity: dict[str, Sensitivity] = field(default_factory=dict)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
-    history: list[dict[str, Any]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
     stopped: str = "accuracy"
     believed: tuple[str, ...] = ()
     tails: dict[str, HeavyTail | None] = field(default_factory=dict)
@@ -116,8 +114,6 @@ def to_be_sampled(end: End, why: str) -> Dear:
         surrogate=False,
         found=end.found,
         sensitivity={quantity: _sensitivity(end, quantity) for quantity in plain},
-        history=end.course.history,
-        seconds=end.course.seconds,
         believed=plain,
         tails=tails,
         trusted={quantity: end.trusted[quantity] for quantity in plain},
@@ -136,8 +132,6 @@ def conclude(end: End) -> Dear:
     limits, learned = end.found.limits | alone.limits, Learned(limits={})
     if stopped != "time":
         learned = learn_limits(work, limits, affordable)
-        course.history += learned.history
-        course.seconds += learned.seconds
         limits = with_surrogate_design(work, learned.limits, demands_of(work, end.trusted), affordable)
     margins = dear_margins(work, end.trusted, affordable)
     if end.rough and stopped != "time":
@@ -175,8 +169,6 @@ def conclude(end: End) -> Dear:
         limits=limits,
         missed=missed + course.priced(lacking, end.priced, learned.calls),
         stopped=stopped,
-        history=[],
-        seconds=[],
     )
     return Dear(
         why=why,
@@ -184,8 +176,6 @@ def conclude(end: End) -> Dear:
         sampled=sampled,
         sensitivity={quantity: _sensitivity(told, quantity) for quantity in work.quantities},
         margins=margins,
-        history=course.history,
-        seconds=course.seconds,
         stopped=stopped,
         believed=tuple(end.found.descriptions),
         tails=dear_tails(work, design, end.trusted),

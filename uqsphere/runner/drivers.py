@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,8 @@ import numpy.typing as npt
 from uqsphere.runner.evaluate import REPLICATES, Work, sub_inputs
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.indices import Pairs, Sensitivity
-from uqsphere.runner.questions.shapley import TASK, Shared, orders_at
+from uqsphere.runner.questions.indices import Sensitivity, Shared
+from uqsphere.runner.questions.shapley import TASK, orders_at
 from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
@@ -35,6 +35,9 @@ from uqsphere.uq.target import (
     specimens_for_share,
     sway_estimates,
 )
+
+if TYPE_CHECKING:
+    from uqsphere.uq.shapley import SubsetDesign
 
 __all__ = ["WANTED", "Drivers", "find_drivers"]
 
@@ -69,12 +72,10 @@ class Drivers:
     limits: dict[str, dict[str, Any]]
 
 
-def find_drivers(
-    work: Work, sampled: Sampled, sensitivity: dict[str, Sensitivity], paired: Pairs | None, shared: Shared | None
-) -> Drivers:
+def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
     """Delta, PAWN and what to measure first for every quantity; for every limit what drives missing its aim.
 
-    `paired` are the runs of the classical indices, or `shared` has those of the Shapley effects.
+    `shared` has the pairs of runs of the indices.
     """
     names = work.scene_names
     if not names:
@@ -83,7 +84,7 @@ def find_drivers(
     quantities = {
         quantity: {
             **_distances(work, sample, quantity),
-            "measure_first": _measure_variance(work, sensitivity[quantity]),
+            "measure_first": _measure_variance(work, shared.sensitivity[quantity]),
         }
         for quantity in work.quantities
     }
@@ -91,7 +92,7 @@ def find_drivers(
     for limit in work.study.limits:
         if sample.count < 2:
             continue
-        limits[limit.name] = _of_limit(work, limit, sample, paired, shared)
+        limits[limit.name] = _of_limit(work, limit, sample, shared)
     return Drivers(quantities=quantities, limits=limits)
 
 
@@ -140,11 +141,11 @@ def _missing(limit: Limit, state: LimitState) -> Array:
     return above if limit.aim == "break" else below
 
 
-def _of_limit(work: Work, limit: Limit, sample: Sample, paired: Pairs | None, shared: Shared | None) -> dict[str, Any]:
+def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> dict[str, Any]:
     state = state_of(work, limit, sample)
     chance = _missing(limit, state)
     p = float(chance.mean())
-    driving: dict[str, Any] = {"probability": p, **_indices(work, limit, paired, shared)}
+    driving: dict[str, Any] = {"probability": p, **_indices(work, limit, shared)}
     driving["explained"] = explained_share(chance).as_dict()
     driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
     return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
@@ -174,21 +175,20 @@ def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> A
     return np.clip(found.reshape(values.shape), 0.0, 1.0)
 
 
-def _indices(work: Work, limit: Limit, paired: Pairs | None, shared: Shared | None) -> dict[str, Any]:
+def _indices(work: Work, limit: Limit, shared: Shared) -> dict[str, Any]:
     """First and total indices of missing the aim, or Shapley effects and Kucherenko's where inputs are tied."""
     names, k = work.scene_names, work.quantities.index(limit.quantity)
     method = "pairs of runs, strength integrated"
     if isinstance(limit.model_factor, Law) and _depends(work, f"limits.{limit.name}.model_factor"):
         reason = "the model factor depends on other variables, and its share cannot be told from theirs"
         return _no_indices(names, reason, method)
-    design = None if shared is None else shared.design
-    runs = paired if shared is None else shared.pairs
+    design, runs = shared.subsets, shared.pairs
     if runs is None:
         return _no_indices(names, "no pairs of runs were evaluated, which these indices rest on", method)
     values, failed = runs.values[:, :PAIRS, :, k], runs.failed[:, :PAIRS]
     count = failed.shape[1]
     tied = isinstance(limit.strength, Law) and _depends(work, _strength_name(limit))
-    scores = without(_scores(work, shared, count), failed) if tied else None
+    scores = without(_scores(work, design, count), failed) if tied else None
     chance = _chances(work, limit, without(values, failed), scores)
     about = "the probability of missing the aim given the inputs"
     if design is not None:
@@ -218,7 +218,7 @@ def _no_indices(names: Sequence[str], reason: str, method: str) -> dict[str, Any
     return {"of": "missing the aim", "first": nothing, "total": dict(nothing)}
 
 
-def _scores(work: Work, shared: Shared | None, count: int) -> Array:
+def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
     """Dependent normal scores (R, count, rows, d) of a paired design: made again, since they are not kept."""
     from scipy.special import ndtri
 
@@ -226,13 +226,10 @@ def _scores(work: Work, shared: Shared | None, count: int) -> Array:
     from uqsphere.uq.shapley import subset_scores
 
     seed, names = work.study.seed, work.scene_names
-    if shared is not None:
+    if subsets is not None:
         inputs = sub_inputs(work.all_inputs, names)
         return np.stack(
-            [
-                subset_scores(shared.design, inputs, count=count, seed=seed, task=TASK, replicate=r)
-                for r in range(REPLICATES)
-            ]
+            [subset_scores(subsets, inputs, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)]
         )
     blocks = []
     for r in range(REPLICATES):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ __all__ = [
     "Executor",
     "Ledger",
     "OutOfBudget",
+    "SpeedRow",
     "Work",
     "draw",
     "evaluate_points",
@@ -60,6 +61,16 @@ MANY, BY_CHANCE = 1000, 0.025
 NONE_ANSWERED = 1000
 
 
+class SpeedRow(TypedDict):
+    """A row of the speed-error table: what error of which question a method had reached after so many evaluations."""
+
+    method: str
+    quantity: str
+    evaluations: int
+    error: float
+    error_kind: str
+
+
 class OutOfBudget(Exception):
     """The next piece of work would pass the budget of evaluations or of time."""
 
@@ -69,7 +80,8 @@ class Ledger:
     """What a run has spent so far, and what it has to report of it.
 
     `undecided` counts rows with two possible answers, `fallback` rows that a cheaper fidelity left to `full`;
-    `note` is what the first failure said; `parts` has the evaluations of each part of the run, by fidelity.
+    `note` is what the first failure said; `parts` has the evaluations of each part of the run, by fidelity; `rows` are
+    those of the speed-error table, `times` the seconds at which each was known.
     """
 
     evaluations: dict[str, int] = field(default_factory=dict)
@@ -83,6 +95,8 @@ class Ledger:
     stopped_by_time: bool = False
     interrupted: bool = False
     note: str = ""
+    rows: list[SpeedRow] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
 
     @property
     def total(self) -> int:
@@ -121,7 +135,7 @@ class Work:
     #: asked between calls of the model; true ends the run as its time budget would, with what is there
     stop: Callable[[], bool] | None = None
     #: told the errors of a stage, the rows of the speed-error table
-    reached: Callable[[list[dict[str, Any]]], None] | None = None
+    reached: Callable[[list[SpeedRow]], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
 
@@ -141,8 +155,10 @@ class Work:
             return True
         return False
 
-    def tell(self, rows: list[dict[str, Any]]) -> None:
-        """Pass on the errors that a stage has reached."""
+    def tell(self, rows: list[SpeedRow], seconds: Sequence[float] | None = None) -> None:
+        """Note the errors that a stage has reached, and pass them on; `seconds`: when, if not now."""
+        self.ledger.rows += rows
+        self.ledger.times += [self.ledger.elapsed] * len(rows) if seconds is None else seconds
         if self.reached is not None and rows:
             self.reached(rows)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.campaign import MISS_KIND
+from uqsphere.runner.campaign import MISS_KIND, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, takes_over
 from uqsphere.runner.questions.probabilities import complement, limit_space, tied_strength, with_design
@@ -46,11 +46,9 @@ CLOSE: Final = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """Limits with what was learned of them, the speed-error rows, and calls by limit."""
+    """Limits with what was learned of them, and calls by limit."""
 
     limits: dict[str, LimitAnswer]
-    history: list[dict[str, Any]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
     calls: dict[str, int] = field(default_factory=dict)
 
 
@@ -106,10 +104,7 @@ def learn_limits(work: Work, limits: Mapping[str, LimitAnswer], affordable: int)
         found.calls[limit.name] = learned.calls
         if learned.estimate.value:
             error = learned.estimate.half_width / learned.estimate.value
-            if np.isfinite(error):
-                row = {"method": METHOD, "quantity": f"limits.{limit.name}", "evaluations": learned.calls}
-                found.history.append({**row, "error": float(error), "error_kind": MISS_KIND})
-                found.seconds.append(work.ledger.elapsed)
+            work.tell(speed_rows_of(METHOD, f"limits.{limit.name}", learned.calls, error, MISS_KIND))
     return found
 
 

@@ -16,7 +16,7 @@ from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, SpeedRow, Work
 from uqsphere.runner.moved import axis_of
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.stepwise import Coarse, stepwise_curves
@@ -269,7 +269,7 @@ def member_values(path: str, values: Sequence[float], digits: int = 4) -> list[s
     return next((texts for texts in tried if len(set(texts)) == len(values)), [repr(value) for value in values])
 
 
-def band_history(margins: Mapping[str, MarginAnswer]) -> tuple[list[dict[str, Any]], list[float]]:
+def band_history(margins: Mapping[str, MarginAnswer]) -> tuple[list[SpeedRow], list[float]]:
     """Rows of the speed-error table that the bands of the curves give, and their seconds."""
     known: dict[str, Band] = {}
     for name, found in margins.items():

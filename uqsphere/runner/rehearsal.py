@@ -139,7 +139,7 @@ def rehearse(
     """
     from threadpoolctl import threadpool_limits
 
-    from uqsphere.runner.api import analyse
+    from uqsphere.runner.analyse import analyse
     from uqsphere.runner.evaluate import Ledger, Work
 
     store = Rehearsal(folder=place, source=source, chosen=chosen)

@@ -18,7 +18,7 @@ from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
-from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.evaluate import Ledger, SpeedRow, Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
@@ -56,8 +56,7 @@ class Findings:
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     tolerance: dict[str, dict[str, Any]] = field(default_factory=dict)
-    history: list[dict[str, Any]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
+    history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
     fracture: dict[str, Any] | None = None

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
-
-import numpy as np
 
 from uqsphere.errors import UsageError
-from uqsphere.runner.campaign import MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, cost_of, out_of_reach
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, draw, evaluate_sample
+from uqsphere.runner.campaign import (
+    MEAN_KIND,
+    MISS_KIND,
+    QUANTILE_KIND,
+    Accuracy,
+    Cost,
+    Course,
+    Missed,
+    campaign,
+    speed_rows_of,
+)
+from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, SpeedRow, Work, draw, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.uq.describe import Description, describe, lacking
@@ -42,39 +50,28 @@ class Sampled:
     limits: dict[str, LimitAnswer]
     missed: list[Missed]
     stopped: str
-    history: list[dict[str, Any]]
-    seconds: list[float]
     control: Control = field(default_factory=lambda: Control(plan=None, text="", used=False))
 
 
 def _describe_one(work: Work, sample: Sample, quantity: str) -> Description:
     """The answer of a scene without scatter: no interval, and no quantile beyond the end of the record."""
     quantiles = work.study.analysis.quantiles
-    if sample.failed[0, 0]:
-        nothing = absent("the scene could not be computed", METHOD, 1)
+    failed, late = bool(sample.failed[0, 0]), bool(sample.late(quantity)[0, 0])
+    if failed or late:
+        nothing = absent("the scene could not be computed" if failed else "it outlasts the record", METHOD, 1)
         return Description(
             mean=nothing,
             sd=nothing,
             quantiles=dict.fromkeys(quantiles, nothing),
-            censored_share=nothing,
+            censored_share=nothing if failed else exact(1.0),
             scale=0.0,
             exempt=quantiles,
         )
-    value, late = float(sample.answer(quantity)[0, 0]), bool(sample.late(quantity)[0, 0])
-    if late:
-        nothing = absent("it outlasts the record", METHOD, 1)
-        return Description(
-            mean=nothing,
-            sd=nothing,
-            quantiles=dict.fromkeys(quantiles, nothing),
-            censored_share=exact(1.0),
-            scale=0.0,
-            exempt=quantiles,
-        )
+    value = exact(float(sample.answer(quantity)[0, 0]))
     return Description(
-        mean=exact(value),
+        mean=value,
         sd=exact(0.0),
-        quantiles=dict.fromkeys(quantiles, exact(value)),
+        quantiles=dict.fromkeys(quantiles, value),
         censored_share=exact(0.0),
         scale=0.0,
     )
@@ -109,23 +106,13 @@ def find_missed(work: Work, descriptions: dict[str, Description], limits: dict[s
 
 
 def speed_rows(
-    descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int, controlled: str
-) -> list[dict[str, Any]]:
+    descriptions: dict[str, Description], limits: dict[str, LimitAnswer], evaluations: int, method: str = METHOD
+) -> list[SpeedRow]:
     """Rows of the speed-error table that this stage gives."""
-    rows = []
-    method = f"{METHOD}, controlled by {controlled}" if controlled else METHOD
+    rows: list[SpeedRow] = []
 
     def add(quantity: str, error: float, kind: str) -> None:
-        if np.isfinite(error):
-            rows.append(
-                {
-                    "method": method,
-                    "quantity": quantity,
-                    "evaluations": evaluations,
-                    "error": float(error),
-                    "error_kind": kind,
-                }
-            )
+        rows.extend(speed_rows_of(method, quantity, evaluations, error, kind))
 
     for name, description in descriptions.items():
         if not description.scale > 0.0:
@@ -143,25 +130,25 @@ def speed_rows(
 
 def shortfalls(
     work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]
-) -> dict[tuple[str, str, float | None], float]:
-    """Half-width over what is asked of every question that is not there yet, by subject, kind and `at` of `Missed`."""
+) -> dict[Accuracy, float]:
+    """Half-width over what is asked of everything that is not as accurate yet and has a number."""
     asked = work.study.analysis.accuracy
-    found: dict[tuple[str, str, float | None], float] = {}
+    found: dict[Accuracy, float] = {}
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
         if description.mean.value is not None:
-            found[name, "mean", None] = description.mean.half_width / asked.mean / description.scale
+            found[Accuracy(name, "mean")] = description.mean.half_width / asked.mean / description.scale
         for p, e in description.quantiles.items():
             if p not in description.exempt:
-                found[name, "quantile", p] = e.half_width / asked.quantile / description.scale
+                found[Accuracy(name, "quantile", p)] = e.half_width / asked.quantile / description.scale
     for name, limit in limits.items():
         if takes_over(work, limit):
             continue
         for which in ("exceedance", "miss"):
             estimate = getattr(limit, which)
             if estimate.value and limit.accuracy_missed(which, asked.probability):
-                found[f"limits.{name}", which, None] = estimate.half_width / estimate.value / asked.probability
+                found[Accuracy(f"limits.{name}", which)] = estimate.half_width / estimate.value / asked.probability
     return {question: ratio for question, ratio in found.items() if ratio > 1.0}
 
 
@@ -197,125 +184,98 @@ def _left_open(work: Work, sample: Sample, descriptions: dict[str, Description])
     return found
 
 
-def _late(course: list[tuple[int, float]]) -> list[tuple[int, float]]:
-    """The part of a course that a verdict may rest on."""
-    return [point for point in course if point[0] >= JUDGED * REPLICATES]
+@dataclass(kw_only=True)
+class Distributions:
+    """Mean, quantiles and probabilities, from the rows that were drawn so far (a `Question`).
 
-
-def _hopeless(
-    work: Work,
-    descriptions: dict[str, Description],
-    limits: dict[str, LimitAnswer],
-    course: dict[str, list[tuple[int, float]]],
-    budget: float,
-) -> bool:
-    """Whether everything that is not yet accurate is out of the budget's reach."""
-    n = next(iter(descriptions.values())).mean.evaluations
-    excess = excess_of(work, descriptions, limits)
-    affordable = n + budget - work.ledger.total
-    finite = {name for name, ratio in excess.items() if np.isfinite(ratio)}
-    return bool(finite) and all(out_of_reach(_late(course[name]), 1.0, affordable) for name in finite)
-
-
-def _first_stage(work: Work) -> int:
-    """Points of the first stage in each replicate: fewer where the budget has no room for all of them.
-
-    Raises UsageError where it has room for no replicates at all.
+    Stages double the points of every replicate.  A control variate that is proposed is tried at the second stage, and
+    kept to the end if it pays.
     """
-    room = work.study.analysis.budget.evaluations - work.ledger.total
-    if not work.scene_names or room >= REPLICATES * FIRST:
-        return FIRST
-    if room < REPLICATES * LEAST:
-        raise UsageError(
-            f"the budget has room for {max(room, 0)} evaluations after the pilot, and the smallest sample takes "
-            f"{REPLICATES * LEAST}: raise analysis.budget.evaluations"
+
+    work: Work
+    control: Control
+    share: float
+    sample: Sample | None = None
+    descriptions: dict[str, Description] = field(default_factory=dict)
+    limits: dict[str, LimitAnswer] = field(default_factory=dict)
+    judged: int = JUDGED * REPLICATES
+
+    @property
+    def size(self) -> int:
+        """Rows so far."""
+        return 0 if self.sample is None else self.sample.size
+
+    def advance(self, room: float) -> bool:
+        """Twice the points; False where they would pass the budget."""
+        work, start = self.work, 0 if self.sample is None else self.sample.count
+        count = start or self._first()
+        if start and affordable_rows(self.control, count) > room:
+            return False
+        points = draw(work.drawn, seed=work.study.seed, task="sampling", start=start, count=count)
+        fresh = evaluate_sample(work, f"sampling.{start}", points)
+        self.sample = fresh if self.sample is None else self.sample.join(fresh)
+        self._describe(self.sample)
+        return True
+
+    def _first(self) -> int:
+        """Points of the first stage in each replicate: fewer where the budget has no room for all of them.
+
+        Raises UsageError where it has room for no replicates at all.
+        """
+        room = self.work.study.analysis.budget.evaluations - self.work.ledger.total
+        if not self.work.scene_names or room >= REPLICATES * FIRST:
+            return FIRST
+        if room < REPLICATES * LEAST:
+            raise UsageError(
+                f"the budget has room for {max(room, 0)} evaluations after the pilot, and the smallest sample takes "
+                f"{REPLICATES * LEAST}: raise analysis.budget.evaluations"
+            )
+        return int(2 ** ((room // REPLICATES).bit_length() - 1))
+
+    def _describe(self, sample: Sample) -> None:
+        work, budget = self.work, self.work.study.analysis.budget.evaluations * self.share
+        plain = _describe(work, sample), judge_limits(work, sample)
+        try:
+            self.control = follow(work, self.control, sample, plain, partial(excess_of, work), budget)
+        except OutOfBudget:
+            self.control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
+        used = self.control.used
+        described, self.limits = (self.control.descriptions, self.control.limits) if used else plain
+        laws = {name: work.study.random[name] for name in work.scene_names}
+        self.descriptions = describe_heavy(laws, sample, described)
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """What is less accurate than asked, inf where there is no number."""
+        ratios = shortfalls(self.work, self.descriptions, self.limits)
+        missed = find_missed(self.work, self.descriptions, self.limits)
+        return {one.accuracy: ratios.get(one.accuracy, math.inf) for one in missed}
+
+    def errors(self) -> list[SpeedRow]:
+        """The errors of this stage."""
+        plan = self.control.plan if self.control.used else None
+        method = METHOD if plan is None else f"{METHOD}, controlled by {plan.candidate.fidelity}"
+        return speed_rows(self.descriptions, self.limits, self.size, method)
+
+    def answer(self, course: Course) -> Sampled:
+        """What sampling found."""
+        if self.sample is None:
+            raise OutOfBudget
+        never = _left_open(self.work, self.sample, self.descriptions)
+        return Sampled(
+            sample=self.sample,
+            descriptions=self.descriptions,
+            limits=self.limits,
+            missed=[
+                replace(one, cost=FOR_FAILED if (one.subject, one.at) in never else course.cost(one.accuracy))
+                for one in find_missed(self.work, self.descriptions, self.limits)
+            ],
+            stopped=course.stopped,
+            control=self.control,
         )
-    return int(2 ** ((room // REPLICATES).bit_length() - 1))
 
 
 def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
-    """Sample until the accuracy is reached; a study without scatter is evaluated once.
-
-    Stages double the points of every replicate; a stage that would pass the budget is not begun.  A control
-    variate that is proposed is tried at the second stage, and kept to the end if it pays.
-    """
-    study = work.study
-    budget = study.analysis.budget.evaluations * (SHARE if more_to_come else 1.0)
-    sample: Sample | None = None
-    history: list[dict[str, Any]] = []
-    seconds: list[float] = []
-    stopped = "accuracy"
-    start = 0
-    descriptions: dict[str, Description] = {}
-    limits: dict[str, LimitAnswer] = {}
-    missed: list[Missed] = []
-    course: dict[str, list[tuple[int, float]]] = {}
-    courses: dict[tuple[str, str, float | None], list[tuple[int, float]]] = {}
+    """Sample until the accuracy is reached, or the budget ends it; a study without scatter is evaluated once."""
     control = control or Control(plan=None, text="", used=False)
-    while True:
-        count = _first_stage(work) if start == 0 else start
-        if start and work.ledger.total + affordable_rows(control, count) > budget:
-            stopped = "evaluations"
-            break
-        try:
-            drawn = draw(work.drawn, seed=study.seed, task="sampling", start=start, count=count)
-            fresh = evaluate_sample(work, f"sampling.{start}", drawn)
-        except OutOfBudget:
-            if sample is None and work.ledger.interrupted:
-                raise
-            if sample is None:
-                raise UsageError(
-                    f"the time budget ended before the first {REPLICATES * count:,} evaluations were done; what was "
-                    "evaluated is kept, and a longer --budget goes on with it"
-                ) from None
-            stopped = "time"
-            break
-        sample = fresh if sample is None else sample.join(fresh)
-        start += count
-        descriptions = _describe(work, sample)
-        limits = judge_limits(work, sample)
-        try:
-            control = follow(work, control, sample, (descriptions, limits), partial(excess_of, work), budget)
-        except OutOfBudget:
-            control = Control(plan=None, text="the control variate was cut short by the time budget", used=False)
-        if control.used:
-            descriptions, limits = control.descriptions, control.limits
-        descriptions = describe_heavy({n: study.random[n] for n in work.scene_names}, sample, descriptions)
-        missed = find_missed(work, descriptions, limits)
-        for name, ratio in excess_of(work, descriptions, limits).items():
-            course.setdefault(name, []).append((sample.size, ratio))
-        for question, ratio in shortfalls(work, descriptions, limits).items():
-            courses.setdefault(question, []).append((sample.size, ratio))
-        helper = control.plan.candidate.fidelity if control.used and control.plan is not None else ""
-        rows = speed_rows(descriptions, limits, sample.size, helper)
-        history += rows
-        seconds += [work.ledger.elapsed] * len(rows)
-        work.tell(rows)
-        if not missed:
-            break
-        if (
-            not study.analysis.budget.exhaust
-            and start >= JUDGED
-            and _hopeless(work, descriptions, limits, course, budget)
-        ):
-            stopped = "out of reach"
-            break
-        if work.out_of_time:
-            stopped = "time"
-            break
-    assert sample is not None
-    never = _left_open(work, sample, descriptions)
-    ways = [courses.get((one.subject, one.kind, one.at), []) for one in missed]
-    return Sampled(
-        sample=sample,
-        descriptions=descriptions,
-        limits=limits,
-        missed=[
-            replace(one, cost=FOR_FAILED if (one.subject, one.at) in never else cost_of(way))
-            for one, way in zip(missed, ways, strict=True)
-        ],
-        stopped=stopped,
-        history=history,
-        seconds=seconds,
-        control=control,
-    )
+    question = Distributions(work=work, control=control, share=SHARE if more_to_come else 1.0)
+    return question.answer(campaign(work, question, question.share))

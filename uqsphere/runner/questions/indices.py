@@ -13,8 +13,17 @@ import numpy.typing as npt
 
 from uqsphere.model import is_answered
 from uqsphere.quantities import told_apart
-from uqsphere.runner.campaign import INDEX_KIND, Cost, Missed, index_cost, indices_missed, out_of_reach
-from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
+from uqsphere.runner.campaign import (
+    INDEX_KIND,
+    Accuracy,
+    Cost,
+    Course,
+    Missed,
+    campaign,
+    indices_missed,
+    speed_rows_of,
+)
+from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, SpeedRow, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.uq.estimate import Estimate, Why, absent
@@ -113,16 +122,17 @@ def _each(indices: Sensitivity, change: Callable[[Estimate], Estimate], every: b
 if TYPE_CHECKING:
     from uqsphere.uq.expansion import Chaos
     from uqsphere.uq.indices import Surrogate
+    from uqsphere.uq.shapley import SubsetDesign
 
 __all__ = [
     "Pairs",
     "Sensitivity",
+    "Shared",
     "blocks_of",
     "dependent_names",
     "find_sensitivity",
     "helpers_of",
     "lost_designs",
-    "note",
     "pick_and_freeze",
     "share_heavy",
     "shares_with_tails",
@@ -221,6 +231,7 @@ JUDGED = 128
 FIT_POINTS = 256
 FITS = 8
 CHAOS = "polynomial chaos"
+HELD_OUT = "share of the variance left unexplained (held out)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +264,32 @@ class Pairs:
     """Runs of a design that share inputs: values (R, N, rows, q), base points with a failure (R, N)."""
 
     values: Array
-    failed: npt.NDArray[np.bool_]
+    failed: Flags
+
+    def join(self, other: Pairs) -> Pairs:
+        """These runs and those that continue them."""
+        return Pairs(
+            values=np.concatenate([self.values, other.values], axis=1),
+            failed=np.concatenate([self.failed, other.failed], axis=1),
+        )
+
+    def whole(self) -> Array:
+        """The same number of base points without a failure from every replicate, (R, N', rows, q)."""
+        return without(self.values, self.failed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """How the variance of every quantity is shared out, why its stages ended, and the runs that it rests on.
+
+    `subsets` is the design of these runs where inputs depend on each other, `control` the cheaper model beside them.
+    """
+
+    sensitivity: dict[str, Sensitivity]
+    stopped: str
+    pairs: Pairs | None = None
+    subsets: SubsetDesign | None = None
+    control: IndexControl = field(default_factory=lambda: IndexControl(used=False))
 
 
 def dependent_names(work: Work) -> list[str]:
@@ -261,10 +297,22 @@ def dependent_names(work: Work) -> list[str]:
     return tied_names(sub_inputs(work.all_inputs, work.scene_names))
 
 
-def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Estimate]], dict[str, Any], Chaos | None]:
-    """Indices of quantity k off polynomial chaos, what its validation says, and the mean of the expansions.
+@dataclass(frozen=True, kw_only=True)
+class Expansion:
+    """Indices off polynomial chaos, what its validation says, and the mean of the expansions.
 
-    Empty and None where they are refused.  The output itself is expanded, no transform of it: only then are the
+    Empty and None where they are refused.
+    """
+
+    indices: dict[str, list[Estimate]] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=lambda: {"kind": None, "error": None, "evaluations": 0})
+    chaos: Chaos | None = None
+
+
+def _expand(work: Work, sampled: Sampled, quantity: str) -> Expansion:
+    """Polynomial chaos of a quantity on the sampled points, validated on others.
+
+    The output itself is expanded, no transform of it: only then are the
     indices of the expansion known exactly, as those of a control variate must be.
     """
     from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
@@ -276,7 +324,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
     n = sample.count
     least = 4 * (d + 1)
     used = min(max(FIT_POINTS, least), n)
-    outputs = sample.answers[:, :, k]
+    outputs = sample.answer(quantity)
     whole = ~sample.failed
     alone = not {"sobol", "auto"} & set(work.study.analysis.methods)
     fits: list[Chaos] = []
@@ -286,7 +334,7 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         points = germ_points(sample.scores[replicate, :used, :d][keep], work.germs)
         if len(points) < least:
             reason = f"{len(points)} samples with an answer are too few for an expansion in {d} inputs: {least} are due"
-            return {}, {"kind": None, "error": None, "evaluations": 0, "reason": reason}, None
+            return Expansion(about={"kind": None, "error": None, "evaluations": 0, "reason": reason})
         column = outputs[replicate, :used][keep]
         # as an answer of its own, the interval has to hold the choice of terms too
         again = fits and not alone
@@ -310,8 +358,9 @@ def _expansions(work: Work, sampled: Sampled, k: int) -> tuple[dict[str, list[Es
         "terms": int(fits[0].coefficients.size),
     }
     if not verdict.usable:
-        return {}, about, None
-    return chaos_indices(fits, error=own, evaluations=evaluations), about, mean_expansion(fits)
+        return Expansion(about=about)
+    found = chaos_indices(fits, error=own, evaluations=evaluations)
+    return Expansion(indices=found, about=about, chaos=mean_expansion(fits))
 
 
 def _refused(work: Work, reason: str) -> Sensitivity:
@@ -360,154 +409,153 @@ def _believable(estimates: list[Estimate]) -> list[Estimate]:
     ]
 
 
-def find_sensitivity(
-    work: Work, sampled: Sampled, control: IndexControl | None = None
-) -> tuple[dict[str, Sensitivity], list[dict[str, Any]], list[float], str, IndexControl, Pairs | None]:
-    """Indices of every quantity; rows of the speed-error table; their seconds; why it stopped; the control variate;
-    the runs that were paired.
+@dataclass(kw_only=True)
+class Indices:
+    """Sobol' indices of every quantity, from the base points that were drawn so far (a `Question`).
 
     A control variate that is proposed is tried where the first stage is not accurate enough.
     """
-    names = work.scene_names
-    if not names:
-        refused = {q: _refused(work, "no input of the model is random") for q in work.quantities}
-        return refused, [], [], "accuracy", IndexControl(used=False), None
+
+    work: Work
+    control: IndexControl
+    expansions: dict[str, Expansion]
+    blocks: Blocks
+    judged: int = 0
+    pairs: Pairs | None = None
+    others: Array | None = None
+    drawn: dict[str, SampledIndices] = field(default_factory=dict)
+    found: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.judged = JUDGED * REPLICATES * self.blocks.count
+        self.found = {q: {} for q in self.work.quantities}
+
+    @property
+    def size(self) -> int:
+        """Evaluations that the indices rest on."""
+        return 0 if self.pairs is None else int(self.pairs.whole()[..., 0].size)
+
+    @property
+    def asked(self) -> float:
+        """Half-width that the study asks for."""
+        return self.work.study.analysis.accuracy.sobol
+
+    def advance(self, room: float) -> bool:
+        """More base points, as many as the widest interval calls for; False where they have no room."""
+        start = 0 if self.pairs is None else self.pairs.failed.shape[1]
+        count = _more(start, [ratio * self.asked for ratio in self.lacking().values()], self.asked)
+        if not start and self._cost(count) > room:
+            count = FEWER
+        if self._cost(count) > room:
+            return False
+        values, failed = pick_and_freeze(self.work, f"sensitivity.{start}", start, count, self.blocks)
+        more = Pairs(values=values, failed=failed)
+        self.pairs = more if self.pairs is None else self.pairs.join(more)
+        helpers = self._helpers(start, count, self.pairs)
+        whole = self.pairs.whole()
+        self.drawn = {
+            q: sampled_indices(whole[..., k], self.blocks, helpers.get(q)) for k, q in enumerate(self.work.quantities)
+        }
+        self.found = {
+            q: {"first": _no_finer(self.work, e.first), "total": _no_finer(self.work, e.total)}
+            for q, e in self.drawn.items()
+        }
+        self._sharpen(self.pairs)
+        return True
+
+    def _cost(self, count: int) -> int:
+        return self.control.rows(REPLICATES * count * self.blocks.count)
+
+    def _helpers(self, start: int, count: int, pairs: Pairs) -> dict[str, Surrogate]:
+        """The expansions as control variates at all points so far."""
+        chaoses = {q: one.chaos for q, one in self.expansions.items() if one.chaos is not None}
+        if not chaoses:
+            return {}
+        more = surrogate_outputs(self.work, start, count, self.blocks, list(chaoses.values()))
+        self.others = more if self.others is None else np.concatenate([self.others, more], axis=1)
+        return helpers_of(chaoses, self.blocks, without(self.others, pairs.failed))
+
+    def _sharpen(self, pairs: Pairs) -> None:
+        """The same with the help of a cheaper model, where there is one that pays."""
+        plain = pairs.values[:, :, : self.blocks.inputs_count + 2]
+        lacking = [q for q in self.work.quantities if not _widest(self.found[q]) <= self.asked]
+        try:
+            self.control, self.found = sharpen(
+                self.work, self.control, pick_and_freeze, plain, pairs.failed, self.found, lacking
+            )
+        except OutOfBudget:
+            self.control = IndexControl(used=False, text="the control variate was cut short by the time budget")
+
+    def _widths(self) -> dict[str, float]:
+        """The largest half-width of every quantity that has an index."""
+        widths: dict[str, float] = {}
+        for quantity, drawn in self.drawn.items():
+            rows = (*self.found[quantity]["first"], *self.found[quantity]["total"], *_sets(drawn))
+            known = [e.half_width for e in rows if e.value is not None]
+            widths |= {quantity: max(known)} if known else {}
+        return widths
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """Half-width over what is asked of the quantities whose indices are wider."""
+        return {Accuracy(q, "indices"): w / self.asked for q, w in self._widths().items() if w > self.asked}
+
+    def errors(self) -> list[SpeedRow]:
+        """The widest index of every quantity."""
+        spent = 0 if self.pairs is None else self.pairs.values[..., 0].size
+        return [row for q, w in self._widths().items() for row in speed_rows_of(METHOD, q, spent, w, INDEX_KIND)]
+
+    def answer(self, course: Course) -> Shared:
+        """The indices of every quantity, of the model itself where it was sampled, else of its expansion."""
+        answers = {}
+        for quantity in self.work.quantities:
+            one, cost = self.expansions[quantity], course.cost(Accuracy(quantity, "indices"))
+            concluded = _conclude(quantity, self.work.scene_names, self.found[quantity], one, self.asked, cost)
+            answers[quantity] = _with_sets(self.work, quantity, concluded, self.drawn.get(quantity), self.asked, cost)
+        plain = None
+        if self.pairs is not None:
+            values = self.pairs.values[:, :, : self.blocks.inputs_count + 2]
+            plain = Pairs(values=values, failed=self.pairs.failed)
+        return Shared(sensitivity=answers, stopped=course.stopped, pairs=plain, control=self.control)
+
+
+def _why_none(work: Work, sampled: Sampled) -> tuple[str, str]:
+    """Why classical indices are not sought, and how their stages are said to have ended; empty where they are."""
+    if not work.scene_names:
+        return "no input of the model is random", "accuracy"
     if lost := lost_designs(sampled.sample.failed):
-        missed = {q: Missed(subject=q, kind="indices", said=f"{q}: indices: none: {lost}") for q in work.quantities}
-        refused = {q: replace(_refused(work, lost), missed=[missed[q]]) for q in work.quantities}
-        return refused, [], [], "failures", IndexControl(used=False), None
-    tied = dependent_names(work)
-    if tied:
+        return lost, "failures"
+    if tied := dependent_names(work):
         reason = (
             f"{', '.join(tied)} depend on each other, and Sobol' indices do not share out the variance of "
             "dependent inputs: read Shapley effects and Kucherenko's indices, or remove the dependence to see what "
             "each would do alone"
         )
+        return reason, "accuracy"
+    return "", ""
+
+
+def find_sensitivity(work: Work, sampled: Sampled, control: IndexControl | None = None) -> Shared:
+    """Indices of every quantity, or why there are none."""
+    reason, stopped = _why_none(work, sampled)
+    if reason:
         refused = {q: _refused(work, reason) for q in work.quantities}
-        return refused, [], [], "accuracy", IndexControl(used=False), None
-    methods = work.study.analysis.methods
-    asked = work.study.analysis.accuracy.sobol
-    history: list[dict[str, Any]] = []
-    seconds: list[float] = []
-    expanded, about = {}, {}
-    surrogates: dict[str, Chaos] = {}
-    for k, quantity in enumerate(work.quantities):
-        if "pce" in methods or "auto" in methods:
-            expanded[quantity], about[quantity], chaos = _expansions(work, sampled, k)
-            if chaos is not None:
-                surrogates[quantity] = chaos
-            note(
-                history,
-                seconds,
-                work,
-                CHAOS,
-                quantity,
-                about[quantity]["evaluations"],
-                about[quantity]["error"],
-                "share of the variance left unexplained (held out)",
-            )
-        else:
-            expanded[quantity], about[quantity] = {}, {"kind": None, "error": None, "evaluations": 0}
-    found: dict[str, dict[str, list[Estimate]]] = {q: {} for q in work.quantities}
-    drawn: dict[str, SampledIndices] = {}
-    blocks = blocks_of(work)
-    stopped = "accuracy"
-    start = 0
-    widest = dict.fromkeys(work.quantities, asked)
-    done = dict.fromkeys(work.quantities, False)
-    course: dict[str, list[tuple[int, float]]] = {q: [] for q in work.quantities}
-    given_up: dict[str, Cost | None] = dict.fromkeys(work.quantities)
-    budget = work.study.analysis.budget
-    values: Array | None = None
-    others: Array | None = None
-    failed: npt.NDArray[np.bool_] | None = None
-    control = control or IndexControl(used=False)
-    while "sobol" in methods or "auto" in methods:
-        count = _more(start, [w for q, w in widest.items() if not done[q]], asked)
-        if not start and work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
-            count = FEWER
-        if work.ledger.total + control.rows(REPLICATES * count * blocks.count) > budget.evaluations:
-            stopped = "evaluations"
-            break
-        try:
-            more, bad = pick_and_freeze(work, f"sensitivity.{start}", start, count, blocks)
-        except OutOfBudget:
-            stopped = "time"
-            break
-        values = more if values is None else np.concatenate([values, more], axis=1)
-        failed = bad if failed is None else np.concatenate([failed, bad], axis=1)
-        if surrogates:
-            known = surrogate_outputs(work, start, count, blocks, list(surrogates.values()))
-            others = known if others is None else np.concatenate([others, known], axis=1)
-        start += count
-        whole = without(values, failed)
-        helpers = helpers_of(surrogates, blocks, None if others is None else without(others, failed))
-        drawn = {q: sampled_indices(whole[..., k], blocks, helpers.get(q)) for k, q in enumerate(work.quantities)}
-        found = {
-            quantity: {"first": _no_finer(work, e.first), "total": _no_finer(work, e.total)}
-            for quantity, e in drawn.items()
-        }
-        lacking = [q for q in work.quantities if not _accurate(found[q], asked)]
-        try:
-            control, found = sharpen(
-                work, control, pick_and_freeze, values[:, :, : len(names) + 2], failed, found, lacking
-            )
-        except OutOfBudget:
-            control = IndexControl(used=False, text="the control variate was cut short by the time budget")
-        for k, quantity in enumerate(work.quantities):
-            widths = [e.half_width for row in found[quantity].values() for e in row if e.value is not None]
-            widths += [e.half_width for e in _sets(drawn[quantity]) if e.value is not None]
-            widest[quantity] = max(widths, default=0.0)
-            done[quantity] = _accurate(found[quantity], asked) and _beyond(drawn[quantity]) <= asked
-            spent = whole[:, :, :, k].size
-            if start >= JUDGED and not budget.exhaust:
-                course[quantity].append((spent, widest[quantity]))
-                affordable = spent + budget.evaluations - work.ledger.total
-                given_up[quantity] = None if done[quantity] else out_of_reach(course[quantity], asked, affordable)
-            if widths:
-                note(history, seconds, work, METHOD, quantity, values[:, :, :, 0].size, max(widths), INDEX_KIND)
-        if all(done.values()):
-            break
-        if all(done[q] or given_up[q] for q in work.quantities):
-            stopped = "out of reach"
-            break
-        if work.out_of_time:
-            stopped = "time"
-            break
-    cost = {q: index_cost(given_up[q], history, q, asked) for q in work.quantities}
-    concluded = {q: _conclude(q, names, found[q], expanded[q], about[q], asked, cost[q]) for q in work.quantities}
-    return (
-        {q: _with_sets(work, q, indices, drawn.get(q), asked, cost[q]) for q, indices in concluded.items()},
-        history,
-        seconds,
-        stopped,
-        control,
-        None if values is None or failed is None else Pairs(values=values[:, :, : len(names) + 2], failed=failed),
-    )
-
-
-def note(
-    history: list[dict[str, Any]],
-    seconds: list[float],
-    work: Work,
-    method: str,
-    quantity: str,
-    evaluations: int,
-    error: float | None,
-    kind: str,
-) -> None:
-    if error is not None and np.isfinite(error):
-        history.append(
-            {
-                "method": method,
-                "quantity": quantity,
-                "evaluations": int(evaluations),
-                "error": float(error),
-                "error_kind": kind,
+        if stopped == "failures":
+            refused = {
+                q: replace(one, missed=[Missed(subject=q, kind="indices", said=f"{q}: indices: none: {reason}")])
+                for q, one in refused.items()
             }
-        )
-        seconds.append(work.ledger.elapsed)
-        work.tell(history[-1:])
+        return Shared(sensitivity=refused, stopped=stopped)
+    methods = set(work.study.analysis.methods)
+    expansions = dict.fromkeys(work.quantities, Expansion())
+    if {"pce", "auto"} & methods:
+        for quantity in work.quantities:
+            found = expansions[quantity] = _expand(work, sampled, quantity)
+            runs, error = found.about["evaluations"], found.about["error"]
+            work.tell(speed_rows_of(CHAOS, quantity, runs, error, HELD_OUT))
+    question = Indices(
+        work=work, control=control or IndexControl(used=False), expansions=expansions, blocks=blocks_of(work)
+    )
+    return question.answer(campaign(work, question) if {"sobol", "auto"} & methods else Course())
 
 
 def _sets(drawn: SampledIndices) -> list[Estimate]:
@@ -549,21 +597,17 @@ def _widest(indices: dict[str, list[Estimate]]) -> float:
     return max((e.half_width for e in (*indices["first"], *indices["total"]) if e.value is not None), default=0.0)
 
 
-def _accurate(sampled: dict[str, list[Estimate]], asked: float) -> bool:
-    return _widest(sampled) <= asked
-
-
 def _conclude(
     quantity: str,
     names: tuple[str, ...],
     sampled: dict[str, list[Estimate]],
-    expanded: dict[str, list[Estimate]],
-    about: dict[str, Any],
+    expansion: Expansion,
     asked: float,
     cost: Cost,
 ) -> Sensitivity:
     from uqsphere.uq.sensitivity import cross_check
 
+    expanded, about = expansion.indices, expansion.about
     # What is sampled is the answer: of the model itself, with the expansion as control variate where there is one.
     given = sampled or expanded
     if not given:

@@ -15,8 +15,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
-from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of
-from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
+from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of, speed_rows_of
+from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.study import Limit
@@ -74,7 +74,6 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     if not work.drawn.names or not limits or not _asked(work, "form", "importance", "subset"):
         return sampled
     found = dict(sampled.limits)
-    history, seconds = list(sampled.history), list(sampled.seconds)
     stopped = sampled.stopped
     for at, limit in enumerate(limits):
         answer = found[limit.name]
@@ -90,9 +89,7 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
                 asked = work.study.analysis.accuracy.probability
                 rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
                 found[limit.name] = _joined(work, limit, answer, rare, space)
-                rows = _record(limit.name, found[limit.name], rare)
-                history += rows
-                seconds += [work.ledger.elapsed] * len(rows)
+                work.tell(_errors(limit.name, rare))
             elif budget >= FOR_DESIGN:
                 design = find_design_points(
                     Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=FOR_DESIGN
@@ -104,7 +101,7 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     missed = [one for one in sampled.missed if one.subject in sampled.descriptions]
     for name, answer in found.items():
         missed += [_with_cost(work, one, name, answer, sampled) for one in limits_missed(work, {name: answer})]
-    return replace(sampled, limits=found, missed=missed, history=history, seconds=seconds, stopped=stopped)
+    return replace(sampled, limits=found, missed=missed, stopped=stopped)
 
 
 def tied_strength(work: Work, limit: Limit) -> bool:
@@ -291,18 +288,9 @@ def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[s
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
-def _record(name: str, answer: LimitAnswer, rare: RareAnswer) -> list[dict[str, Any]]:
-    """Rows of the speed-error table."""
+def _errors(name: str, rare: RareAnswer) -> list[SpeedRow]:
     return [
-        {
-            "method": method,
-            "quantity": f"limits.{name}",
-            "evaluations": evaluations,
-            "error": float(error),
-            "error_kind": MISS_KIND,
-        }
-        for method, evaluations, error in rare.history
-        if np.isfinite(error)
+        row for method, n, error in rare.history for row in speed_rows_of(method, f"limits.{name}", n, error, MISS_KIND)
     ]
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.runner.campaign import INDEX_KIND, Cost, index_cost, indices_missed, out_of_reach
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, evaluate_points, sub_inputs
-from uqsphere.runner.questions.indices import Pairs, Sensitivity, note
+from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
+from uqsphere.runner.evaluate import REPLICATES, SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.index_control import IndexControl
+from uqsphere.runner.multifidelity import Plan
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.sample import without
 from uqsphere.uq.shapley import (
     MOST_EXACT,
     SubsetDesign,
@@ -23,7 +24,7 @@ from uqsphere.uq.shapley import (
     subset_points,
 )
 
-__all__ = ["TASK", "Shared", "orders_at", "share_variance"]
+__all__ = ["TASK", "orders_at", "share_variance"]
 
 TASK = "shapley"
 METHOD = "pairs of runs"
@@ -32,18 +33,6 @@ FIRST = 64
 LEAST = 16
 #: base points from which on an accuracy may be given up
 JUDGED = 128
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shared:
-    """Who owns the variance: per quantity, with the way there, why it stopped, and the runs it rests on."""
-
-    sensitivity: dict[str, Sensitivity]
-    history: list[dict[str, Any]]
-    seconds: list[float]
-    stopped: str
-    design: SubsetDesign
-    pairs: Pairs | None
 
 
 def _design(work: Work) -> SubsetDesign:
@@ -87,61 +76,90 @@ def _widest(found: dict[str, list[Estimate]]) -> float:
     return max((e.half_width for row in found.values() for e in row if e.value is not None), default=0.0)
 
 
-def share_variance(work: Work, refused: dict[str, Sensitivity]) -> Shared:
+@dataclass(kw_only=True)
+class ShapleyEffects:
+    """Shapley effects and Kucherenko's indices of every quantity, from the pairs of runs so far (a `Question`)."""
+
+    work: Work
+    design: SubsetDesign
+    pairs: Pairs | None = None
+    found: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """Evaluations so far."""
+        return 0 if self.pairs is None else int(self.pairs.values[..., 0].size)
+
+    @property
+    def judged(self) -> int:
+        """Evaluations from which on an accuracy may be given up."""
+        return JUDGED * REPLICATES * self.design.rows
+
+    @property
+    def asked(self) -> float:
+        """Half-width that the study asks for."""
+        return self.work.study.analysis.accuracy.sobol
+
+    def advance(self, room: float) -> bool:
+        """More base points; False where too few have room."""
+        work, start = self.work, 0 if self.pairs is None else self.pairs.failed.shape[1]
+        affordable = int(room // (REPLICATES * self.design.rows))
+        width = max((_widest(rows) for rows in self.found.values()), default=self.asked)
+        count = _more(start, width, self.asked, LEAST * (affordable // LEAST))
+        if count < LEAST or count < 0.25 * start:
+            return False
+        more = _evaluate(work, self.design, start, count)
+        self.pairs = more if self.pairs is None else self.pairs.join(more)
+        self.found = _estimates(work, self.design, self.pairs)
+        return True
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """Half-width over what is asked of the quantities whose indices are wider."""
+        widths = {q: _widest(rows) for q, rows in self.found.items()}
+        return {Accuracy(q, "indices"): w / self.asked for q, w in widths.items() if w > self.asked}
+
+    def errors(self) -> list[SpeedRow]:
+        """The widest index of every quantity."""
+        return [
+            row
+            for q, rows in self.found.items()
+            for row in speed_rows_of(METHOD, q, self.size, _widest(rows), INDEX_KIND)
+        ]
+
+
+def share_variance(work: Work, sampled: Sampled, plan: Plan | None = None) -> Shared:
+    """How the variance is shared out: Sobol' indices, or Shapley effects where inputs depend on each other.
+
+    `plan` proposes a cheaper model as control variate.
+    """
+    shared = find_sensitivity(work, sampled, IndexControl(plan=plan))
+    if dependent_names(work) and shared.stopped != "failures":
+        shared = _share_dependent(work, shared.sensitivity)
+    own = shared.pairs if shared.subsets is None else None
+    return replace(shared, sensitivity=share_heavy(work, sampled, shared.sensitivity, own))
+
+
+def _share_dependent(work: Work, refused: dict[str, Sensitivity]) -> Shared:
     """Shapley effects and Kucherenko's indices of every quantity, beside the refusal of the classical ones.
 
     Base points are added until every index is as accurate as the study asks for Sobol' indices, or the budget ends
     it.  Where not even the first stage can be paid, the refusal stays alone and says so.
     """
-    design = _design(work)
-    budget, asked = work.study.analysis.budget, work.study.analysis.accuracy.sobol
-    history: list[dict[str, Any]] = []
-    seconds: list[float] = []
-    pairs: Pairs | None = None
-    found: dict[str, dict[str, list[Estimate]]] = {}
-    course: dict[str, list[tuple[int, float]]] = {q: [] for q in work.quantities}
-    given_up: dict[str, Cost | None] = dict.fromkeys(work.quantities)
-    stopped, start = "accuracy", 0
-    widest = dict.fromkeys(work.quantities, asked)
-    while True:
-        # at least one more stage is wanted, or the loop would have ended
-        affordable = (budget.evaluations - work.ledger.total) // (REPLICATES * design.rows)
-        count = _more(start, max(widest.values()), asked, LEAST * (affordable // LEAST))
-        if count < LEAST or count < 0.25 * start:
-            stopped = "evaluations"
-            break
-        try:
-            more = _evaluate(work, design, start, count)
-        except OutOfBudget:
-            stopped = "time"
-            break
-        pairs = more if pairs is None else _joined(pairs, more)
-        start += count
-        found = _estimates(work, design, pairs)
-        for quantity in work.quantities:
-            widest[quantity] = _widest(found[quantity])
-            spent = int(pairs.values[..., 0].size)
-            note(history, seconds, work, METHOD, quantity, spent, widest[quantity], INDEX_KIND)
-            if start >= JUDGED and not budget.exhaust:
-                course[quantity].append((spent, widest[quantity]))
-                within = spent + budget.evaluations - work.ledger.total
-                reached = widest[quantity] <= asked
-                given_up[quantity] = None if reached else out_of_reach(course[quantity], asked, within)
-        if all(width <= asked for width in widest.values()):
-            break
-        if all(widest[q] <= asked or given_up[q] for q in work.quantities):
-            stopped = "out of reach"
-            break
-        if work.out_of_time:
-            stopped = "time"
-            break
+    question = ShapleyEffects(work=work, design=_design(work))
+    course = campaign(work, question)
     answers = {
         q: _conclude(
-            q, work.scene_names, refused[q], found.get(q), asked, index_cost(given_up[q], history, q, asked), design
+            q,
+            work.scene_names,
+            refused[q],
+            question.found.get(q),
+            question.asked,
+            course.cost(Accuracy(q, "indices")),
+            question.design,
         )
         for q in work.quantities
     }
-    return Shared(sensitivity=answers, history=history, seconds=seconds, stopped=stopped, design=design, pairs=pairs)
+    return Shared(sensitivity=answers, stopped=course.stopped, pairs=question.pairs, subsets=question.design)
 
 
 def _more(start: int, width: float, asked: float, affordable: int) -> int:
@@ -161,15 +179,8 @@ def _least(design: SubsetDesign) -> str:
     return f"{text} (about {REPLICATES * LEAST * design.rows:,} evaluations would give the first)"
 
 
-def _joined(one: Pairs, other: Pairs) -> Pairs:
-    return Pairs(
-        values=np.concatenate([one.values, other.values], axis=1),
-        failed=np.concatenate([one.failed, other.failed], axis=1),
-    )
-
-
 def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict[str, list[Estimate]]]:
-    whole = without(pairs.values, pairs.failed)
+    whole = pairs.whole()
     orders = orders_at(work, design, pairs.failed.shape[1])
     if orders is not None and pairs.failed.any():
         least = whole.shape[1]

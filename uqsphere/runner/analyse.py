@@ -1,0 +1,140 @@
+"""The questions of a run, one after the other, each with what the ones before it have found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from uqsphere.quantities import format_estimate
+from uqsphere.runner.answer_validity import judge_answers
+from uqsphere.runner.api import Run
+from uqsphere.runner.dear import answer_dear
+from uqsphere.runner.dear_end import Dear
+from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
+from uqsphere.runner.dear_tails import settle_heavy
+from uqsphere.runner.drivers import find_drivers
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.fidelity import Pilot, first_look
+from uqsphere.runner.finish import finish
+from uqsphere.runner.margins import band_history, find_margins
+from uqsphere.runner.multifidelity import propose
+from uqsphere.runner.price import price
+from uqsphere.runner.questions.distributions import Sampled, sample_distributions
+from uqsphere.runner.questions.fracture import find_fracture
+from uqsphere.runner.questions.probabilities import refine_limits
+from uqsphere.runner.questions.shapley import share_variance
+from uqsphere.runner.questions.tolerance import find_tolerance
+from uqsphere.runner.results import Findings
+from uqsphere.store import Store
+from uqsphere.study import Study
+
+__all__ = ["analyse"]
+
+
+def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
+    """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
+    ledger = work.ledger
+    pilot = first_look(work)
+    work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)
+    ledger.evaluations.update(pilot.evaluations)
+    priced = price(work)
+    ledger.close("pilot")
+    whole, dear, found = work, None, None
+    if priced.way.surrogate:
+        work = priced.bounded(work)
+        dear = answer_dear(work, priced)
+        ledger.close("surrogate")
+        found = _by_surrogate(work, pilot, dear)
+    if found is None:
+        found = _by_sampling(work, pilot, dear, notice)
+        if notice is not None and store.damaged:
+            notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
+    return finish(whole, store, priced, dear, found)
+
+
+def _by_surrogate(work: Work, pilot: Pilot, dear: Dear) -> Findings | None:
+    """What the surrogate way found, as every run writes it; None where the model has to be sampled."""
+    if dear.sampled is None:
+        return None
+    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity, dear.believed, dear.tails)
+    tolerance = find_tolerance(work)
+    work.ledger.close("tolerance intervals")
+    return Findings(
+        pilot=pilot,
+        sampled=sampled,
+        sensitivity=sensitivity,
+        margins=dear.margins,
+        tolerance=tolerance,
+        history=work.ledger.rows,
+        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
+    )
+
+
+def _by_sampling(work: Work, pilot: Pilot, dear: Dear | None, notice: Callable[[str], None] | None) -> Findings:
+    """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
+    ledger, proposed = work.ledger, propose(pilot)
+    sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
+    ledger.close("sampling")
+    sampled = refine_limits(work, sampled)
+    if dear is not None:
+        sampled = keep_answers(work, sampled, dear)
+    ledger.close("rare events")
+    _tell_verdicts(sampled, notice)
+    tolerance = find_tolerance(work)
+    ledger.close("tolerance intervals")
+    margins = find_margins(work, sampled)
+    if dear is not None:
+        margins = keep_margins(work, margins, dear)
+    margins = judge_answers(work, margins)
+    ledger.close("margins")
+    work.tell(*band_history(margins))
+    fracture = find_fracture(work, sampled, margins)
+    ledger.close("fracture")
+    shared = share_variance(work, sampled, proposed.plan)
+    if dear is not None:
+        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, dear))
+    ledger.close("sensitivity")
+    drivers = find_drivers(work, sampled, shared)
+    ledger.close("drivers")
+    return Findings(
+        pilot=pilot,
+        sampled=sampled,
+        sensitivity=shared.sensitivity,
+        drivers=drivers,
+        index_control=shared.control,
+        margins=margins,
+        fracture=fracture,
+        tolerance=tolerance,
+        history=work.ledger.rows,
+        stops={"sampling": sampled.stopped, "sensitivity": shared.stopped},
+        paper=compare_with_paper(work.study),
+    )
+
+
+def _tell_verdicts(sampled: Sampled, notice: Callable[[str], None] | None) -> None:
+    for name, limit in sampled.limits.items():
+        miss = limit.miss
+        if notice is not None and miss.value is not None and miss.low is not None and miss.high is not None:
+            interval = format_estimate(miss.value, miss.low, miss.high, most=5)
+            notice(f"limit {name}: probability of missing its aim {interval}")
+
+
+def compare_with_paper(study: Study) -> list[dict[str, Any]]:
+    """Rows of as printed, corrected and full answers at the means, where the study asks for them."""
+    if study.black_box or not study.model.compare_with_paper:
+        return []
+    from uqsphere.mechanics.as_printed import compare
+    from uqsphere.model import scene_of
+
+    return [
+        {
+            "quantity": row.quantity,
+            "unit": row.unit,
+            "as_printed": row.as_printed,
+            "corrected": row.corrected,
+            "full": row.full,
+            "note": row.note,
+        }
+        for row in compare(scene_of(study, {}), tolerance=study.model.tolerance)
+    ]

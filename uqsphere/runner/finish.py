@@ -1,0 +1,53 @@
+"""What a run writes when it ends: results, manifest, samples, courses, and the data that the study names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from uqsphere.results.entries import PricesEntry
+from uqsphere.runner.account import account, further_rows
+from uqsphere.runner.api import Run
+from uqsphere.runner.courses import save_courses
+from uqsphere.runner.datafiles import keep_data
+from uqsphere.runner.evaluate import Work
+from uqsphere.runner.price import Priced
+from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
+from uqsphere.runner.samples import save_points
+from uqsphere.store import Store
+
+if TYPE_CHECKING:
+    from uqsphere.runner.dear_end import Dear
+
+__all__ = ["finish"]
+
+
+def finish(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
+    """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
+    way = priced.way
+    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
+    plan = {
+        "way": taken,
+        "why": way.why if dear is None else dear.why,
+        "sampling_evaluations": way.sampling,
+        "surrogate_evaluations": way.runs,
+        "parts": account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
+    }
+    found = replace(found, plan=plan)
+    store.settle()
+    save_points(work, store, found.sampled)
+    save_courses(work, store, found.sampled)
+    keep_data(work.study, store.folder)
+    results = build_results(work, found)
+    further = further_rows(results)
+    results = results.model_copy(update={"speed_error": (*results.speed_error, *(row for _, row in further))})
+    ends = [work.ledger.seconds.get(part, work.ledger.elapsed) for part, _ in further]
+    prices = PricesEntry(
+        cost_seconds_per_evaluation=priced.cost,
+        crossover_seconds_per_evaluation=way.crossover,
+        balance_seconds_per_evaluation=way.balance,
+        affordable_evaluations=way.affordable,
+    )
+    manifest = build_manifest(work, work.ledger, [*work.ledger.times, *ends], prices)
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)
