@@ -16,9 +16,8 @@ import pytest
 from report_folders import limit, with_pairs, write_folder
 from test_browser import BROWSER
 
-from uqsphere.compare import compare_folders
-from uqsphere.compare.page import write_page
 from uqsphere.report import build_report
+from uqsphere.report.compare import compare_folders, write_page
 
 _POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 _RUN = (

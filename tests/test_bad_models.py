@@ -20,13 +20,13 @@ from uqsphere.cli.watch import Silence, last_words
 from uqsphere.console import Progress
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer
+from uqsphere.report.chapters import measure_heading
 from uqsphere.report.drivers import first_to_measure, measure_finding
-from uqsphere.report.headings import measure_heading
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
-from uqsphere.summary import summary_of
 from uqsphere.uq.estimate import from_replicates
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.surrogate import expansion_indices

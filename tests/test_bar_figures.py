@@ -19,8 +19,9 @@ from uqsphere.errors import StudyError
 from uqsphere.mechanics.field import field_at
 from uqsphere.mechanics.gauges import gauge_strain
 from uqsphere.mechanics.history import view_field
-from uqsphere.report import bar_figures, canvas
-from uqsphere.report.field_figure import draw_field
+from uqsphere.report.figures.canvas import inline, render
+from uqsphere.report.figures.history import draw_forces, draw_gauges, force_rows, wave_forces
+from uqsphere.report.figures.scene import draw_field
 from uqsphere.runner.deterministic import history_summary
 
 GAUGES = ('[[gauges]]\nbar = "incident"\nposition = "0.25 m"\n[[gauges]]\nbar = "receiving"\nposition = "150 mm"\n'
@@ -90,29 +91,29 @@ def test_pictures_have_their_words(written):
     history = written[2]
     for draw, words in (
         (
-            bar_figures.draw_gauges,
+            draw_gauges,
             ("incident bar, 0.25 m", "receiving bar, 0.15 m", "reflected", "transmitted", "[µs]"),
         ),
-        (bar_figures.draw_forces, ("two waves", "contact B", "imbalance R")),
+        (draw_forces, ("two waves", "contact B", "imbalance R")),
         (
             lambda found: draw_field(view_field(found)),
             ("axial stress [MPa]", "VII", "VIII", "X", "XI", "V", "incident"),
         ),
     ):
-        svg = canvas.render(draw(history))
+        svg = render(draw(history))
         assert all(f">{word}" in svg or word in svg for word in words), draw
         assert "mathdefault" not in svg
-        assert svg == canvas.render(draw(history))
+        assert svg == render(draw(history))
         assert len(re.findall("nan", svg)) == 0
 
 
 def test_gauges_that_allow_no_wave_analysis_say_why(study_from, small_text):
     one = small_text + '[[gauges]]\nbar = "incident"\nposition = "50 mm"\n'
     history = uqsphere.history(study_from(text=one))
-    assert bar_figures.force_rows(history) is None
-    assert "no gauge on the receiving bar" in bar_figures.draw_forces(history).finding
+    assert force_rows(history) is None
+    assert "no gauge on the receiving bar" in draw_forces(history).finding
     both = one + '[[gauges]]\nbar = "receiving"\nposition = "50 mm"\n'
-    found, reason = bar_figures.wave_forces(uqsphere.history(study_from(text=both)))
+    found, reason = wave_forces(uqsphere.history(study_from(text=both)))
     assert found is None
     assert "overlaps with its reflection" in reason
 
@@ -123,7 +124,7 @@ def test_endless_bars_without_lengths_have_no_gauge_of_their_own(study_from, sma
     study = study_from(text=text)
     history = uqsphere.history(study)
     assert history.gauges == ()
-    from uqsphere.report.detail import write_history
+    from uqsphere.report.figures.history import write_history
 
     names = {path.name for path in write_history(history, study, tmp_path)}
     assert "gauges.svg" not in names
@@ -173,7 +174,7 @@ def _light(colour: np.ndarray) -> float:
 
 def test_the_picture_of_the_bars_survives_the_way_into_a_page(written):
     picture = draw_field(view_field(written[2]))
-    text = canvas.inline(canvas.render(picture), "field")
+    text = inline(render(picture), "field")
     found = re.findall(r'<image[^>]* href="([^"]*)"', text)
     assert found
     for address in found:

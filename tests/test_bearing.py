@@ -10,10 +10,9 @@ import pytest
 from report_folders import limit, write_folder
 
 from uqsphere.mechanics.validity import RULES
-from uqsphere.report.bearing import bearing, breach
+from uqsphere.report.assumptions import bearing, breach
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.glance import glances
-from uqsphere.report.verdict import cautions
+from uqsphere.report.verdict import cautions, glances
 
 
 def with_check(tmp_path: Path, check: str, text: str = "text", **limits: dict[str, Any]) -> Contents:

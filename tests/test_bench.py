@@ -19,7 +19,7 @@ from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_f
 from uqsphere.errors import FolderError
 from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.integrator.tracked import ANSWER_CONTACT, ANSWER_X_MAX
-from uqsphere.report.canvas import render, style
+from uqsphere.report.figures.canvas import render, style
 
 
 def entry(contender: str, seconds: float, error: float, **others: str) -> Entry:

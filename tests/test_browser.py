@@ -187,7 +187,7 @@ def test_the_page_is_valid_html(plain: Path, crowded: Path) -> None:
 
 def test_the_document_is_typeset_without_the_network(plain: Path) -> None:
     pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
-    from uqsphere.report.pdf import build_pdf
+    from uqsphere.report.page import build_pdf
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -198,7 +198,7 @@ def test_the_document_is_typeset_without_the_network(plain: Path) -> None:
 
 def test_pictures_in_the_page_are_typeset_and_nothing_else_is_read(tmp_path: Path) -> None:
     pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
-    from uqsphere.report.pdf import typeset
+    from uqsphere.report.page import typeset
 
     dot = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
     (tmp_path / "dot.png").write_bytes(base64.b64decode(dot))
@@ -219,7 +219,7 @@ def test_a_missing_typesetter_is_told_with_what_to_install(monkeypatch: pytest.M
     import sys
 
     from uqsphere.errors import UsageError
-    from uqsphere.report.pdf import check_pdf
+    from uqsphere.report.page import check_pdf
 
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(UsageError, match=r"pip install 'uqsphere\[pdf\]'"):

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from report_folders import limit, write_folder
 
 from uqsphere.cli import main
-from uqsphere.compare import compare_folders, comparison_text, difference_interval, judge_together
 from uqsphere.errors import FolderError
+from uqsphere.report.compare import compare_folders, comparison_text, difference_interval, judge_together
 
 EXACT = 1e-12
 ORDINARY = st.floats(-1e6, 1e6, allow_nan=False)
@@ -149,7 +149,7 @@ def test_answers_of_one_run_alone_are_named(tmp_path: Path, pair: tuple[Path, Pa
 
 def test_a_damaged_folder_is_refused(pair: tuple[Path, Path]) -> None:
     (pair[1] / "results.json").write_text("{}")
-    with pytest.raises(FolderError, match="lacks"):
+    with pytest.raises(FolderError, match="study: it is missing"):
         compare_folders(*pair)
 
 

@@ -14,13 +14,13 @@ from scipy.special import ndtr
 import uqsphere
 from tests.campaigns.fragility import straight_value, value_coverage
 from uqsphere.cli import main
-from uqsphere.report.margin_verdict import margin_answer
+from uqsphere.report.margins import margin_answer
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.runner.curve_rows import shared
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.margins import find_margins
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 from uqsphere.uq.row_fit import fit_rows
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"

@@ -18,7 +18,8 @@ import uqsphere
 from tests.campaigns.coverage import coverage_models, dear_rows
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, TooManyFailures, UsageError
-from uqsphere.report.wording import without_failed
+from uqsphere.report.phrases import without_failed
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.runner import evaluate as work
 from uqsphere.runner import price as pricing
@@ -33,7 +34,6 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.ways import CHEAP, choose_way
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.describe import describe

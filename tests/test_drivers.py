@@ -15,8 +15,8 @@ from scipy.special import ndtr
 import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.drivers import specimens
+from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 
 #: y = a + 2 b, normal; it fails above a normal strength
 BOX = """\

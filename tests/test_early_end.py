@@ -13,8 +13,8 @@ import uqsphere
 from uqsphere.console import Progress, bar
 from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
+from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 
 
 @pytest.mark.parametrize("after", [1, 2, 3])

@@ -14,12 +14,12 @@ from scipy.special import ndtri
 import uqsphere
 from uqsphere.errors import StudyError
 from uqsphere.report import build_report
+from uqsphere.report.terminal import summary_of
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.energy_curve import energy_curve
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 
 PROBABILITIES = (0.01, 0.1, 0.5, 0.9, 0.99)
 BOX = """

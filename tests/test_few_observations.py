@@ -10,10 +10,10 @@ import pytest
 from scipy import stats
 
 import uqsphere
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.study import load_study
 from uqsphere.study.study import Study
-from uqsphere.summary import summary_of
 
 STUDY = """
 [inputs]

@@ -15,20 +15,17 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 from report_folders import estimate, limit, with_pairs, write_folder
 
-from uqsphere.report import (
-    canvas,
-    decision,
-    figures,
-    force_band,
-    history_figure,
-    limit_surface,
-    pair_figures,
-    progress,
-    swings,
-    xt_figure,
-)
-from uqsphere.report.canvas import Picture
+from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
+from uqsphere.report.figures import limits
+from uqsphere.report.figures.canvas import Picture, inline, render, spread, style
+from uqsphere.report.figures.convergence import Series, _labelled, convergence_figure, speed_figure
+from uqsphere.report.figures.distributions import distribution_figure
+from uqsphere.report.figures.fragility import fragility_figure, margin_figure
+from uqsphere.report.figures.indices import group_figure, pair_figure, ranked, sensitivity_figure, sensitivity_finding
+from uqsphere.report.figures.limits import _to_the_ends, surface_figure
+from uqsphere.report.figures.scene import force_band_figure
+from uqsphere.report.figures.swings import tornado_figure, waterfall_figure
 
 LONG = "Schwingungsdämpferhalterungsverschraubungsvorspannkraft"
 SMALL_FIGURE = 300_000
@@ -39,23 +36,23 @@ SLACK = 1.0
 def few_misses(contents: Any, name: str) -> Picture | None:
     """The samples of a limit with so few misses that a page leaves the picture out."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(limit_surface, "_TELLING", 0)
-        return limit_surface.surface_figure(contents, name)
+        patch.setattr(limits, "_TELLING", 0)
+        return surface_figure(contents, name)
 
 
 DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
-    "distribution": lambda c: figures.distribution_figure(c, next(iter(c.results["quantities"]))),
-    "sensitivity": lambda c: figures.sensitivity_figure(c, next(iter(c.results["quantities"]))),
-    "margin": decision.margin_figure,
-    "fragility": lambda c: decision.fragility_figure(c, next(iter(c.results["limits"]))),
-    "convergence": progress.convergence_figure,
-    "speed": progress.speed_figure,
-    "pairs": lambda c: pair_figures.pair_figure(c, next(iter(c.results["quantities"]))),
-    "groups": lambda c: pair_figures.group_figure(c, next(iter(c.results["quantities"]))),
-    "tornado": lambda c: swings.tornado_figure(c, next(iter(c.results["quantities"]))),
-    "waterfall": lambda c: swings.waterfall_figure(c, next(iter(c.results["limits"]))),
+    "distribution": lambda c: distribution_figure(c, next(iter(c.results["quantities"]))),
+    "sensitivity": lambda c: sensitivity_figure(c, next(iter(c.results["quantities"]))),
+    "margin": margin_figure,
+    "fragility": lambda c: fragility_figure(c, next(iter(c.results["limits"]))),
+    "convergence": convergence_figure,
+    "speed": speed_figure,
+    "pairs": lambda c: pair_figure(c, next(iter(c.results["quantities"]))),
+    "groups": lambda c: group_figure(c, next(iter(c.results["quantities"]))),
+    "tornado": lambda c: tornado_figure(c, next(iter(c.results["quantities"]))),
+    "waterfall": lambda c: waterfall_figure(c, next(iter(c.results["limits"]))),
     "surface": lambda c: few_misses(c, next(iter(c.results["limits"]))),
-    "force band": force_band.force_band_figure,
+    "force band": force_band_figure,
 }
 
 
@@ -84,7 +81,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[[Picture], list[tuple[str
 
     def draw(picture: Picture) -> list[tuple[str, Any]]:
         texts.clear()
-        with canvas.style(), monkeypatch.context() as patch:
+        with style(), monkeypatch.context() as patch:
             patch.setattr(Text, "draw", record)
             renderer: Any = picture.figure.canvas.get_renderer()  # type: ignore[attr-defined]
             picture.figure.draw(renderer)
@@ -126,9 +123,9 @@ def test_labels_stand_apart_and_inside_at_any_length(
     boxes = drawn(picture)
     assert len(boxes) > 3
     assert_apart(boxes)
-    svg = canvas.render(picture)
+    svg = render(picture)
     check_svg(svg)
-    check_svg(canvas.inline(svg, picture.name))
+    check_svg(inline(svg, picture.name))
 
 
 @pytest.mark.parametrize("aim", ["survive", "break"])
@@ -137,7 +134,7 @@ def test_fragility_keeps_its_labels_apart(
     tmp_path: Path, drawn: Callable[[Picture], list[tuple[str, Any]]], aim: str, miss: float
 ) -> None:
     limits = {"x": limit(miss, 0.01, None, aim=aim, half=1e-6)}
-    picture = decision.fragility_figure(read_contents(write_folder(tmp_path, limits=limits)), "x")
+    picture = fragility_figure(read_contents(write_folder(tmp_path, limits=limits)), "x")
     assert picture is not None
     assert_apart(drawn(picture))
 
@@ -153,7 +150,7 @@ def test_margin_keeps_its_labels_apart(
         k: estimate(v, 1e-4, "unbounded") for k, v in zip(("0.05", "median", "0.95"), margin, strict=True)
     }
     contents = read_contents(write_folder(tmp_path, limits={"x": entry}))
-    picture = decision.margin_figure(contents)
+    picture = margin_figure(contents)
     assert picture is not None
     assert_apart(drawn(picture))
     assert ("unbounded" in picture.finding) == (margin[2] is None)
@@ -169,7 +166,7 @@ def test_margins_that_span_decades_stand_on_a_logarithmic_axis(
         for k, span in enumerate(spans):
             margin = {key: estimate(v, 1e-4, "") for key, v in zip(("0.05", "median", "0.95"), span, strict=True)}
             entries[f"x{k}"] = {**limit(0.01, 0.02, True), "margin": margin}
-        found = decision.margin_figure(read_contents(write_folder(tmp_path / name, limits=entries)))
+        found = margin_figure(read_contents(write_folder(tmp_path / name, limits=entries)))
         assert found is not None
         assert_apart(drawn(found))
         return found
@@ -190,7 +187,7 @@ def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path:
     entry = contents.results["margins"]["x"]
     for point in entry["curve"][:6]:
         point[1:] = [1e-30, 1e-31, 1e-29]
-    picture = decision.fragility_figure(contents, "x")
+    picture = fragility_figure(contents, "x")
     assert picture is not None
     axes = picture.figure.axes[0]
     marks = [line for line in axes.lines if line.get_marker() in ("D", "v", "^")]
@@ -201,19 +198,19 @@ def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path:
 
 
 def test_of_two_methods_for_one_question_the_better_is_labelled_and_none_below_the_axis() -> None:
-    def series(method: str, error: float, quantity: str = "p_max") -> progress.Series:
-        return progress.Series(
+    def series(method: str, error: float, quantity: str = "p_max") -> Series:
+        return Series(
             method=method, quantity=quantity, kind="mean", asked=0.01, points=((10.0, 1.0, 9.0), (20.0, 2.0, error))
         )
 
     plain, controlled, tiny = series("sampled", 0.5), series("controlled", 0.1), series("sampled", 1e-9, "a_max")
-    assert progress._labelled([plain, controlled, tiny]) == [controlled]
+    assert _labelled([plain, controlled, tiny]) == [controlled]
 
 
 def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path))
     contents.results["speed_error"][-1]["error"] = 1e-14
-    picture = progress.convergence_figure(contents)
+    picture = convergence_figure(contents)
     assert picture is not None
     axes = picture.figure.axes[0]
     assert axes.get_ylim()[0] == pytest.approx(1e-3)
@@ -223,7 +220,7 @@ def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: P
 def test_a_band_that_is_drawn_on_keeps_its_width() -> None:
     middles = np.array([40.0, 50.0, 60.0])
     band = np.array([[1.9, 2.0, 2.2], [2.45, 2.5, 2.55], [2.8, 3.0, 3.4]])
-    places, found = limit_surface._to_the_ends(middles, band, np.array([30.0, 90.0]))
+    places, found = _to_the_ends(middles, band, np.array([30.0, 90.0]))
     assert places.tolist() == [30.0, 40.0, 50.0, 60.0, 90.0]
     assert found[0] == pytest.approx([1.4, 1.5, 1.7])
     assert found[-1] == pytest.approx([4.3, 4.5, 4.9])
@@ -236,7 +233,7 @@ def test_dollars_and_markup_are_drawn_as_they_stand(tmp_path: Path) -> None:
     for kind, draw in DRAWINGS.items():
         picture = draw(contents)
         assert picture is not None
-        root = check_svg(canvas.render(picture))
+        root = check_svg(render(picture))
         assert kind == "force band" or "<b>$\\frac{1}{$ &" in "".join(root.itertext())
 
 
@@ -246,9 +243,9 @@ def test_settings_of_the_user_neither_matter_nor_change(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path, limits={"x": limit(0.01, 0.02, True)}))
 
     def text() -> str:
-        picture = figures.distribution_figure(contents, "p_max")
+        picture = distribution_figure(contents, "p_max")
         assert picture is not None
-        return canvas.render(picture)
+        return render(picture)
 
     plain = text()
     with matplotlib.rc_context({"font.size": 30.0, "svg.fonttype": "path", "axes.grid": True}):
@@ -261,17 +258,17 @@ def test_bars_are_sorted_and_the_largest_is_named(tmp_path: Path) -> None:
     inputs = ("sphere.nu", "sphere.E", "striker.speed")
     folder = write_folder(tmp_path, inputs=inputs)
     contents = read_contents(folder)
-    assert figures.ranked(contents.results["sensitivity"]["p_max"]) == list(inputs)
+    assert ranked(contents.results["sensitivity"]["p_max"]) == list(inputs)
     entry = contents.results["sensitivity"]["p_max"]
     entry["first"]["striker.speed"], entry["total"]["striker.speed"] = estimate(0.7), estimate(0.9)
-    assert figures.ranked(entry)[0] == "striker.speed"
-    finding = figures.sensitivity_finding(contents, "p_max")
+    assert ranked(entry)[0] == "striker.speed"
+    finding = sensitivity_finding(contents, "p_max")
     assert finding.startswith("Speed of the striker drives 90 % with its interactions (70 % alone) of the variance")
 
 
 def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path, quantities=("contact_time",), censored=0.25))
-    picture = figures.distribution_figure(contents, "contact_time")
+    picture = distribution_figure(contents, "contact_time")
     assert picture is not None
     axes = picture.figure.axes[0]
     width = float(np.diff(axes.get_xlim())[0])
@@ -285,7 +282,7 @@ def test_areas_of_a_density_are_shares(tmp_path: Path) -> None:
 @given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=10))
 @settings(max_examples=50, deadline=None)
 def test_spread_keeps_a_gap_order_and_the_ends(wanted: list[float]) -> None:
-    places = canvas.spread(wanted, 1.0, 0.0, 10.0)
+    places = spread(wanted, 1.0, 0.0, 10.0)
     order = np.argsort(wanted, kind="stable")
     steps = np.diff(np.array(places)[order])
     assert np.all(steps >= 1.0 - 1e-9)
@@ -321,7 +318,7 @@ def scene_and_history() -> tuple[Any, Any]:
 def test_history_shows_the_peak_and_the_end_of_contact(
     scene_and_history: tuple[Any, Any], drawn: Callable[[Picture], list[tuple[str, Any]]]
 ) -> None:
-    from uqsphere.report.timelines import draw_history
+    from uqsphere.report.figures.history import draw_history
 
     _, history = scene_and_history
     svg = history_figure(history)
@@ -337,7 +334,7 @@ def test_history_shows_the_peak_and_the_end_of_contact(
 def test_xt_diagram_shows_arrival_and_reflections(
     scene_and_history: tuple[Any, Any], drawn: Callable[[Picture], list[tuple[str, Any]]]
 ) -> None:
-    from uqsphere.report.timelines import draw_xt
+    from uqsphere.report.figures.history import draw_xt
 
     scene, history = scene_and_history
     text = "".join(check_svg(xt_figure(scene, history)).itertext())

@@ -11,21 +11,25 @@ import pytest
 from report_folders import estimate, limit, write_folder
 from scipy.special import ndtr
 
-from uqsphere.report.bearing import bearing, breach
+from uqsphere.report.assumptions import (
+    bearing,
+    beyond_bars,
+    breach,
+    granted_cautions,
+    granted_line,
+    granted_table,
+    turns,
+)
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.decision import lognormal_scores, margin_finding
-from uqsphere.report.directions import drivers_remark, measure_remarks, opposed
-from uqsphere.report.event import answer_text, breaks, missing, safe_side
-from uqsphere.report.glance import glances
-from uqsphere.report.granted import granted_cautions, granted_line, granted_table, turns
-from uqsphere.report.limit_surface import Sides
-from uqsphere.report.margin_verdict import margin_answer, margin_verdicts, no_common_value, reserve
-from uqsphere.report.method import answer_checks_table
-from uqsphere.report.reach import beyond_bars
-from uqsphere.report.sections import margins_table
-from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.report.drivers import drivers_remark, measure_remarks
+from uqsphere.report.figures.fragility import lognormal_scores, margin_finding
+from uqsphere.report.figures.limits import Sides, opposed
+from uqsphere.report.margins import margin_answer, margin_verdicts, no_common_value, reserve
+from uqsphere.report.phrases import answer_text, breaks, missing, safe_side
+from uqsphere.report.tables import answer_checks_table, margins_table
+from uqsphere.report.terminal import summary_of
+from uqsphere.report.verdict import cautions, glances, verdicts
 from uqsphere.results import Results
-from uqsphere.summary import summary_of
 
 _ASSUMED = [
     {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(0.0105, 1e-4), "met": False},

@@ -32,10 +32,8 @@ FLOORS = {
     "uqsphere.report": 9,
     "uqsphere.given": 9,
     "uqsphere.bench": 10,
-    "uqsphere.summary": 10,
     "uqsphere.experiment": 10,
     "uqsphere.planning": 10,
-    "uqsphere.compare": 10,
     "uqsphere.cli": 11,
     "uqsphere.__main__": 12,
 }

@@ -23,10 +23,10 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
-from uqsphere.report.fracture import interplay_figure, interplay_remarks
+from uqsphere.report.figures.limits import interplay_figure, interplay_remarks
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.results.tables import tables
-from uqsphere.summary import summary_of
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")
 GRANITE = {

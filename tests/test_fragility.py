@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
-from uqsphere.report.margin_verdict import margin_verdicts
+from uqsphere.report.margins import margin_verdicts
 from uqsphere.study import ENERGY
 from uqsphere.uq.fragility import fit_lognormal_curve, interpolate_rows
 from uqsphere.uq.whatif import roots

@@ -12,7 +12,7 @@ from tests.campaigns import given as bench_given
 from tests.campaigns.coverage import CoverageRow
 from tests.campaigns.given import closed_effects, given_rows, model_of, shares_of
 from uqsphere.given import analyse_data
-from uqsphere.report.canvas import render, style
+from uqsphere.report.figures.canvas import render, style
 
 
 def test_shares_of_the_bench_models_are_those_by_hand() -> None:

@@ -13,14 +13,14 @@ import pytest
 from matplotlib.text import Text
 from report_folders import estimate, limit, write_folder
 
-from uqsphere.compare import compare_folders
 from uqsphere.report import build_report
-from uqsphere.report.canvas import Picture
+from uqsphere.report.compare import compare_folders
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.decision import fragility_figure
-from uqsphere.report.figures import distribution_figure
+from uqsphere.report.figures.canvas import Picture
+from uqsphere.report.figures.distributions import distribution_figure
+from uqsphere.report.figures.fragility import fragility_figure
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import read_results
-from uqsphere.summary import summary_of
 
 
 def solved(folder: Path, **limits: dict[str, Any]) -> Path:
@@ -177,7 +177,7 @@ def test_a_table_behind_a_figure_begins_on_its_page() -> None:
     """It went to the next page as a whole, and left half a page white."""
     pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
     from uqsphere import report
-    from uqsphere.report.pdf import typeset
+    from uqsphere.report.page import typeset
 
     style = (Path(report.__file__).parent / "style.css").read_text(encoding="utf-8")
     rows = "<tr><th>a</th><td>1</td></tr>" * 40
@@ -194,7 +194,7 @@ def test_a_table_behind_a_figure_begins_on_its_page() -> None:
 
 def test_the_typeset_document_lists_its_chapters_with_their_pages(tmp_path: Path) -> None:
     pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
-    from uqsphere.report.pdf import typeset
+    from uqsphere.report.page import typeset
 
     page = build_report(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
     with warnings.catch_warnings():

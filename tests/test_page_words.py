@@ -14,21 +14,18 @@ import pytest
 from report_folders import estimate, limit, write_folder
 from test_page_agrees import headings, solved
 
-from uqsphere.report import progress
-from uqsphere.report.bearing import check_name
+from uqsphere.report.assumptions import check_name
+from uqsphere.report.blocks import Table
+from uqsphere.report.chapters import swings_heading
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.drivers import given_failure_table, measure_finding, measure_table
-from uqsphere.report.fragility_family import family_figure
-from uqsphere.report.glance import glances
-from uqsphere.report.headings import swings_heading
-from uqsphere.report.html import build_report, new_environment
-from uqsphere.report.margin_parts import parts_table
-from uqsphere.report.margin_verdict import margin_verdicts, subject_of
-from uqsphere.report.method import _part_row
-from uqsphere.report.sheet import unbroken
-from uqsphere.report.tables import Table
-from uqsphere.report.verdict import cautions, verdicts
-from uqsphere.report.wording import law_name, mathematical, outward, probability_range
+from uqsphere.report.figures.convergence import _legend_names, _ticks
+from uqsphere.report.figures.fragility import family_figure
+from uqsphere.report.margins import margin_verdicts, parts_table, subject_of
+from uqsphere.report.page import build_report, new_environment, unbroken
+from uqsphere.report.phrases import law_name, mathematical, outward, probability_range
+from uqsphere.report.tables import _part_row
+from uqsphere.report.verdict import cautions, glances, verdicts
 from uqsphere.runner.band import METHOD
 
 ROOT = Path(__file__).parents[1]
@@ -73,7 +70,7 @@ def test_a_table_of_many_columns_is_set_smaller_and_of_very_many_parts_its_inter
 
 def test_names_in_a_legend_are_whole() -> None:
     methods = ["pick and freeze", "polynomial chaos", METHOD, "a, first of two", "a, second of two"]
-    names = progress._legend_names(methods)
+    names = _legend_names(methods)
     assert names == [
         "pick and freeze",
         "polynomial chaos",
@@ -88,7 +85,7 @@ def test_names_in_a_legend_are_whole() -> None:
 def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
     narrow = [(0.01 * k, 0.01 * k + width) for k in range(-100, 100, 3) for width in (0.1, 0.15, 0.2, 0.25)]
     for low, high in ((1.5, 2.2), (3.1, 3.7), (0.0, 5.0), (2.0, 3.0), *narrow):
-        ticks = progress._ticks(low, high)
+        ticks = _ticks(low, high)
         assert 3 <= len(ticks) <= 8
         assert all(10.0**low <= tick <= 10.0**high * (1.0 + 1e-9) for tick in ticks)
         assert all(math.log10(b / a) > 0.04 * (high - low) for a, b in pairwise(ticks))
@@ -228,7 +225,7 @@ def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) 
 
 
 def _label(contents: Contents) -> str:
-    from uqsphere.report.decision import fragility_figure
+    from uqsphere.report.figures.fragility import fragility_figure
 
     picture = fragility_figure(contents, "chute")
     assert picture is not None

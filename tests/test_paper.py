@@ -14,10 +14,8 @@ import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import read_contents
-from uqsphere.report.glossary import GLOSSARY, words_used
-from uqsphere.report.html import _distinct, _numbers_of
-from uqsphere.report.limit_surface import surface_figure
-from uqsphere.report.sheet import margin_boxes, unbroken
+from uqsphere.report.figures.limits import surface_figure
+from uqsphere.report.page import GLOSSARY, _distinct, _numbers_of, margin_boxes, unbroken, words_used
 
 STUDIES = Path(__file__).parents[1] / "studies"
 

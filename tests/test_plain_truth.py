@@ -8,16 +8,15 @@ from typing import Any
 import pytest
 from report_folders import estimate, limit, write_folder
 
-from uqsphere.report import canvas
+from uqsphere.report.chapters import failure_heading
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.drivers import design_table, failure_finding
-from uqsphere.report.event import solved_name
-from uqsphere.report.figures import sensitivity_finding
-from uqsphere.report.glance import _measure, glances
-from uqsphere.report.headings import failure_heading
-from uqsphere.report.swings import Swing, _swing_bar, waterfall_heading
-from uqsphere.report.verdict import verdicts
-from uqsphere.summary import _governing
+from uqsphere.report.figures.canvas import new_figure
+from uqsphere.report.figures.indices import sensitivity_finding
+from uqsphere.report.figures.swings import Swing, _swing_bar, waterfall_heading
+from uqsphere.report.phrases import solved_name
+from uqsphere.report.terminal import _governing
+from uqsphere.report.verdict import _measure, glances, verdicts
 from uqsphere.uq.failure_indices import BY_DIRECTION
 
 
@@ -115,7 +114,7 @@ def test_the_terminal_says_of_which_way_to_fail_the_shares_are(points: int, told
 def test_a_number_on_a_bar_can_be_read(low: float, boxes: int) -> None:
     """Where both ends of an input lie below the middle, the nearer number stands on the longer bar."""
     swing = Swing(name="b", below=0.8, above=1.2, at_low=(low, low, low), at_high=(2.97, 2.9, 3.0))
-    figure, (axes,) = canvas.new_figure(2.0)
+    figure, (axes,) = new_figure(2.0)
     _swing_bar(axes, 0, swing, 3.3, "y")
     assert sum(text.get_bbox_patch() is not None for text in axes.texts) == boxes
     figure.clear()

@@ -14,9 +14,9 @@ from uqsphere.mechanics.criteria import CRITERIA, product_fineness
 from uqsphere.model import evaluate
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.report import build_report
+from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
 from uqsphere.study.editor import build_schema
-from uqsphere.summary import summary_of
 
 PRODUCT = """
 [product]

@@ -13,7 +13,7 @@ import pytest
 from tests.campaigns import errata, publish
 from tests.campaigns.publish import BENCHMARK, REPORTS, Published
 from uqsphere.errors import UsageError
-from uqsphere.report.canvas import render, style
+from uqsphere.report.figures.canvas import render, style
 from uqsphere.study import load_study, shipped_studies
 
 ROOT = Path(__file__).parent.parent

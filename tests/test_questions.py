@@ -15,12 +15,12 @@ import pytest
 from conftest import SUM
 
 import uqsphere
-from uqsphere.report.closing import computed_chapter
+from uqsphere.report.chapters import accuracy_heading, computed_chapter
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.fragility_family import family_table
-from uqsphere.report.headings import accuracy_heading
-from uqsphere.report.method import accuracy_table
-from uqsphere.report.progress import course_finding, error_series, progress_finding
+from uqsphere.report.figures.convergence import course_finding, error_series, progress_finding
+from uqsphere.report.figures.fragility import family_table
+from uqsphere.report.tables import accuracy_table
+from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.results import MarginEntry, Results, SpeedRow
 from uqsphere.runner.account import FURTHER, further_rows
@@ -29,7 +29,6 @@ from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
 from uqsphere.study import Study
-from uqsphere.summary import summary_of
 from uqsphere.uq.describe import Description, lacking
 from uqsphere.uq.estimate import Estimate, exact
 

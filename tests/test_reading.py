@@ -22,10 +22,10 @@ from uqsphere.quantities import (
     unit_that_reads,
 )
 from uqsphere.report import build_report
-from uqsphere.report.paths import slim
-from uqsphere.report.tables import index_cell
+from uqsphere.report.blocks import index_cell
+from uqsphere.report.figures.canvas import slim
+from uqsphere.report.phrases import estimate_text, powers, probability_text
 from uqsphere.report.units import units_of
-from uqsphere.report.wording import estimate_text, powers, probability_text
 
 
 def around(value: float, half: float) -> dict[str, float]:

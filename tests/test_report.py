@@ -14,14 +14,14 @@ from report_folders import estimate, limit, write_folder
 
 from uqsphere.errors import FolderError
 from uqsphere.report import build_report
+from uqsphere.report.blocks import Verdict
 from uqsphere.report.contents import read_contents
-from uqsphere.report.glance import allowed_value, glances
-from uqsphere.report.html import MOST_BYTES
-from uqsphere.report.method import methods_table, paper_table
-from uqsphere.report.verdict import Verdict, cautions, verdicts
-from uqsphere.report.wording import probability_text, rounded, share_text
+from uqsphere.report.page import MOST_BYTES
+from uqsphere.report.phrases import probability_text, rounded, share_text
+from uqsphere.report.tables import methods_table, paper_table
+from uqsphere.report.terminal import summary_of
+from uqsphere.report.verdict import allowed_value, cautions, glances, verdicts
 from uqsphere.results import Results
-from uqsphere.summary import summary_of
 
 NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
 
@@ -350,7 +350,7 @@ def test_page_stays_small_with_many_quantities_and_inputs(tmp_path: Path) -> Non
 def test_figures_beyond_the_room_of_the_page_stay_files(
     standard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uqsphere.report.html.MOST_INLINED", 40_000)
+    monkeypatch.setattr("uqsphere.report.page.MOST_INLINED", 40_000)
     folder = Path(shutil.copytree(standard, tmp_path / "again"))
     reader = Reader(page_of(folder))
     drawings = [tag for tag, _ in reader.tags].count("svg")
@@ -384,7 +384,7 @@ def test_sources_that_were_not_seen_are_marked(page: str) -> None:
 
 def test_seconds_come_in_the_order_of_the_rows(tmp_path: Path) -> None:
     from uqsphere.report.contents import read_contents
-    from uqsphere.report.progress import error_series
+    from uqsphere.report.figures.convergence import error_series
 
     folder = write_folder(tmp_path)
     rows = json.loads((folder / "results.json").read_text())["speed_error"]

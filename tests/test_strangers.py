@@ -235,14 +235,12 @@ def every_place(node: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]
 @pytest.mark.parametrize("junk", [None, "x", -1, {}], ids=str)
 @pytest.mark.parametrize("file", ["results.json", "study.resolved.json"])
 def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: Any, capsys: Any) -> None:
-    from uqsphere.compare import compare_folders, comparison_text
+    from uqsphere.report.compare import compare_folders, comparison_text
     from uqsphere.report.contents import read_contents
-    from uqsphere.report.method import model_table, repeat_rows
-    from uqsphere.report.origins import inputs_table
-    from uqsphere.report.sections import limits_table
+    from uqsphere.report.tables import inputs_table, limits_table, model_table, repeat_rows
+    from uqsphere.report.terminal import summary_of
     from uqsphere.report.verdict import cautions, verdicts
     from uqsphere.runner.api import open_run
-    from uqsphere.summary import summary_of
 
     whole = json.loads((folder / file).read_text())
     refused = 0
@@ -382,7 +380,7 @@ def test_the_log_says_how_a_run_failed_and_stops_no_run(tmp_path: Path) -> None:
 def test_no_name_breaks_a_figure(evil: str) -> None:
     from xml.etree import ElementTree
 
-    from uqsphere.report.canvas import Picture, new_figure, render
+    from uqsphere.report.figures.canvas import Picture, new_figure, render
 
     figure, (axes,) = new_figure(2.0)
     axes.set_yticks([0.0, 1.0], labels=["a", f"b{evil}c"])

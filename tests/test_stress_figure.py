@@ -10,8 +10,8 @@ import pytest
 
 from uqsphere import history, load_study
 from uqsphere.mechanics.stress.tables import core_ratio
-from uqsphere.report.detail import write_history
-from uqsphere.report.stress_figure import stress_figure, stress_picture
+from uqsphere.report.figures.history import write_history
+from uqsphere.report.figures.scene import stress_figure, stress_picture
 from uqsphere.study import shipped_studies
 
 

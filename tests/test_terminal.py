@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from uqsphere.compare import compare_folders, comparison_text
 from uqsphere.console import Progress, screen_width, table, wrap, writable
-from uqsphere.report.wording import estimate_text
+from uqsphere.report.compare import compare_folders, comparison_text
+from uqsphere.report.phrases import estimate_text
+from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
-from uqsphere.summary import summary_of
 
 ROOT = Path(__file__).parent.parent
 PUBLISHED = sorted(path.parent for path in (ROOT / "reports").glob("*/results.json"))

@@ -16,7 +16,7 @@ from tests.campaigns.chaos import Measured
 from tests.campaigns.coverage import CoverageRow, reference
 from tests.campaigns.uncertainty import PARTS, Part, run_uncertainty, study_figure, surrogate_figure
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.report.canvas import render, style
+from uqsphere.report.figures.canvas import render, style
 from uqsphere.study import load_study, shipped_studies
 from uqsphere.uq.expansion import chaos_moments, fit_chaos, judge, predict
 

@@ -155,7 +155,7 @@ def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> t
         rows.append(("striker speed that it stands for", format_value(content["striker_speed"], "striker.speed")))
     written = []
     if chosen.out is not None:
-        from uqsphere.report.records_figure import pulse_figure
+        from uqsphere.report.figures.records import pulse_figure
         from uqsphere.store import write_atomically
 
         path = chosen.out / "record.svg"
@@ -189,7 +189,7 @@ def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tu
     content, rows = _answers(chosen, faces, found, columns)
     written = []
     if chosen.out is not None:
-        from uqsphere.report.records_figure import forces_figure, pulse_figure
+        from uqsphere.report.figures.records import forces_figure, pulse_figure
         from uqsphere.store import csv_text, write_atomically
 
         force = found.forces

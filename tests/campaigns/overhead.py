@@ -15,7 +15,7 @@ from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = ["figures", "five_inputs", "measure", "ours", "peer", "text"]
 

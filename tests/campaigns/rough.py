@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
     from uqsphere.study import Study
 
 __all__ = ["figures", "measure", "plain_chaos", "text"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = ["figures", "measure", "text"]
 
@@ -19,7 +19,7 @@ QUICK_BUDGET: Final = 20_000
 def _run(path: Path, budget: int) -> dict[str, Any]:
     """Series of errors over what was asked, the budget's use, and what was missed."""
     from uqsphere.report.contents import read_contents
-    from uqsphere.report.progress import error_series
+    from uqsphere.report.figures.convergence import error_series
     from uqsphere.runner.account import FURTHER
     from uqsphere.runner.api import run
     from uqsphere.study import load_study

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = ["figures", "measure", "text"]
 

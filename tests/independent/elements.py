@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = ["Comparison", "Field", "Mesh", "compare", "elements_figure", "make_mesh", "solve_elements"]
 
@@ -330,7 +330,7 @@ def elements_figure(comparison: Comparison | None = None) -> Picture:
     from matplotlib import colormaps
     from matplotlib.colors import BoundaryNorm, LogNorm
 
-    from uqsphere.report.canvas import FAINT, GREY, INK, Picture, new_figure
+    from uqsphere.report.figures.canvas import FAINT, GREY, INK, Picture, new_figure
 
     found = compare(count=MESHES[-1][0], finest=MESHES[-1][1]) if comparison is None else comparison
     figure, (fields, error) = new_figure(7.4, rows=2)
@@ -371,7 +371,7 @@ def elements_figure(comparison: Comparison | None = None) -> Picture:
 
 def main() -> None:
     """Write the figure to the file named, and the numbers of it and of coarser meshes to the terminal."""
-    from uqsphere.report.canvas import render, style
+    from uqsphere.report.figures.canvas import render, style
 
     finest: Comparison | None = None
     for count, first in MESHES:

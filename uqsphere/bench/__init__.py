@@ -27,7 +27,7 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
     from uqsphere.bench.measure import cost_tables, measure_scene, reference_gap
     from uqsphere.bench.scenes import bench_scenes
     from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
-    from uqsphere.report.canvas import render, style
+    from uqsphere.report.figures.canvas import render, style
 
     if folder.exists() and any(folder.iterdir()) and not (folder / "bench.json").is_file():
         raise FolderError(f"{folder} is not empty and holds no benchmark: choose another with --out")

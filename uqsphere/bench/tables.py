@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.bench.measure import Entry, ratio_at_error
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = ["bench_text", "cost_figure", "ratios", "speed_error_figure"]
 
@@ -97,7 +97,7 @@ def _plain_ticks(panel: Any) -> None:
 
 def speed_error_figure(entries: Sequence[Entry]) -> Picture:
     """Error on one axis, seconds per million rows on the other, one panel per scene."""
-    from uqsphere.report.canvas import BLUE, GREEN, GREY, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
+    from uqsphere.report.figures.canvas import BLUE, GREEN, GREY, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
 
     colours = {
         "full": BLUE, "full, numpy path": SKY, "linear": PURPLE, "massless": GREEN, "solve_ivp DOP853": RED,
@@ -134,7 +134,7 @@ def speed_error_figure(entries: Sequence[Entry]) -> Picture:
 
 def cost_figure(cost: dict[str, list[tuple[float, float]]]) -> Picture:
     """Microseconds a row against number of rows, mass number and pulse number."""
-    from uqsphere.report.canvas import BLUE, Picture, new_figure
+    from uqsphere.report.figures.canvas import BLUE, Picture, new_figure
 
     names = {"rows": "rows in one call", "mu": "mass number mu", "theta": "pulse number theta"}
     figure, axes = new_figure(7.2, rows=len(names))

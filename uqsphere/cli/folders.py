@@ -10,7 +10,7 @@ from pathlib import Path
 
 from uqsphere.console import plain, print_document, screen_width, table
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.summary import summary_of
+from uqsphere.report.terminal import summary_of
 
 #: what reading entries that do not fit together raises; a fault of ours would look the same, so that the
 #: message says how to see it
@@ -38,7 +38,7 @@ def command_report(chosen: argparse.Namespace) -> int:
     from uqsphere.runner.api import open_run
 
     if chosen.pdf:
-        from uqsphere.report.pdf import build_pdf, check_pdf
+        from uqsphere.report.page import build_pdf, check_pdf
 
         check_pdf()
     with _believed(chosen.folder):
@@ -103,12 +103,12 @@ def command_verify(chosen: argparse.Namespace) -> int:
 
 def command_compare(chosen: argparse.Namespace) -> int:
     """Two runs side by side."""
-    from uqsphere.compare import compare_folders, comparison_text
+    from uqsphere.report.compare import compare_folders, comparison_text
 
     with _believed(chosen.before, chosen.after):
         found = compare_folders(chosen.before, chosen.after)
         if chosen.out is not None:
-            from uqsphere.compare.page import write_page
+            from uqsphere.report.compare import write_page
 
             found["page"] = str(write_page(chosen.before, chosen.after, found, chosen.out))
     if chosen.json:

@@ -17,8 +17,8 @@ from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
 from uqsphere.planning.command import command_plan as command_plan
 from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value, reading_units
+from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
-from uqsphere.summary import summary_of
 
 #: exit code of a finished run that misses a target
 MISSED = 3
@@ -125,7 +125,7 @@ def _seconds(text: str | None) -> float | None:
 def command_run(chosen: argparse.Namespace) -> int:
     """Run a study and write its report."""
     from uqsphere.report import build_report
-    from uqsphere.report.shortfalls import SUBJECTS, shortfalls
+    from uqsphere.report.phrases import SUBJECTS, shortfalls
 
     study = load_study(chosen.study, chosen.overrides)
     _warn(study)
@@ -170,7 +170,7 @@ def command_run(chosen: argparse.Namespace) -> int:
 
 def command_history(chosen: argparse.Namespace) -> int:
     """One deterministic scene over time."""
-    from uqsphere.report.detail import units_of_history, write_history
+    from uqsphere.report.figures.history import units_of_history, write_history
     from uqsphere.runner.deterministic import history_of, history_summary
 
     study = load_study(chosen.study, chosen.overrides)

@@ -8,8 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.design import CONSTRAINTS
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, Picture
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PAPER,
+    PURPLE,
+    RED,
+    SKY,
+    Picture,
+    new_figure,
+    render,
+    shorten,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,11 +55,11 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
     places = np.where(chart.binds[:, :, at] < 0, len(CONSTRAINTS), chart.binds[:, :, at])
     kept, whole = chart.kept[:, :, at], chart.kept[:, :, batch].all(axis=2)
     speed, rise = found.speeds, found.rises * 1e6
-    with canvas.style():
+    with style():
         from matplotlib.collections import PolyCollection
         from matplotlib.patches import Patch
 
-        figure, (axes,) = canvas.new_figure(4.9)
+        figure, (axes,) = new_figure(4.9)
         handles: list[Any] = []
         edges_v = np.concatenate([speed[:1], np.sqrt(speed[1:] * speed[:-1]), speed[-1:]])
         edges_r = np.concatenate([rise[:1], 0.5 * (rise[1:] + rise[:-1]), rise[-1:]])
@@ -73,7 +87,7 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         _lengths(axes, speed, rise, found.shortest[:, :, at])
         own = subject.columns["striker.speed"], subject.columns.get("pulse.rise", 0.0) * 1e6
         if speed[0] <= own[0] <= speed[-1] and rise[0] <= own[1] <= rise[-1]:
-            (mark,) = axes.plot(*own, linestyle="none", marker="D", markersize=6, markerfacecolor=canvas.PAPER,
+            (mark,) = axes.plot(*own, linestyle="none", marker="D", markersize=6, markerfacecolor=PAPER,
                                 markeredgecolor=INK, clip_on=False, zorder=5, label="the study")  # fmt: skip
             handles.append(mark)
         axes.set_xscale("log")
@@ -83,11 +97,11 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         axes.set_xlabel("striker speed [m/s]")
         axes.set_ylabel("rise of the pulse [µs]")
         axes.set_title(
-            f"{canvas.shorten(title, 60)}; striker of {chart.length:.3g} m\n"
+            f"{shorten(title, 60)}; striker of {chart.length:.3g} m\n"
             f"|P_A \u2212 P_B| at fracture at most {found.request.level:.3g} of the larger force"
         )
         figure.legend(handles=handles, loc="outside lower left", ncols=2)
-    return canvas.render(Picture(name="plan", title=f"Plan of a test: {title}", finding=_finding(found, which),
+    return render(Picture(name="plan", title=f"Plan of a test: {title}", finding=_finding(found, which),
                                  figure=figure))  # fmt: skip
 
 
@@ -123,7 +137,7 @@ def _lengths(axes: Axes, speed: Array, rise: Array, shortest: Array) -> None:
         return
     lines = axes.contour(speed, rise, known, levels=inside, colors=INK, linewidths=0.7, linestyles="--")
     for text in axes.clabel(lines, fmt=lambda level: f"{level:g} m", fontsize=8):
-        text.set_path_effects([withStroke(linewidth=2.5, foreground=canvas.PAPER)])
+        text.set_path_effects([withStroke(linewidth=2.5, foreground=PAPER)])
 
 
 def _plain_ticks(axes: Axes, low: float, high: float) -> None:

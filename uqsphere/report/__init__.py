@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uqsphere.report.html import build_report
-from uqsphere.report.timelines import history_figure, xt_figure
+from uqsphere.report.figures.history import history_figure, xt_figure
+from uqsphere.report.page import build_report
 
 __all__ = ["build_report", "history_figure", "xt_figure"]

@@ -1,54 +1,568 @@
-"""The order of the page: one list of chapters, each a function from what is stored to its blocks.
-
-A new figure or table is a `Block` in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
-"""
+"""Headings that tell the finding where there is one, after the subject that the list of contents names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
-from uqsphere.report import (
-    decision,
-    directions,
-    drivers,
-    fracture,
-    granted,
-    headings,
-    limit_surface,
-    sections,
-    swings,
-)
+from uqsphere.report.assumptions import answer_checks, granted_block, turns
 from uqsphere.report.blocks import Block, Chapter
-from uqsphere.report.closing import (
-    computed_chapter,
-    inputs_chapter,
-    methods_chapter,
-    others_chapter,
-    quantities_chapter,
-)
 from uqsphere.report.contents import Contents
-from uqsphere.report.energy_curve import energy_block
-from uqsphere.report.fragility_family import (
+from uqsphere.report.drivers import (
+    design_finding,
+    design_table,
+    distances_finding,
+    distances_table,
+    drivers_remark,
+    failure_finding,
+    failure_table,
+    first_to_measure,
+    given_failure_table,
+    measure_finding,
+    measure_remarks,
+    measure_table,
+    mostly_missed,
+    shapley_table,
+    told_from_none,
+)
+from uqsphere.report.figures.convergence import convergence_figure, course_finding, progress_finding, speed_figure
+from uqsphere.report.figures.distributions import (
+    distribution_figure,
+    distribution_finding,
+    overlap_remarks,
+    single_value,
+)
+from uqsphere.report.figures.fragility import (
+    energy_block,
     family_figure,
     family_finding,
     family_table,
+    fragility_figure,
+    fragility_finding,
     lognormal_remarks,
+    margin_figure,
+    margin_finding,
 )
-from uqsphere.report.margin_parts import parts_finding, parts_table
-from uqsphere.report.strength_plot import fitted_tests, probability_plot, tests_table
-from uqsphere.report.subjects import (
-    beyond_blocks,
-    decided,
-    distribution_block,
-    has_indices,
-    indices_block,
-    measure_block,
-    of_limits,
+from uqsphere.report.figures.indices import (
+    MOST_INPUTS,
+    group_figure,
+    group_finding,
+    group_table,
+    pair_figure,
+    pair_finding,
+    pair_table,
+    ranked,
+    sensitivity_figure,
+    sensitivity_finding,
 )
-from uqsphere.report.wording import limit_name
+from uqsphere.report.figures.limits import (
+    fitted_tests,
+    fracture_finding,
+    fracture_table,
+    interplay_figure,
+    interplay_remarks,
+    probability_plot,
+    surface_figure,
+    surface_finding,
+    tests_table,
+)
+from uqsphere.report.figures.scene import (
+    bars_figure,
+    force_band_figure,
+    force_band_finding,
+    force_band_heading,
+    hardest_table,
+    stress_inside_figure,
+)
+from uqsphere.report.figures.swings import (
+    furthest,
+    swings,
+    tornado_figure,
+    tornado_finding,
+    tornado_table,
+    waterfall_figure,
+    waterfall_finding,
+    waterfall_heading,
+    waterfall_table,
+)
+from uqsphere.report.margins import parts_finding, parts_table
+from uqsphere.report.phrases import (
+    answer_text,
+    begin,
+    call,
+    capital,
+    input_name,
+    limit_name,
+    mathematical,
+    plain_percent,
+    powers,
+    rounded,
+    share_text,
+    short_input,
+    shortfalls,
+    symbol,
+    the_input,
+)
+from uqsphere.report.tables import (
+    accuracy_table,
+    answer_checks_table,
+    checks_table,
+    dependence_texts,
+    fixed_table,
+    index_table,
+    inputs_table,
+    limits_table,
+    margins_table,
+    methods_table,
+    model_table,
+    paper_table,
+    plan_table,
+    quantity_table,
+)
 
-__all__ = ["CHAPTERS", "build_chapters"]
+__all__ = [
+    "CHAPTERS",
+    "accuracy_heading",
+    "beyond_blocks",
+    "build_chapters",
+    "checks_heading",
+    "computed_chapter",
+    "decided",
+    "demand_heading",
+    "distribution_block",
+    "distribution_heading",
+    "failure_heading",
+    "family_heading",
+    "fracture_heading",
+    "fragility_heading",
+    "granted_heading",
+    "has_indices",
+    "indices_block",
+    "indices_heading",
+    "inputs_chapter",
+    "measure_block",
+    "measure_heading",
+    "methods_chapter",
+    "of_limits",
+    "others_chapter",
+    "parts_heading",
+    "quantities_chapter",
+    "swings_heading",
+]
+
+
+def _told(subject: str, finding: str) -> str:
+    return f"{subject}: {finding}" if finding else subject
+
+
+def fragility_heading(contents: Contents, name: str) -> str:
+    """Where the curve reaches the accepted probability, or one half where none was accepted."""
+    entry = contents.results["margins"][name]
+    subject = f"Fragility of {limit_name(name)}"
+    if (entry.get("value") or {}).get("value") is not None and entry.get("probability"):
+        return f"{subject}: {plain_percent(entry['probability'])} at {answer_text(contents, name)}"
+    middle = entry["values"].get("0.5")
+    if not middle or middle["value"] is None:
+        return subject
+    return f"{subject}: one half at {rounded(middle, contents.subject(entry['solve']))}"
+
+
+def family_heading(contents: Contents, name: str) -> str:
+    """Between which values one half breaks over the family."""
+    entry = contents.results["margins"][name]
+    family = entry["family"]
+    subject = f"Fragility of {limit_name(name)} over {input_name(family['path'])}"
+    known = [m["values"]["0.5"] for m in family["members"] if (m["values"].get("0.5") or {}).get("value") is not None]
+    if len(known) < 2:
+        return subject
+    first, last = (rounded(e, contents.subject(entry["solve"])) for e in (known[0], known[-1]))
+    return f"{subject}: one half at {first} to {last}"
+
+
+def demand_heading(contents: Contents) -> str:
+    """The median margin of one limit or of two."""
+    limits = contents.results["limits"]
+    known = {name: limit["margin"].get("median") for name, limit in limits.items()}
+    told = [(name, e) for name, e in known.items() if e and e["value"] is not None]
+    if not told or len(limits) > 2:
+        return "Strength over demand"
+    texts = [(limit_name(name, 20), rounded(e, digits=3)) for name, e in told]
+    if len({text for _, text in texts}) == 1:
+        return f"Strength over demand: {texts[0][1]} in the median case"
+    return "Strength over demand: " + ", ".join(f"{text} for {name}" for name, text in texts)
+
+
+def parts_heading(contents: Contents, name: str) -> str:
+    """What takes the largest part of a margin at the answer."""
+    shares = (contents.results["margins"][name].get("lost_to") or {}).get("shares") or {}
+    largest = max(shares, key=lambda key: shares[key], default=None)
+    finding = "" if largest is None else f"{100.0 * shares[largest]:.0f} % by {the_input(largest)}"
+    return _told(f"What the margin of {limit_name(name)} is made of", finding)
+
+
+def fracture_heading(contents: Contents) -> str:
+    """When it breaks in the median."""
+    found = contents.results.get("fracture") or {}
+    median = (found.get("time") or {}).get("median")
+    if median is None or median["value"] is None:
+        return "Fracture"
+    return f"Fracture: in the median after {rounded(median, 'contact_time', 3)}"
+
+
+def distribution_heading(contents: Contents, name: str) -> str:
+    """Between which values nine cases of ten lie."""
+    entry = contents.results["quantities"][name]
+    ends = [entry["quantiles"].get(p) for p in ("0.05", "0.95")]
+    finding = ""
+    if all(end and end["value"] is not None for end in ends) and ends[0]["value"] < ends[1]["value"]:
+        finding = " to ".join(rounded(end, name, 3) for end in ends) + " in nine cases of ten"
+    return _told(begin(name, call(name)), finding)
+
+
+def failure_heading(contents: Contents, name: str) -> str:
+    """What decides most whether an aim is missed, of what the indices are about."""
+    entry = contents.results["limits"][name].get("drivers") or {}
+    table = entry.get("shapley") or entry.get("total") or {}
+    known = {key: e["value"] for key, e in table.items() if e["value"] is not None}
+    largest = max(known, key=lambda key: known[key], default=None)
+    who = "" if largest is None or not told_from_none(table[largest]) else f"most by {the_input(largest)}"
+    if who and entry.get("of") != "missing the aim":
+        who += ", of the model’s inputs"
+    return _told(f"Missing the aim of {limit_name(name)}", who)
+
+
+def indices_heading(contents: Contents, name: str) -> str:
+    """Which input drives a quantity, and how much of its variance."""
+    entry = contents.results["sensitivity"].get(name) or {}
+    rows = ranked(entry) if entry else []
+    if not rows:
+        return symbol(name)
+    share = share_text(entry["first"][rows[0]])
+    return f"{begin(rows[0], short_input(rows[0]))} drives {symbol(name)}: {share} of its variance by itself"
+
+
+def swings_heading(contents: Contents, name: str, furthest: str) -> str:
+    """Which input moves a quantity furthest."""
+    return _told(f"How far each input moves {symbol(name)}", furthest and f"{short_input(furthest)} furthest")
+
+
+def measure_heading(words: str, entry: Mapping[str, Any] | None) -> str:
+    """Which input to measure first, where one can be told from those that do nothing."""
+    first = first_to_measure(entry)
+    return _told(f"What to measure first for {words}", input_name(first["input"]) if first else "")
+
+
+def granted_heading(contents: Contents) -> str:
+    """Whether a verdict turns on what is assumed of a strength."""
+    limits = contents.results["limits"].values()
+    rows = [(limit, row) for limit in limits for row in limit.get("assumed") or () if limit["target"] is not None]
+    finding = ""
+    if any(turns(limit, row) for limit, row in rows):
+        finding = "a verdict turns on it"
+    elif rows:
+        finding = "no verdict turns on it"
+    return _told("What the verdict takes for granted", finding)
+
+
+def checks_heading(checks: Any, subject: str) -> str:
+    """How many of the validity checks are broken."""
+    broken = [c for c in checks if c.get("share_failure", 0.0) + c.get("share_warning", 0.0) > 0.0]
+    if not checks:
+        return subject
+    if not broken:
+        return f"{subject}: no check is broken"
+    return f"{subject}: {len(broken)} of {len(checks)} checks {'is' if len(broken) == 1 else 'are'} broken somewhere"
+
+
+def accuracy_heading(contents: Contents) -> str:
+    """How much of the accuracy asked for was not reached: of the questions of the table, where there are any."""
+    missed = len(contents.results["accuracy"]["missed"])
+    rows = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is not None]
+    late = sum(not row["met"] for row in rows)
+    told = f"{late} of {len(rows)} not" if late else f"{missed} not" if missed else ""
+    told = "all of it" if contents.results["accuracy"]["met"] else told
+    return capital(_told("what was asked, what was reached", told))
+
+
+# --- The blocks of one quantity: its distribution, its indices, and what lies beyond them.
+
+
+def distribution_block(contents: Contents, name: str) -> Block:
+    """The distribution of a quantity, its numbers in the appendix."""
+    single = single_value(contents, name)
+    finding = f"One value: {single}." if single else _without_name(distribution_finding(contents, name))
+    return Block(
+        heading=distribution_heading(contents, name),
+        finding=finding,
+        picture=distribution_figure(contents, name),
+        table=quantity_table(contents, name),
+        appendix=not single,
+        files=("tables/quantities.csv",),
+        remarks=overlap_remarks(contents, name),
+    )
+
+
+def _without_name(finding: str) -> str:
+    """A finding under a heading that names its subject."""
+    return capital(finding.partition(": ")[2])
+
+
+def decided(contents: Contents) -> list[str]:
+    """Quantities whose distribution is the figure of the decision: where no fragility was asked for."""
+    if contents.results["margins"]:
+        return []
+    return of_limits(contents) or list(contents.results["quantities"])[:1]
+
+
+def of_limits(contents: Contents) -> list[str]:
+    """Quantities that have a limit, each once."""
+    found = dict.fromkeys(limit["quantity"] for limit in contents.results["limits"].values())
+    return [name for name in found if name in contents.results["quantities"]]
+
+
+def indices_block(contents: Contents, name: str) -> Block:
+    """What drives a quantity."""
+    entry = contents.results["sensitivity"][name]
+    picture = sensitivity_figure(contents, name)
+    remarks = [powers(str(entry.get("check", {}).get("text") or ""))] if picture is not None else []
+    hidden = len(ranked(entry)) - MOST_INPUTS
+    if hidden > 0:
+        remarks.append(f"The figure shows the {MOST_INPUTS} largest; {hidden} more are in the table.")
+    return Block(
+        heading=indices_heading(contents, name),
+        finding=sensitivity_finding(contents, name),
+        picture=picture,
+        table=index_table(contents, name) or shapley_table(contents, name),
+        remarks=tuple(text for text in remarks if text),
+        appendix=picture is not None,
+        files=("tables/sensitivity.csv",),
+    )
+
+
+def beyond_blocks(contents: Contents, name: str) -> list[Block]:
+    """Pairs, groups, swings, and distances between whole laws."""
+    return [
+        Block(
+            heading=f"{symbol(name)}: which inputs act together",
+            finding=pair_finding(contents, name),
+            picture=pair_figure(contents, name),
+            table=pair_table(contents, name),
+            appendix=True,
+            files=("tables/sensitivity.csv",),
+        ),
+        Block(
+            heading=f"{symbol(name)}: groups of inputs",
+            finding=group_finding(contents, name),
+            picture=group_figure(contents, name),
+            table=group_table(contents, name),
+            appendix=True,
+            files=("tables/sensitivity.csv",),
+        ),
+        Block(
+            heading=swings_heading(contents, name, furthest(contents, name)),
+            finding=tornado_finding(contents, name) if swings(contents, name) else "",
+            picture=tornado_figure(contents, name),
+            table=tornado_table(contents, name),
+            appendix=True,
+        ),
+        Block(
+            heading=f"{symbol(name)} beyond its variance",
+            finding=distances_finding(contents, name),
+            table=distances_table(contents, name),
+            appendix=True,
+            files=("tables/drivers.csv",),
+        ),
+    ]
+
+
+def has_indices(contents: Contents, name: str) -> bool:
+    """Whether anything was asked about what drives a quantity."""
+    return name in contents.results["sensitivity"]
+
+
+def measure_block(contents: Contents, kind: str, name: str) -> Block:
+    """What to measure first, for a limit (`kind` "limits") or for a quantity ("sensitivity")."""
+    first = contents.results[kind][name].get("measure_first")
+    limit = kind == "limits"
+    words = limit_name(name) if limit else symbol(name)
+    caption = f"What better known laws are worth, {words}" if limit else f"What the variance of {words} would lose"
+    table = measure_table(first, caption)
+    heading = measure_heading(words, first)
+    if table is None or first is None:
+        return Block(heading=heading)
+    method = str(first["method"])
+    if (first.get("probability") or 0.0) > 0.5:
+        method = method.replace("(0.1 p))^2", "(0.1 p))^2, p the smaller side of the probability", 1)
+    return Block(
+        heading=heading,
+        finding=measure_finding(first),
+        table=table,
+        remarks=(mathematical(method), *measure_remarks(contents, name, kind)),
+        files=("tables/drivers.csv",),
+    )
+
+
+# --- The later chapters: quantities over time, validity, inputs, what no limit asks about, methods and convergence.
+
+#: subjects that a sentence about accuracies names; the table has every question
+_SUBJECTS = 24
+
+
+def others(contents: Contents) -> list[str]:
+    """Quantities that no limit asks about, where there are limits."""
+    asked = of_limits(contents)
+    return [name for name in contents.results["quantities"] if name not in asked] if asked else []
+
+
+def quantities_chapter(contents: Contents) -> Chapter:
+    """The force over time, the hardest scene in its bars and inside; distributions too where there is no limit."""
+    shown = {*decided(contents), *others(contents)}
+    blocks = [distribution_block(contents, name) for name in contents.results["quantities"] if name not in shown]
+    blocks = [] if contents.results["limits"] else blocks
+    heading = "The quantities in full" if blocks else "Force and stress over time"
+    blocks.append(
+        Block(
+            heading=force_band_heading(contents),
+            finding=force_band_finding(contents),
+            picture=force_band_figure(contents),
+            table=hardest_table(contents),
+            appendix=True,
+            files=("tables/courses.csv",) if contents.courses is not None else (),
+        )
+    )
+    bars, inside = bars_figure(contents), stress_inside_figure(contents)
+    heading_bars = "What the bars see of the hardest scene"
+    blocks.append(Block(heading=heading_bars, finding=bars.finding if bars else "", picture=bars))
+    blocks.append(
+        Block(
+            heading="Stress inside the sphere in the hardest scene",
+            finding=inside.finding if inside else "",
+            picture=inside,
+        )
+    )
+    return Chapter(
+        anchor="quantities",
+        heading=heading,
+        short="Quantities" if heading.startswith("The quantities") else "Over time",
+        blocks=tuple(blocks),
+        remark="Figures: drawn from up to 16 384 stored samples. Numbers: from all evaluations.",
+    )
+
+
+def computed_chapter(contents: Contents) -> Chapter:
+    """Validity, the model that was chosen, and what of the accuracy asked for was reached."""
+    missed = shortfalls([str(text) for text in contents.results["accuracy"]["missed"]], _SUBJECTS)[:200]
+    blocks = [
+        Block(
+            heading=checks_heading(contents.results["validity"], "Validity of the model"),
+            table=checks_table(contents) if contents.results["validity"] else None,
+            kind="checks notes",
+            files=("tables/validity.csv",),
+        ),
+        *(
+            Block(
+                heading=checks_heading(
+                    answer_checks(contents.results["margins"][name]),
+                    f"Validity of the model at the answer for {limit_name(name)}",
+                ),
+                table=answer_checks_table(contents, name),
+                kind="checks notes",
+            )
+            for name in contents.results["margins"]
+        ),
+        Block(
+            heading="The paper’s formulas as printed, and corrected",
+            table=paper_table(contents),
+            kind="notes",
+            files=("tables/paper.csv",),
+        ),
+        Block(
+            heading=f"Model chosen: {contents.results['model']['chosen']}",
+            finding=f"The model is {contents.results['model']['chosen']}: {contents.results['model']['why']}.",
+            table=model_table(contents),
+            appendix=True,
+        ),
+        Block(
+            heading=accuracy_heading(contents),
+            finding=progress_finding(contents),
+            table=accuracy_table(contents),
+            remarks=tuple(f"Not reached: {powers(text)}" for text in missed),
+            appendix=True,
+            kind="brief",
+        ),
+    ]
+    return Chapter(
+        anchor="computed",
+        heading="How it was computed, and how far to believe it",
+        short="How far to believe it",
+        blocks=tuple(blocks),
+    )
+
+
+def inputs_chapter(contents: Contents) -> Chapter:
+    """Inputs with their laws and sources."""
+    dependence = tuple(dependence_texts(contents))
+    fixed = fixed_table(contents)
+    blocks = (
+        Block(
+            heading="Random inputs",
+            table=inputs_table(contents) if contents.results["inputs"] else None,
+            remarks=dependence,
+            kind="notes",
+            files=("tables/inputs.csv",),
+        ),
+        Block(heading="Fixed numbers", table=fixed, kind="notes"),
+    )
+    return Chapter(anchor="inputs", heading="Inputs and their sources", short="Inputs", blocks=blocks)
+
+
+def others_chapter(contents: Contents) -> Chapter:
+    """Distribution, drivers and what to measure of the quantities that no limit asks about."""
+    blocks = []
+    for name in others(contents):
+        blocks.append(distribution_block(contents, name))
+        if has_indices(contents, name):
+            blocks += [indices_block(contents, name), *beyond_blocks(contents, name)]
+            blocks.append(measure_block(contents, "sensitivity", name))
+    return Chapter(
+        anchor="others",
+        heading="Quantities that no limit asks about",
+        short="Other quantities",
+        blocks=tuple(blocks),
+    )
+
+
+def methods_chapter(contents: Contents) -> Chapter:
+    """The plan, the methods, and how the errors fell."""
+    steps, speed = convergence_figure(contents), speed_figure(contents)
+    blocks = [
+        Block(heading="Plan and account", table=plan_table(contents), kind="notes"),
+        Block(heading="Methods", table=methods_table(contents), kind="notes"),
+        Block(
+            heading="Error against evaluations",
+            finding=course_finding(contents, 0),
+            picture=steps,
+            remarks=(
+                "Errors are half-widths of 95 % intervals over what the study asks for; for polynomial chaos the share "
+                "of the variance that it leaves unexplained. Below the dashed line the accuracy is reached. Rings: "
+                "answers that are read off the same rows, whose accuracy no stage pursues.",
+            )
+            if steps is not None
+            else (),
+            files=("tables/speed_error.csv",),
+        ),
+        Block(
+            heading="Speed against error of each method",
+            finding=course_finding(contents, 1) if speed is not None else "",
+            picture=speed,
+            files=("tables/speed_error.csv", "manifest.json"),
+        ),
+    ]
+    return Chapter(anchor="methods", heading="Methods and convergence", short="Methods", blocks=tuple(blocks))
+
+
+# --- The order of the page: one list of chapters, each a function from what is stored to its blocks.
+# A new figure or table is a `Block` in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
 
 
 def build_chapters(contents: Contents) -> list[Chapter]:
@@ -78,17 +592,17 @@ def _fragility(contents: Contents, name: str) -> Block:
     if twin:
         # the target is another one, and so is the answer; the values and their curve stand there already
         return Block(
-            heading=headings.fragility_heading(contents, name),
+            heading=fragility_heading(contents, name),
             finding=f"The curve and its values are those of {limit_name(twin)}; the target is another one.",
-            picture=decision.fragility_figure(contents, name),
-            table=sections.margins_table(contents, name, only_own=True),
+            picture=fragility_figure(contents, name),
+            table=margins_table(contents, name, only_own=True),
             files=("tables/margins.csv", "tables/fragility.csv"),
         )
     return Block(
-        heading=headings.fragility_heading(contents, name),
-        finding=decision.fragility_finding(contents, name),
-        picture=decision.fragility_figure(contents, name),
-        table=sections.margins_table(contents, name),
+        heading=fragility_heading(contents, name),
+        finding=fragility_finding(contents, name),
+        picture=fragility_figure(contents, name),
+        table=margins_table(contents, name),
         remarks=lognormal_remarks(contents, name),
         files=("tables/margins.csv", "tables/fragility.csv"),
     )
@@ -101,7 +615,7 @@ def _family(contents: Contents, name: str) -> list[Block]:
         return []
     return [
         Block(
-            heading=headings.family_heading(contents, name),
+            heading=family_heading(contents, name),
             finding=family_finding(contents, name),
             picture=family_figure(contents, name),
             table=family_table(contents, name),
@@ -115,7 +629,7 @@ def decision_chapter(contents: Contents) -> Chapter:
     blocks += [block for name in contents.results["margins"] for block in energy_block(contents, name)]
     blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
     blocks += [distribution_block(contents, name) for name in decided(contents)]
-    blocks.append(granted.granted_block(contents, headings.granted_heading(contents)))
+    blocks.append(granted_block(contents, granted_heading(contents)))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
 
 
@@ -128,8 +642,8 @@ def _same_tests(contents: Contents, one: str, other: str) -> bool:
 
 def _sides(contents: Contents, name: str) -> Block:
     """The samples on both sides of a limit; left out where too few lie on one of them for a picture."""
-    picture = limit_surface.surface_figure(contents, name)
-    finding = limit_surface.surface_finding(contents, name) if picture is not None else ""
+    picture = surface_figure(contents, name)
+    finding = surface_finding(contents, name) if picture is not None else ""
     return Block(heading=f"On which side of {limit_name(name)} the samples lie", finding=finding, picture=picture)
 
 
@@ -139,53 +653,51 @@ def margins_chapter(contents: Contents) -> Chapter:
     if limits:
         blocks.append(
             Block(
-                heading=headings.demand_heading(contents),
-                finding=" ".join(
-                    decision.margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()
-                ),
-                picture=decision.margin_figure(contents),
-                table=sections.limits_table(contents),
+                heading=demand_heading(contents),
+                finding=" ".join(margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()),
+                picture=margin_figure(contents),
+                table=limits_table(contents),
                 appendix=True,
                 files=("tables/limits.csv",),
             )
         )
     for name in contents.results["margins"]:
         parts = parts_table(contents, name)
-        heading = headings.parts_heading(contents, name)
+        heading = parts_heading(contents, name)
         blocks.append(Block(heading=heading, finding=parts_finding(contents, name) if parts else "", table=parts))
     if contents.results.get("fracture"):
         blocks.append(
             Block(
-                heading=headings.fracture_heading(contents),
-                finding=fracture.fracture_finding(contents),
-                picture=fracture.interplay_figure(contents),
-                table=fracture.fracture_table(contents),
-                remarks=fracture.interplay_remarks(contents),
+                heading=fracture_heading(contents),
+                finding=fracture_finding(contents),
+                picture=interplay_figure(contents),
+                table=fracture_table(contents),
+                remarks=interplay_remarks(contents),
                 files=("tables/fracture.csv",),
             )
         )
     shown = decided(contents)
     blocks += [distribution_block(contents, name) for name in of_limits(contents) if name not in shown]
     for name in limits:
-        way = "keep" if drivers.mostly_missed(limits[name]) else "miss"
+        way = "keep" if mostly_missed(limits[name]) else "miss"
         heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
         blocks += [
             Block(
-                heading=swings.waterfall_heading(contents, name),
-                finding=swings.waterfall_finding(contents, name),
-                picture=swings.waterfall_figure(contents, name),
-                table=swings.waterfall_table(contents, name),
+                heading=waterfall_heading(contents, name),
+                finding=waterfall_finding(contents, name),
+                picture=waterfall_figure(contents, name),
+                table=waterfall_table(contents, name),
                 appendix=True,
             ),
             _sides(contents, name),
             Block(
                 heading=heading,
-                finding=drivers.design_finding(contents, name) if drivers.design_table(contents, name) else "",
-                table=drivers.design_table(contents, name),
+                finding=design_finding(contents, name) if design_table(contents, name) else "",
+                table=design_table(contents, name),
             ),
             Block(
                 heading=f"Inputs where {limit_name(name)} is missed",
-                table=drivers.given_failure_table(contents, name),
+                table=given_failure_table(contents, name),
                 files=("tables/drivers.csv",),
             ),
         ]
@@ -208,12 +720,12 @@ def drivers_chapter(contents: Contents) -> Chapter:
     """What drives each limit, then each quantity, those of the limits first."""
     blocks = []
     for name, limit in contents.results["limits"].items():
-        table = drivers.failure_table(contents, name) if limit.get("drivers") else None
+        table = failure_table(contents, name) if limit.get("drivers") else None
         if table is not None:
             blocks.append(
                 Block(
-                    heading=headings.failure_heading(contents, name),
-                    finding=drivers.failure_finding(contents, name),
+                    heading=failure_heading(contents, name),
+                    finding=failure_finding(contents, name),
                     table=table,
                     files=("tables/drivers.csv",),
                 )
@@ -225,7 +737,7 @@ def drivers_chapter(contents: Contents) -> Chapter:
         heading="What drives it",
         short="What drives it",
         blocks=tuple(blocks),
-        remark=directions.drivers_remark(contents),
+        remark=drivers_remark(contents),
     )
 
 

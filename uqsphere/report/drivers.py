@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
+from uqsphere.report.blocks import Table, cell, index_cell, thousands
 from uqsphere.report.contents import Contents
-from uqsphere.report.tables import Table, cell, index_cell, thousands
-from uqsphere.report.wording import (
+from uqsphere.report.phrases import (
     ABSENT,
     absent_reason,
     capital,
     input_name,
     limit_name,
+    listed,
     number_text,
     powers,
     symbol,
@@ -21,20 +22,26 @@ from uqsphere.report.wording import (
     value_text,
 )
 
+if TYPE_CHECKING:
+    pass
+
 __all__ = [
     "design_finding",
     "design_table",
     "distances_finding",
     "distances_table",
+    "drivers_remark",
     "failure_finding",
     "failure_table",
     "first_to_measure",
     "given_failure_table",
     "measure_finding",
+    "measure_remarks",
     "measure_table",
     "mostly_missed",
     "shapley_table",
     "specimens",
+    "tied_inputs",
 ]
 
 
@@ -330,3 +337,68 @@ def design_finding(contents: Contents, name: str) -> str:
     if limit.get("design_points", 1) > 1:
         text += f" {limit['design_points']} such points were found, of which this is the nearest."
     return text
+
+
+# --- Which way an input works on the load and on breakage, said where the two differ.
+
+#: an interval of an index that is narrower shows as a line
+_VISIBLE: Final = 0.004
+
+
+def tied_inputs(contents: Contents, limit: str) -> list[tuple[str, float | None]]:
+    """Inputs that the strength of a limit depends on, with their rank correlation where it is one number."""
+    own = f"limits.{limit}.strength"
+    found = []
+    for group in contents.resolved.get("dependence", []):
+        if own in group["of"]:
+            rank = group.get("spearman") if group.get("spearman") is not None else group.get("kendall")
+            found += [(name, rank) for name in group["of"] if name != own]
+    return found
+
+
+def measure_remarks(contents: Contents, name: str, kind: str) -> tuple[str, ...]:
+    """That a change of an input is told with the strength left where it was; none where they are independent."""
+    names = [n for n, _ in tied_inputs(contents, name)] if kind == "limits" else []
+    if not names:
+        return ()
+    return (
+        f"The change owed to {listed([input_name(n) for n in names])} is that of a mean known better, with the "
+        "strength of every specimen left where it was: it shows the way of the load. That the strength goes with it "
+        "from specimen to specimen, which decides at which end of it the spheres break, is not in that number.",
+    )
+
+
+def drivers_remark(contents: Contents) -> str:
+    """How to read the chapter of what drives it."""
+    violin = " A violin shows where an index is likely to lie, the whisker its 95 % interval."
+    return (
+        f"{_three_questions(contents)} The first index is the share of the variance that an input causes alone, the "
+        "total one includes its interactions." + (violin if _bulges(contents) else "")
+    ).strip()
+
+
+def _bulges(contents: Contents) -> bool:
+    """Whether a figure of indices has a violin that can be seen."""
+    return any(
+        not entry.get("shapley") and any(_wide(e) for e in (*entry["first"].values(), *entry["total"].values()))
+        for entry in contents.results["sensitivity"].values()
+    )
+
+
+def _wide(estimate: Mapping[str, Any]) -> bool:
+    low, high = estimate["low"], estimate["high"]
+    return estimate["value"] is not None and None not in (low, high) and high - low > _VISIBLE
+
+
+def _three_questions(contents: Contents) -> str:
+    """Which question the shares of an input answer, and where the strength stands in each; empty without limits."""
+    limits = contents.results["limits"]
+    if not limits or not any(f"limits.{name}.strength" in contents.resolved["random"] for name in limits):
+        return ""
+    names = listed([limit_name(name, 30) for name in limits])
+    return (
+        "Shares answer three different questions. Of the load (the quantity itself): the strength has no part in it. "
+        f"Of the probability as planned ({names}): the strength counts as an input, by importance factors at the "
+        "likeliest failure, or, with indices of the model’s inputs, is averaged over and has no share. Of the margin: "
+        "the same factors as of the probability, but at the value that the target allows and not as planned."
+    )

@@ -1,62 +1,599 @@
-"""What a table of the report is: a caption, a header and rows of texts."""
+"""The tables of the answers: quantities, indices, limits, margins."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from uqsphere.report.wording import ABSENT, MOST_DIGITS, absent_reason, estimate_text, number_text, probability_text
+from uqsphere.quantities import OUTPUTS, lookup, told_apart
+from uqsphere.report.assumptions import answer_checks, cases_text, check_name, yields_at
+from uqsphere.report.blocks import Table, cell, index_cell, thousands
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures.indices import ranked
+from uqsphere.report.phrases import (
+    ABSENT,
+    answer_text,
+    begin,
+    call,
+    event,
+    input_name,
+    law_name,
+    limit_name,
+    listed,
+    mathematical,
+    number_text,
+    of_limit,
+    plain_percent,
+    powers,
+    probability_range,
+    symbol,
+    unit_text,
+    value_text,
+)
+from uqsphere.results import ModelEntry
 
-__all__ = ["Table", "cell", "index_cell", "thousands"]
+__all__ = [
+    "Table",
+    "accuracy_table",
+    "answer_checks_table",
+    "checks_table",
+    "commands",
+    "dependence_texts",
+    "fixed_table",
+    "index_table",
+    "inputs_table",
+    "limits_table",
+    "margins_table",
+    "methods_table",
+    "model_table",
+    "paper_table",
+    "plan_table",
+    "quantity_table",
+    "repeat_rows",
+]
+
+#: quantities that the end of the record can cut short
+_RECORDED = frozenset({"contact_time", "pulse_width"})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """A caption, a header and rows of texts; the first column heads its row; why numbers have no interval."""
-
-    caption: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
-
-
-def cell(
-    estimate: Mapping[str, Any] | None, name: str = "", *, probability: bool = False, digits: int = MOST_DIGITS
-) -> str:
-    """An estimate with its interval and unit, or a dash and the reason why it is absent; None was never asked for."""
-    if estimate is None:
-        return ABSENT
-    if estimate["value"] is None:
-        return f"{ABSENT} ({absent_reason(estimate)})"
-    return probability_text(estimate) if probability else estimate_text(estimate, name, digits)
+def quantity_table(contents: Contents, quantity: str) -> Table:
+    """Mean, standard deviation, quantiles and censored share with their intervals."""
+    entry = contents.results["quantities"][quantity]
+    mean, sd = entry["mean"]["value"], entry["sd"]["value"]
+    spread = cell(entry["sd"], quantity)
+    if mean is not None and sd is not None and sd < 1e-9 * abs(mean):
+        spread = "none seen"
+    rows = [("mean", cell(entry["mean"], quantity)), ("standard deviation", spread)]
+    if spread != "none seen" or entry["censored_share"]["value"]:
+        rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry["quantiles"].items()]
+    if entry["censored_share"]["value"] or quantity in _RECORDED:
+        rows.append(("share that outlasts the record", cell(entry["censored_share"], probability=True)))
+    return Table(
+        caption=f"{symbol(quantity)}: values with 95 % intervals",
+        header=("", "value (95 % interval)"),
+        rows=tuple(rows),
+    )
 
 
-def index_cell(estimate: Mapping[str, Any] | None) -> str:
-    """An index, a share of one, to four places: further ones change no ranking.
-
-    >>> index_cell({"value": 0.0719853, "low": 0.0719754, "high": 0.0719953})
-    '0.0720'
-    """
-    if estimate is None or estimate["value"] is None or estimate["low"] is None or estimate["high"] is None:
-        return cell(estimate)
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
-    if high - low >= 1e-4:
-        # what is small keeps the digits of its interval, and no more than four places
-        places = min(4, max(0, 1 - math.floor(math.log10(0.5 * (high - low)))))
-        texts = [f"{round(v, places) + 0.0:.{places}f}".replace("-", "−") for v in (value, low, high)]
-        return f"{texts[0]} ({texts[1]} to {texts[2]})"
-    if abs(value) < 5e-5:
-        return "below 0.0001"
-    # rounding must not make a share of nearly all into all
-    return f"{math.floor(1e4 * value) / 1e4:.4f}" if 0.99 < value < 1.0 else number_text(f"{value:.4f}")
+def index_table(contents: Contents, quantity: str) -> Table | None:
+    """First and total indices with intervals."""
+    entry = contents.results["sensitivity"].get(quantity)
+    names = ranked(entry)
+    if not names or entry is None:
+        return None
+    rows = [(input_name(n), index_cell(entry["first"][n]), index_cell(entry["total"][n])) for n in names]
+    return Table(
+        caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
+        header=("input", "first (alone)", "total (with interactions)"),
+        rows=tuple(rows),
+    )
 
 
-def thousands(number: float) -> str:
-    """A count with narrow spaces between its thousands.
+def limits_table(contents: Contents) -> Table:
+    """Probabilities, reliability index and margin of every limit."""
+    rows: list[tuple[str, ...]] = []
+    for name, limit in contents.results["limits"].items():
+        index = limit["reliability_index"]
+        low, high = limit.get("reliability_index_interval") or (None, None)
+        beta = ABSENT if index is None else cell({"value": index, "low": low, "high": high})
+        rows += [
+            (limit_name(name), "probability of exceeding the strength", cell(limit["exceedance"], probability=True)),
+            (
+                limit_name(name),
+                f"probability of missing the aim ({limit['aim']})",
+                cell(limit["miss"], probability=True),
+            ),
+            (limit_name(name), "reliability index", beta),
+        ]
+        opened = limit.get("ignorance")
+        if opened:
+            text = ABSENT if "reason" in opened else probability_range(*opened["miss"]) + " (95 %)"
+            rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
+        words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
+        rows += [(limit_name(name), words.get(k, k), cell(e)) for k, e in limit["margin"].items()]
+        rows += _design_rows(name, limit)
+    return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
 
-    >>> thousands(16384).replace("\u202f", " ")
-    '16 384'
-    """
-    return f"{number:,.0f}".replace(",", "\u202f")
+
+def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """How many ways there are to miss the aim, and what the methods say; a design point has a table of its own."""
+    rows: list[tuple[str, ...]] = []
+    if not limit.get("design_point") and limit.get("design_point_reason"):
+        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit['design_point_reason']})"))
+    if limit.get("modes"):
+        rows.append((limit_name(name), "separate ways to miss the aim", str(limit["modes"])))
+    return rows + [(limit_name(name), "check", str(text)) for text in limit.get("checks") or ()]
+
+
+def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> Table:
+    """Values of the free scalar at the probabilities asked for, or at the one of the limit's target alone."""
+    entry = contents.results["margins"][name]
+    solve = entry["solve"]
+    subject = contents.subject(solve)
+    what = event(contents.results, name) + of_limit(contents.results, name)
+    header = ["probability", "value (95 % interval of the computation alone)"]
+    opened, decisive = entry.get("ignorance") or {}, format(entry.get("probability") or 0.0, ".15g")
+    tested = opened.get("low") is not None and opened.get("high") is not None
+    yields = bool((entry.get("bars") or {}).get("yields_at"))
+    header[1:1] = ["what the tests leave open (95 %)"] if tested else []
+    header += ["bars yield under the sphere"] if yields else []
+    rows = []
+    for p, e in entry["values"].items():
+        if only_own and p != decisive:
+            continue
+        row = [plain_percent(float(p)), cell(e, subject)]
+        if tested:
+            ends = f"{value_text(opened['low'], subject, 3)} to {value_text(opened['high'], subject, 3)}"
+            row[1:1] = [ends if p == decisive else ABSENT]
+        if yields:
+            share = yields_at(entry, p)
+            row.append(ABSENT if share is None else cases_text(share))
+        rows.append(tuple(row))
+    return Table(
+        caption=f"{begin(solve, input_name(solve))} at which {what} with a given probability",
+        header=tuple(header),
+        rows=tuple(rows),
+    )
+
+
+# --- How the answers were computed and how far to believe them: checks, model, methods, accuracy, repetition.
+
+
+def answer_checks_table(contents: Contents, name: str) -> Table | None:
+    """The checks at the answer of a limit's inverse question; None where none were made."""
+    entry = contents.results["margins"].get(name) or {}
+    told = entry.get("validity")
+    if not told:
+        return None
+    at = answer_text(contents, name)
+    caption = f"The same at the answer for {limit_name(name)}, {at}, on {told['samples']} scenes"
+    if (entry.get("bars") or {}).get("yields_at"):
+        caption += "; how often the bars yield, of all cases of the curve"
+    return _checks(answer_checks(entry), caption)
+
+
+def checks_table(contents: Contents) -> Table:
+    """Validity checks, graded, with the share of the samples that break each."""
+    caption = "Assumptions of the model, checked on a pilot sample of the study as planned"
+    if any("specimens that break" in str(check["text"]) for check in contents.results["validity"]):
+        caption += (
+            "; at fracture on specimens that break, drawn from the samples each with its own probability to break"
+        )
+    return _checks(contents.results["validity"], caption)
+
+
+def _checks(checks: Sequence[Mapping[str, Any]], caption: str) -> Table:
+    rows = []
+    for check in checks:
+        shares = [(grade, check.get(f"share_{grade}", 0.0)) for grade in ("failure", "warning", "information")]
+        broken = [f"{plain_percent(share)} {grade}" for grade, share in shares if share > 0.0]
+        grade = next((grade for grade, share in shares if share > 0.0), "ok")
+        if check["worst"] is None and grade == "ok":
+            grade = "not checked"
+        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", mathematical(str(check["text"]))))
+    return Table(
+        caption=caption,
+        rows=tuple(rows),
+        header=("assumption", "grade", "share", "finding"),
+    )
+
+
+def paper_table(contents: Contents) -> Table | None:
+    """The paper's formulas as printed beside the corrected and the full answers."""
+    found = contents.results.get("paper") or []
+    rows = []
+    for row in found:
+        name = row["quantity"] if row["quantity"] in OUTPUTS else ""
+        texts = [_paper_number(row[key], name, row["unit"]) for key in ("as_printed", "corrected", "full")]
+        off = ABSENT
+        if row["as_printed"] is not None and row["full"]:
+            off = number_text(f"{100.0 * (row['as_printed'] / row['full'] - 1.0):+.3g}") + " %"
+        rows.append((str(row["quantity"]).replace("_", " ") if not name else call(name), *texts, off, str(row["note"])))
+    if not rows:
+        return None
+    return Table(
+        caption="At the means of the inputs",
+        rows=tuple(rows),
+        header=("quantity", "as printed", "corrected", "full model", "printed against full", "note"),
+        note="No intervals: one scene, computed to the tolerance of the study.",
+    )
+
+
+#: SI unit -> a named quantity with that unit's display, for rows that are no quantity of interest
+_LIKE = {"Pa": "p_max", "N": "P_max", "m": "alpha_max", "s": "contact_time", "J": "energy"}
+
+
+def _paper_number(value: float | None, name: str, unit: str) -> str:
+    return ABSENT if value is None else value_text(value, name or _LIKE.get(unit, ""), 5)
+
+
+def _half(estimate: Mapping[str, Any]) -> float | None:
+    if estimate["value"] is None or estimate["low"] is None or estimate["high"] is None:
+        return None
+    return 0.5 * float(estimate["high"] - estimate["low"])
+
+
+def accuracy_table(contents: Contents) -> Table:
+    """Half-widths asked and reached and what the rest would take, one row per question."""
+    told = contents.results["accuracy"].get("questions")
+    if told:
+        return Table(
+            caption="Half-widths of the 95 % intervals, asked and reached",
+            rows=tuple(_question_row(row) for row in told),
+            header=("question", "asked", "reached", "", "it would take"),
+        )
+    asked = contents.resolved["analysis"]["accuracy"]
+    rows: list[tuple[str, ...]] = []
+
+    def add(question: str, reached: float | None, allowed: float) -> None:
+        # rounding must not turn a miss into a hit
+        verdict = ABSENT if reached is None else ("reached" if reached <= allowed else "not reached")
+        text = ABSENT if reached is None else number_text(told_apart(reached, allowed))
+        rows.append((question, f"{allowed:g}", text, verdict))
+
+    for name, entry in contents.results["quantities"].items():
+        sd = entry["sd"]["value"]
+        widths = [w for w in map(_half, entry["quantiles"].values()) if w is not None]
+        mean = _half(entry["mean"])
+        add(
+            f"mean of {symbol(name)}, over its standard deviation",
+            mean / sd if sd and mean is not None else None,
+            asked["mean"],
+        )
+        add(
+            f"worst quantile of {symbol(name)}, over its standard deviation",
+            max(widths) / sd if sd and widths else None,
+            asked["quantile"],
+        )
+    for name, entry in contents.results["sensitivity"].items():
+        found = [entry["first"], entry["total"], entry.get("shapley") or {}, *(entry.get("kucherenko") or {}).values()]
+        widths = [w for table in found for w in map(_half, table.values()) if w is not None]
+        kind = "Shapley effect or index" if entry.get("shapley") else "Sobol’ index"
+        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked["sobol"])
+    for name, limit in contents.results["limits"].items():
+        width, value = _half(limit["miss"]), limit["miss"]["value"]
+        add(
+            f"probability of missing {limit_name(name)}, over itself",
+            width / value if width is not None and value else None,
+            asked["probability"],
+        )
+    for name, margin in contents.results["margins"].items():
+        band = margin.get("band")
+        if band:
+            question = f"band of the curve of {limit_name(name)}, over the smaller side of its probability"
+            add(question, band["half_width"], band["asked"])
+    return Table(
+        caption="Half-widths of the 95 % intervals, asked and reached",
+        rows=tuple(rows),
+        header=("question", "asked", "reached", ""),
+    )
+
+
+def question_name(row: Mapping[str, Any]) -> str:
+    """What an accuracy is of, such as "worst quantile of p_max"."""
+    head, _, rest = str(row["quantity"]).partition(".")
+    name, _, where = rest.partition(" at ")
+    subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row["quantity"]))
+    subject += f" at {where}" if where else ""
+    return f"{str(row['question']).partition(', ')[0]} of {subject}"
+
+
+def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
+    _, comma, scale = str(row["question"]).partition(", ")
+    verdict = {True: "reached", False: "not reached", None: "not pursued"}[row["met"]]
+    reached = ABSENT if row["reached"] is None else number_text(told_apart(row["reached"], row["asked"]))
+    needed = ABSENT if row["met"] or row["met"] is None else "not known"
+    if row["needed"]:
+        needed = f"about {thousands(int(row['needed']))} evaluations"
+    return f"{question_name(row)}{comma}{scale}", f"{row['asked']:g}", reached, verdict, needed
+
+
+def model_table(contents: Contents) -> Table:
+    """Model chosen, why, its measured error, its evaluations, the scene's numbers."""
+    model = contents.results["model"]
+    rows = [("model", str(model["chosen"])), ("why", str(model["why"]))]
+    for name, error in model["measured_error"].items():
+        text = (
+            ABSENT + " (could not be measured)"
+            if error is None
+            else number_text(f"{error:.2g}") + " standard deviations"
+        )
+        rows.append((f"measured error of {symbol(name)}", text))
+    rows += _ladder_rows(model)
+    rows += [(f"evaluations, {name}", thousands(number)) for name, number in model["evaluations"].items()]
+    rows.append(("failed evaluations", thousands(model["failures"])))
+    if model.get("undecided"):
+        rows.append(("evaluations with two possible answers", thousands(model["undecided"])))
+    for key, label, like in (
+        ("mu_median", "mass number μ, median", ""),
+        ("theta_median", "pulse number θ = t_i/t_c, median", ""),
+        ("P_0_median", "force scale P_0 = Z v_0/2, median", "P_max"),
+        ("t_c_median", "time scale t_c, median", "contact_time"),
+    ):
+        if key in model.get("numbers", {}):
+            rows.append((label, value_text(model["numbers"][key], like)))
+    note = "Errors are the largest on the pilot sample, numbers of the scene its medians: neither has an interval."
+    return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows), note=note)
+
+
+def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
+    """What was considered beside the model that was chosen, and what the choice saved."""
+    rows = []
+    for name, seen in model.get("considered", {}).items():
+        errors = [error for error in seen["error"].values() if error is not None]
+        ties = [tie for tie in seen["correlation"].values() if tie is not None]
+        text = f"costs {seen['cost']:.2g} of the full model"
+        if errors:
+            text = f"errs by up to {max(errors):.2g} standard deviations, {text}"
+        if ties:
+            text += f"; correlation with it at least {min(ties):.4g}"
+        rows.append((f"considered: {name}", text))
+    # what was not tried for want of promise tells nobody anything
+    return rows + [
+        row for row in ModelEntry.model_validate(model).savings() if "considered and not tried" not in row[1]
+    ]
+
+
+def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
+    """What another must know to get the same numbers."""
+    results, manifest = contents.results, contents.manifest
+    rows = [
+        ("study", str(results["study"]["hash"])),
+        ("seed", str(results["study"]["seed"])),
+        ("versions", ", ".join(f"{k} {v}" for k, v in results["versions"].items())),
+    ]
+    if "platform" in manifest:
+        rows.append(("machine", " ".join(str(v) for v in manifest["platform"].values())))
+    if "evaluations" in manifest:
+        again = manifest.get("evaluations_reused", 0)
+        rows.append(
+            (
+                "evaluations",
+                thousands(manifest["evaluations"]) + (f", {thousands(again)} of them stored before" if again else ""),
+            )
+        )
+    total = manifest.get("seconds", {}).get("total")
+    if total is not None:
+        rows.append(("time", f"{total:.3g} s"))
+    budget = contents.resolved["analysis"]["budget"]
+    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {thousands(budget['time'])} s"))
+    return rows
+
+
+def commands(contents: Contents) -> Sequence[str]:
+    """The commands that repeat the run from its own folder, and build this page again."""
+    reference = contents.resolved.get("model_reference") or "FILE.py:FUNCTION"
+    model = f" --model {shlex.quote(str(reference))}" if contents.black_box else ""
+    changed = "".join(f" --set {shlex.quote(str(text))}" for text in contents.resolved.get("overrides", ()))
+    return (f"uqsphere run study.toml --out again{changed}{model}", "uqsphere report .")
+
+
+# --- methods ----------------------------------------------------------------------------------------
+
+#: what the words in the name of a method mean; a name is looked through in this order
+_MEANING = (
+    ("quasi-Monte Carlo", "sixteen independent scrambled Sobol’ sets; intervals rest on how far the sixteen differ"),
+    ("polynomial chaos", "the answer expanded in polynomials of the inputs; validated on points it has not seen"),
+    ("pick and freeze", "pairs of runs that share one input or all but one"),
+    ("pairs of runs", "pairs of runs that share some inputs, the others drawn anew given those"),
+    ("common random numbers", "the same random inputs at every value of the free scalar, read off between the values"),
+    ("rows at the value", "what a polynomial of all rows is off by at the value is read off rows evaluated there"),
+    ("importance sampling", "samples drawn where failures are, and weighted back"),
+    ("subset simulation", "rare events reached in steps of conditional probability"),
+    ("directional", "probabilities added up over directions in standard normal space"),
+    ("active learning", "a Gaussian process that is refined where the limit is passed"),
+    ("Jansen", "Jansen’s estimator, accurate for small shares"),
+    ("Saltelli", "Saltelli’s estimator"),
+    ("Owen", "Owen’s estimator, accurate for small first-order shares"),
+    ("Azzini", "the estimator of Azzini and Rosati, accurate for large shares"),
+    ("controlled by a surrogate", "the polynomial chaos as control variate: it narrows intervals and cannot bias them"),
+    ("times as many", "a cheaper model as control variate: it narrows intervals and cannot bias them"),
+    ("strength integrated", "the strength’s law integrated exactly, not sampled"),
+    ("one-sided", "a bound where no failure was seen"),
+)
+
+
+def _named(contents: Contents) -> Iterator[tuple[str, str]]:
+    """Methods in full, and what each answered."""
+    results = contents.results
+    for name, entry in results["quantities"].items():
+        yield entry["mean"]["method"], f"distribution of {symbol(name)}"
+    for name, limit in results["limits"].items():
+        yield limit["miss"]["method"], f"probability of {limit_name(name)}"
+    for name, margin in results["margins"].items():
+        for estimate in margin["values"].values():
+            if estimate["value"] is not None:
+                yield estimate["method"], f"fragility of {limit_name(name)}"
+    for name, entry in results["sensitivity"].items():
+        for order in ("first", "total", "shapley", "second"):
+            for estimate in (entry.get(order) or {}).values():
+                if estimate["value"] is not None:
+                    yield estimate["method"], f"indices of {symbol(name)}"
+
+
+def plan_table(contents: Contents) -> Table | None:
+    """What was planned and what it took; None for runs without a plan.  What was missed stands with the accuracies."""
+    plan = contents.results.get("plan")
+    if not plan:
+        return None
+    costs = contents.manifest.get("plan") or {}
+    spent = sum(contents.results["model"]["evaluations"].values())
+    budget = contents.resolved["analysis"]["budget"]["evaluations"]
+    surrogates = any("surrogate" in str(name) or "polynomial" in str(name) for name, _ in _named(contents))
+    helped = "; surrogates, where methods name them, narrow its intervals or check it" if surrogates else ""
+    helped = helped if plan["way"] == "sampling" else ""
+    rows = [
+        ("way", f"{plan['way']}: {plan['why']}{helped}"),
+        ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
+                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate, whatever the budget"),
+        ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
+    ]  # fmt: skip
+    seconds = _part_seconds(contents.manifest.get("seconds") or {})
+    rows += [_part_row(part, seconds.get(part["part"])) for part in plan.get("parts") or ()]
+    cost = costs.get("cost_seconds_per_evaluation")
+    if cost:
+        crossover = costs["crossover_seconds_per_evaluation"]
+        text = f"{number_text(f'{cost:.2g}')} s; a surrogate is taken above {number_text(f'{crossover:.2g}')} s"
+        rows.append(("cost of an evaluation", text))
+    return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
+
+
+def _part_seconds(ends: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of every part, from those at which the parts ended, one after the other."""
+    found, before = {}, 0.0
+    for name, end in ends.items():
+        if name != "total":
+            found[name], before = float(end) - before, float(end)
+    return found
+
+
+def _part_row(part: Mapping[str, Any], seconds: float | None) -> tuple[str, str]:
+    """A part of the run: planned and taken, in what time, and why they differ."""
+    likely, most = thousands(part["likely"]), thousands(part["most"])
+    text = f"planned {likely}, at most {most}; took {thousands(part['taken'])}"
+    if seconds is not None and seconds >= 0.05:
+        text += f" in {thousands(round(seconds)) if seconds >= 10.0 else f'{seconds:.2g}'} s"
+    return str(part["part"]), f"{text}. {powers(str(part['why']))}" if part["why"] else text
+
+
+def methods_table(contents: Contents) -> Table:
+    """Every method once: its name in full, what it means, what it answered."""
+    used: dict[str, list[str]] = {}
+    for method, what in _named(contents):
+        found = used.setdefault(str(method), [])
+        if what not in found:
+            found.append(what)
+    rows = []
+    for method, answered in used.items():
+        meaning = "; ".join(text for word, text in _MEANING if word.lower() in method.lower())
+        rows.append((method, meaning or ABSENT, listed(answered[:6]) + (" and others" if len(answered) > 6 else "")))
+    return Table(caption="Methods", header=("method", "what it does", "used for"), rows=tuple(rows))
+
+
+# --- Where the numbers of a study come from: inputs with their laws, fixed numbers, dependence, sources.
+
+_BARE = frozenset({"cov", "modulus", "shape", "alpha", "beta", "dof", "log_mean", "log_sd", "bandwidth"})
+_WORDS = {
+    "sd": "standard deviation",
+    "cov": "coefficient of variation",
+    "dof": "degrees of freedom",
+    "log_mean": "mean of the logarithm (SI)",
+    "log_sd": "standard deviation of the logarithm",
+}
+
+
+def _law_text(contents: Contents, name: str) -> str:
+    law = contents.resolved["random"][name]
+    subject = contents.subject(name)
+    given = law["given"] or law["parameters"]
+    # what was fitted to observations is known no better than they tell; the table of the tests has the intervals
+    digits = 3 if law["data"] else 6
+    parts = []
+    for key, value in given.items():
+        if key == "rate":
+            unit = unit_text(lookup(subject).unit)
+            parts.append(f"rate {value:.6g}" + (f" per {unit}" if unit else ""))
+        elif isinstance(value, (int, float)):
+            parts.append(
+                f"{_WORDS.get(key, key)} "
+                + (f"{value:.{digits}g}" if key in _BARE else value_text(value, subject, digits))
+            )
+    bounded = law["dist"] in ("uniform", "loguniform", "triangular", "beta")
+    for key, word in (
+        ("lower", "from" if bounded else "cut off below"),
+        ("upper", "to" if bounded else "cut off above"),
+    ):
+        if law[key] is not None:
+            parts.append(f"{word} {value_text(law[key], subject, 6)}")
+    if law["data"]:
+        stopped = len(law.get("censored", ()))
+        parts.append(f"{len(law['data'])} observations" + (f" and {stopped} stopped before" if stopped else ""))
+    return ", ".join([law_name(str(law["dist"])), *parts])
+
+
+def _source(contents: Contents, name: str) -> str:
+    source = contents.resolved.get("sources", {}).get(name)
+    if source is None:
+        return "stated in the study"
+    return str(source["text"]) + ("" if source["seen"] else " [source not seen: taken on the word of others]")
+
+
+def inputs_table(contents: Contents) -> Table:
+    """Random inputs with their laws; mean and standard deviation are those of the law in force."""
+    rows = []
+    for name, entry in contents.results["inputs"].items():
+        subject = contents.subject(name)
+        rows.append(
+            (
+                f"{input_name(name)}",
+                _law_text(contents, name),
+                value_text(entry["mean"], subject),
+                value_text(entry["sd"], subject, 3),
+                _source(contents, name),
+            )
+        )
+    return Table(
+        caption="Random inputs",
+        header=("input", "law", "mean in force", "sd in force", "source"),
+        rows=tuple(rows),
+        note="Exact: these laws are what the answers are computed for.",
+    )
+
+
+def fixed_table(contents: Contents) -> Table | None:
+    """Fixed numbers and choices of the scene with their sources."""
+    rows = [
+        (input_name(name), value_text(value, name, 6), _source(contents, name))
+        for name, value in contents.resolved["fixed"].items()
+    ]
+    for name, value in contents.resolved.get("options", {}).items():
+        text = {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
+        rows.append(
+            (name.replace(".", ": ").replace("_", " "), text.replace("_", " "), "stated in the study or default")
+        )
+    rows += [
+        (
+            f"material of the {'sphere' if part == 'sphere' else 'bars'}",
+            str(material).replace("_", " "),
+            "material library",
+        )
+        for part, material in contents.resolved.get("materials", {}).items()
+    ]
+    if not rows:
+        return None
+    note = "Exact: the numbers that the answers are computed for."
+    return Table(caption="Fixed numbers", header=("input", "value", "source"), rows=tuple(rows), note=note)
+
+
+def dependence_texts(contents: Contents) -> list[str]:
+    """The rank correlations in sentences."""
+    texts = []
+    for group in contents.resolved.get("dependence", []):
+        named = [(f"{key.capitalize()} rank correlation", group.get(key)) for key in ("spearman", "kendall")]
+        strength = next((f"{word} {value:g}" for word, value in named if value is not None), "dependent")
+        copula = str(group["copula"]).replace("_", " ").capitalize()
+        freedom = f" with {group['dof']:g} degrees of freedom" if group.get("dof") else ""
+        texts.append(f"{' and '.join(input_name(n) for n in group['of'])}: {strength}, {copula} copula{freedom}.")
+    return texts

@@ -7,24 +7,25 @@ from typing import Any, Final
 
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import format_value, reading_units
+from uqsphere.report.assumptions import answer_checks, instead_text, turns, verdict_word
 from uqsphere.report.drivers import first_to_measure, specimens
-from uqsphere.report.event import at_most, safe_side
-from uqsphere.report.granted import instead_text, turns, verdict_word
-from uqsphere.report.margin_verdict import margin_answer, subject_of
-from uqsphere.report.reach import answer_checks
-from uqsphere.report.shortfalls import SUBJECTS, shortfalls
-from uqsphere.report.units import units_of
-from uqsphere.report.wording import (
+from uqsphere.report.margins import margin_answer, subject_of
+from uqsphere.report.phrases import (
     MOST_DIGITS,
+    SUBJECTS,
     Estimate,
+    at_most,
     estimate_text,
     failures_text,
     plain_percent,
     probability_range,
     probability_text,
     rounded,
+    safe_side,
+    shortfalls,
     without_failed,
 )
+from uqsphere.report.units import units_of
 from uqsphere.results import ModelEntry, Results
 
 __all__ = ["summary_of"]

@@ -8,14 +8,35 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.compare import PERHAPS, SURE
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, PAPER, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.decision import probability_axis, score
-from uqsphere.report.figures import axis_label, slug
-from uqsphere.report.wording import call, capital, input_name, limit_name, number_text, rounded, short_input, symbol
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    PAPER,
+    Picture,
+    new_figure,
+    shorten,
+    slug,
+    style,
+    wrap,
+)
+from uqsphere.report.figures.distributions import axis_label
+from uqsphere.report.figures.fragility import probability_axis, score
+from uqsphere.report.phrases import (
+    PERHAPS,
+    SURE,
+    call,
+    capital,
+    input_name,
+    limit_name,
+    number_text,
+    rounded,
+    short_input,
+    symbol,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,8 +78,8 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
     ends = np.array([[c["relative"], c["low"] / abs(c["before"]["value"]), c["high"] / abs(c["before"]["value"])]
                      for c in rows]) * 100.0  # fmt: skip
     wide = bool(np.abs(ends[:, 0]).max() > 30.0 * max(float(np.abs(ends[:, 0]).min()), 1e-12))
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(rows))
+    with style():
+        figure, (axes,) = new_figure(1.2 + 0.42 * len(rows))
         if wide:
             axes.set_xscale("symlog", linthresh=max(float(np.abs(ends[:, 0]).min()), 1e-3))
         axes.axvline(0.0, color=GREY, linewidth=0.8)
@@ -76,7 +97,7 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
                 ha="left" if side > 0 else "right",
                 fontsize=8.5,
             )
-        axes.set_yticks(range(len(rows)), [canvas.wrap(f"{row['name']}: {row['statistic']}", 34) for row in rows])
+        axes.set_yticks(range(len(rows)), [wrap(f"{row['name']}: {row['statistic']}", 34) for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.margins(x=0.22)
@@ -138,8 +159,8 @@ def density_picture(before: Contents, after: Contents, quantity: str) -> Picture
     factor = display_unit(quantity)[1]
     bins = np.geomspace(low, high, 46) if logarithmic else np.linspace(low, high, 46)
     scale = np.log(bins) if logarithmic else bins
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(3.0)
+    with style():
+        figure, (axes,) = new_figure(3.0)
         if logarithmic:
             axes.set_xscale("log")
         for v, colour, filled in zip(values, (BLUE, ORANGE), (True, False), strict=True):
@@ -180,8 +201,8 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
     if first["solve"] != second["solve"]:
         return None
     factor = display_unit(first["solve"])[1]
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(3.6)
+    with style():
+        figure, (axes,) = new_figure(3.6)
         for entry, colour, line in ((first, BLUE, "-"), (second, ORANGE, "--")):
             curve = np.array(entry["curve"], dtype=float)
             inside = np.flatnonzero((curve[:, 1] > 1e-5) & (curve[:, 1] < 1.0 - 1e-5))
@@ -191,7 +212,7 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
                               linewidth=0.0)  # fmt: skip
             axes.plot(part[:, 0] * factor, score(part[:, 1]), color=colour, linestyle=line)
         probability_axis(axes)
-        axes.set_xlabel(axis_label(first["solve"], canvas.shorten(input_name(first["solve"]), 50)))
+        axes.set_xlabel(axis_label(first["solve"], shorten(input_name(first["solve"]), 50)))
         axes.set_ylabel("probability of exceeding the strength")
         _legend(axes, [Line2D([], [], color=BLUE, label="before"),
                        Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
@@ -223,8 +244,8 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
         return None
     kind = "Shapley effect" if kinds == {True} else "total index"
     names = sorted(names, key=lambda n: -max(tables[0][n]["value"], tables[1][n]["value"]))[:_MOST_INPUTS]
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.1 + 0.45 * len(names))
+    with style():
+        figure, (axes,) = new_figure(1.1 + 0.45 * len(names))
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         for k, name in enumerate(names):
             for table, colour, shift, face in ((tables[0], BLUE, -0.13, BLUE), (tables[1], ORANGE, 0.13, PAPER)):
@@ -232,7 +253,7 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
                 ends = [entry["value"] if entry[key] is None else entry[key] for key in ("low", "high")]
                 axes.plot(ends, [k + shift] * 2, color=colour, linewidth=1.4, marker="|", markersize=6)
                 axes.plot(entry["value"], k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
-        axes.set_yticks(range(len(names)), [canvas.wrap(short_input(n), 26) for n in names])
+        axes.set_yticks(range(len(names)), [wrap(short_input(n), 26) for n in names])
         axes.set_ylim(len(names) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)

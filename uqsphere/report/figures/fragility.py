@@ -3,24 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas, event, reach
-from uqsphere.report.canvas import BLUE, INK, ORANGE, PAPER, RED, Picture
+from uqsphere.report.assumptions import yields_at
+from uqsphere.report.blocks import Block, Table
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures import axis_label, slug
-from uqsphere.report.wording import input_name, limit_name, listed, plain_percent, rounded, symbol, value_text
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    INK,
+    MARKS,
+    ORANGE,
+    PAPER,
+    PURPLE,
+    RED,
+    SKY,
+    Picture,
+    new_figure,
+    shorten,
+    slug,
+    style,
+    wrap,
+)
+from uqsphere.report.figures.distributions import axis_label
+from uqsphere.report.phrases import (
+    at_most,
+    begin,
+    estimate_text,
+    event,
+    input_name,
+    limit_name,
+    listed,
+    number_text,
+    of_limit,
+    plain_percent,
+    rounded,
+    safe_side,
+    symbol,
+    value_text,
+)
+from uqsphere.report.tables import margins_table
+from uqsphere.runner.margins import member_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
+    "energy_block",
+    "family_figure",
+    "family_finding",
+    "family_name",
+    "family_table",
     "fragility_figure",
     "fragility_finding",
+    "lognormal_remarks",
     "lognormal_scores",
     "margin_figure",
     "margin_finding",
@@ -47,8 +88,8 @@ def margin_figure(contents: Contents) -> Picture | None:
     limits = {name: limit for name, limit in contents.results["limits"].items() if _known(limit["margin"])}
     if not limits:
         return None
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.5 + 0.55 * len(limits))
+    with style():
+        figure, (axes,) = new_figure(1.5 + 0.55 * len(limits))
         values = [e["value"] for limit in limits.values() for e in _known(limit["margin"]).values()]
         low, high = min(1.0, *values), max(1.0, *values)
         if 0.0 < low < high / _WIDE:
@@ -60,7 +101,7 @@ def margin_figure(contents: Contents) -> Picture | None:
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         for row, limit in enumerate(limits.values()):
             _margin_bar(axes, row, limit)
-        axes.set_yticks(range(len(limits)), [canvas.wrap(name, 20) for name in limits])
+        axes.set_yticks(range(len(limits)), [wrap(name, 20) for name in limits])
         axes.set_ylim(len(limits) - 0.5, -0.7)
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel("strength over demand\n(○ median, bar 5 to 95 %, shaded: aim missed)")
@@ -170,8 +211,8 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
     curve = np.array(entry["curve"], dtype=float)
     here = contents.at_mean(solve)
     limit = contents.results["limits"][name]
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(3.9)
+    with style():
+        figure, (axes,) = new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
         x = curve[kept, 0] * factor
         middle, low, high = (score(curve[kept, k], _LAST) for k in (1, 2, 3))
@@ -201,7 +242,7 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
 def solved_label(contents: Contents, solve: str) -> str:
     """The axis of the free scalar: its mean where it scatters."""
     word = "mean " if solve in contents.resolved["random"] else ""
-    return axis_label(contents.subject(solve), word + canvas.shorten(input_name(solve), 50))
+    return axis_label(contents.subject(solve), word + shorten(input_name(solve), 50))
 
 
 def _interesting(p: Array, x: Array, here: float | None) -> Array:
@@ -306,8 +347,8 @@ def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array,
             continue
         labelled.append(place[1])
         answer = float(p) == own
-        most = event.at_most(entry, aim)
-        text = event.safe_side(estimate, subject, at_most=most) if answer else rounded(estimate, subject, 3)
+        most = at_most(entry, aim)
+        text = safe_side(estimate, subject, at_most=most) if answer else rounded(estimate, subject, 3)
         axes.annotate(
             text,
             place,
@@ -411,20 +452,189 @@ def fragility_finding(contents: Contents, name: str) -> str:
         reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
         return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
     subject = contents.subject(entry["solve"])
-    own, most = entry.get("probability"), event.at_most(entry, contents.results["limits"][name]["aim"])
+    own, most = entry.get("probability"), at_most(entry, contents.results["limits"][name]["aim"])
     # the answer to the question is rounded to the safe side, here as everywhere
     told = {
-        p: event.safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject)
-        for p, e in known.items()
+        p: safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject) for p, e in known.items()
     }
     parts = [f"{plain_percent(float(p))} at {text}" for p, text in told.items()]
     here = contents.at_mean(entry["solve"])
-    what = event.event(contents.results, name) + event.of_limit(contents.results, name)
+    what = event(contents.results, name) + of_limit(contents.results, name)
     text = f"Over {input_name(entry['solve'])}, the probability that {what} is {', '.join(parts)}"
     if here is not None:
         text += f"; the study stands at {value_text(here, subject)}"
-    yielding = [p for p in known if (reach.yields_at(entry, p) or 0.0) > 0.5]
+    yielding = [p for p in known if (yields_at(entry, p) or 0.0) > 0.5]
     if yielding:
         at = [told[p] for p in yielding]
         text += f"; at {listed(at)} the bars yield under the sphere in most cases, so that these hold for elastic bars"
     return text + "."
+
+
+# --- Families of fragility curves over another number, and the lognormal curve in words.
+
+_COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
+
+
+def lognormal_remarks(contents: Contents, name: str) -> tuple[str, ...]:
+    """The lognormal curve and how near it comes, or why there is none."""
+    entry = contents.results["margins"][name]
+    fitted = entry.get("lognormal")
+    if not fitted:
+        return ()
+    if not fitted.get("median"):
+        return (f"No lognormal curve: {fitted.get('reason', 'none was fitted')}.",)
+    subject = contents.subject(entry["solve"])
+    return (
+        f"Dashed: the lognormal curve nearest to it, with the median {estimate_text(fitted['median'], subject)} and "
+        f"the dispersion {estimate_text(fitted['dispersion'])}. It is off by at most "
+        f"{plain_percent(fitted['largest_gap'])} of all specimens, at {value_text(fitted['largest_gap_at'], subject)}."
+        f"{_not_small(entry, subject)}",
+    )
+
+
+def _not_small(entry: Mapping[str, Any], subject: str) -> str:
+    """That the lognormal curve does not serve small probabilities, with the first probability it is far off."""
+    curve = np.array(entry["curve"], dtype=float)
+    off = np.isnan(lognormal_scores(entry, curve[:, :2]))
+    far = off & (curve[:, 1] > 1e-6) & (curve[:, 1] < 0.5)
+    if not far.any():
+        return ""
+    k = int(np.flatnonzero(far)[np.argmax(curve[far, 1])])
+    return (
+        f" Small probabilities must not be read off it: from {plain_percent(float(f'{curve[k, 1]:.2g}'))} down, at "
+        f"{value_text(curve[k, 0], subject, 3)}, it is off by more than a factor of two and not drawn."
+    )
+
+
+def family_name(contents: Contents, name: str) -> str:
+    """The number over which the curves form a family."""
+    return input_name(contents.results["margins"][name]["family"]["path"])
+
+
+def family_finding(contents: Contents, name: str) -> str:
+    """How far the values at one half, or the nearest that is known of all, move over the family; else empty."""
+    entry = contents.results["margins"][name]
+    family, subject = entry["family"], contents.subject(entry["solve"])
+    members = sorted(family["members"], key=lambda member: float(member["value"]))
+    known = [p for p in members[0]["values"] if all(m["values"].get(p, {}).get("value") is not None for m in members)]
+    if len(members) < 2 or not known:
+        return ""
+    p = min(known, key=lambda p: abs(float(p) - 0.5))
+    first, last = members[0], members[-1]
+    ends = [m["values"][p] for m in (first, last)]
+    apart = ends[0]["high"] < ends[1]["low"] or ends[1]["high"] < ends[0]["low"]
+    change = 100.0 * (ends[1]["value"] / ends[0]["value"] - 1.0) if ends[0]["value"] else 0.0
+    verb = f"{'rises' if change > 0.0 else 'falls'} by {abs(change):.2g} %" if apart else "does not change visibly"
+    at_first, at_last = map(number_text, member_values(family["path"], [first["value"], last["value"]], 3))
+    return (
+        f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry['solve'])} at which "
+        f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(ends[0], subject)} to "
+        f"{rounded(ends[1], subject)}."
+    )
+
+
+def family_figure(contents: Contents, name: str) -> Picture | None:
+    """The curves of a family; None where fewer than two could be computed."""
+    entry = contents.results["margins"][name]
+    family = entry["family"]
+    members = [member for member in family["members"] if len(member["curve"]) > 1]
+    if len(members) < 2:
+        return None
+    subject = contents.subject(entry["solve"])
+    factor = display_unit(subject)[1]
+    from matplotlib.lines import Line2D
+
+    handles = []
+    with style():
+        figure, (axes,) = new_figure(3.7)
+        low, high = np.inf, -np.inf
+        labels = member_values(family["path"], [member["value"] for member in members], 3)
+        for k, (member, label) in enumerate(zip(members, labels, strict=True)):
+            curve = np.array(member["curve"], dtype=float)
+            inside = np.flatnonzero((curve[:, 1] > 1e-4) & (curve[:, 1] < 1.0 - 1e-4))
+            kept = slice(max(inside[0] - 1, 0), inside[-1] + 2) if inside.size else slice(None)
+            x, p = curve[kept, 0] * factor, curve[kept, 1]
+            low, high = min(low, float(x[0])), max(high, float(x[-1]))
+            colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
+            axes.plot(x, score(p), color=colour)
+            # marks at the probabilities asked for alone: those of all curves are to be compared
+            asked = [(e["value"] * factor, float(q)) for q, e in member["values"].items() if e["value"] is not None]
+            points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
+            axes.plot(points[:, 0], score(points[:, 1]), color=colour, marker=mark, markersize=4.5, linestyle="none")
+            handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=number_text(label)))
+        x_scale(axes, np.array([low, high]))
+        axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
+        probability_axis(axes)
+        axes.set_xlabel(solved_label(contents, entry["solve"]))
+        axes.set_ylabel(
+            f"probability that {symbol(contents.results['limits'][name]['quantity'], 24)}\nexceeds the strength"
+        )
+        axes.legend(
+            handles=handles, title=shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left"
+        )
+    title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
+    return Picture(
+        name=slug("fragility-family", name),
+        title=title,
+        finding=family_finding(contents, name),
+        figure=figure,
+        header=(family["path"], entry["solve"], "probability", "low", "high"),
+        rows=tuple((float(m["value"]), *map(float, point)) for m in members for point in m["curve"]),
+    )
+
+
+def family_table(contents: Contents, name: str) -> Table:
+    """The values at the probabilities asked for, and the lognormal curve, of every member."""
+    entry = contents.results["margins"][name]
+    family, subject = entry["family"], contents.subject(entry["solve"])
+    members = family["members"]
+    keys = sorted({p for member in members for p in member["values"]}, key=float)
+    rows = [
+        (
+            plain_percent(float(p)),
+            *(estimate_text(m["values"][p], subject) if p in m["values"] else "–" for m in members),
+        )
+        for p in keys
+    ]
+    fitted = [(member.get("lognormal") or {}).get("dispersion") for member in members]
+    rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
+    name_of = shorten(family_name(contents, name), 40)
+    solved = begin(entry["solve"], input_name(entry["solve"]))
+    caption = f"{solved} at which {limit_name(name)} is exceeded, by {name_of}"
+    header = ("probability", *map(number_text, member_values(family["path"], [m["value"] for m in members])))
+    return Table(caption=caption, header=header, rows=tuple(rows))
+
+
+# --- The fragility over the specific energy: drawn and told as the one over the speed is.
+
+
+def _seen_so(contents: Contents, name: str, against: dict[str, Any]) -> Contents:
+    """The contents as if the energy were what the margins of this limit are solved for."""
+    own = {**contents.results["margins"], name: {**against, "solve": against["quantity"]}}
+    return replace(contents, results={**contents.results, "margins": own})
+
+
+def energy_block(contents: Contents, name: str) -> list[Block]:
+    """The block of a limit; none where no curve over the energy was asked for."""
+    against = contents.results["margins"][name].get("against")
+    if not against:
+        return []
+    heading = f"Fragility of {limit_name(name)} over the specific energy"
+    if against.get("reason"):
+        return [Block(heading=heading, finding=f"No curve can be given: {against['reason']}.")]
+    view = _seen_so(contents, name, against)
+    picture = fragility_figure(view, name)
+    return [
+        Block(
+            heading=heading,
+            finding=fragility_finding(view, name),
+            picture=picture and replace(picture, name=slug("fragility-energy", name), title=heading),
+            table=margins_table(view, name),
+            remarks=(
+                *lognormal_remarks(view, name),
+                "Every specimen is struck with the speed that imposes just this energy on it, as in a drop-weight "
+                "test: what the energy scatters by at one speed has no part in the curve.",
+            ),
+            files=("tables/margins.csv", "tables/fragility_energy.csv"),
+        )
+    ]

@@ -9,17 +9,25 @@ from dataclasses import replace
 from typing import Any
 
 from uqsphere.quantities import format_value
-from uqsphere.report import canvas, event, reach
+from uqsphere.report.assumptions import beyond_bars, reach_note
+from uqsphere.report.blocks import Table, Verdict, cell
 from uqsphere.report.contents import Contents
-from uqsphere.report.event import at_most
-from uqsphere.report.verdict import Verdict
-from uqsphere.report.wording import (
+from uqsphere.report.figures.canvas import shorten
+from uqsphere.report.phrases import (
+    answer_text,
+    at_most,
     capital,
+    event,
     input_name,
     limit_name,
     listed,
     number_text,
+    of_limit,
     plain_percent,
+    probability_range,
+    rounded,
+    safe_side,
+    solved_name,
     two_digits,
     value_text,
 )
@@ -31,6 +39,8 @@ __all__ = [
     "margin_answer",
     "margin_verdicts",
     "no_common_value",
+    "parts_finding",
+    "parts_table",
     "reserve",
     "settling_text",
     "subject_of",
@@ -53,8 +63,8 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
     survive = limit["aim"] == "survive"
     chance = plain_percent(limit["target"] if survive else 1.0 - limit["target"])
     share = f"at most {chance}" if survive else f"{chance} or more"
-    aim = f"{event.event(results, name)} with a probability of {share}"
-    own = event.of_limit(results, name)
+    aim = f"{event(results, name)} with a probability of {share}"
+    own = of_limit(results, name)
     if value["value"] is None:
         # that there is none may be said only where the whole range was looked at
         if str(value["reason"]).startswith("no value between"):
@@ -63,12 +73,12 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
     most = at_most(entry, limit["aim"])
     word = "at most" if most else "at least"
     opened = entry.get("ignorance") or {}
-    known = event.safe_side(value, subject, at_most=most)
-    what = event.solved_name(results, solve)
+    known = safe_side(value, subject, at_most=most)
+    what = solved_name(results, solve)
     if opened.get("sure") is not None:
         # what the tests leave open comes first: the value by their fitted law is exact in nothing but the computation
         exact = {"value": opened["sure"], "low": None, "high": None}
-        sure = event.safe_side(exact, subject, at_most=most, digits=3)
+        sure = safe_side(exact, subject, at_most=most, digits=3)
         text = (
             f"{what}: {word} {sure} to be {plain_percent(opened['confidence'])} sure (one-sided) that {aim}{own}, the "
             f"value to keep to; {word} {known} by the law fitted to the {_tests(opened)}{_open_range(opened, subject)}"
@@ -78,7 +88,7 @@ def margin_answer(results: Mapping[str, Any], name: str) -> str:
         if opened and "reason" not in opened:
             confidence = plain_percent(opened["confidence"])
             text += f"; {_tests(opened)} are too few to be {confidence} sure of any value looked at"
-    beyond = reach.beyond_bars(entry, subject)
+    beyond = beyond_bars(entry, subject)
     return f"{text}. {known} is the answer for elastic bars: {beyond}." if beyond else f"{text}."
 
 
@@ -114,12 +124,12 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
         found.append(
             Verdict(
                 word="answer",
-                heading=f"{canvas.shorten(name, 60)}: {canvas.shorten(input_name(entry['solve']), 60)}",
+                heading=f"{shorten(name, 60)}: {shorten(input_name(entry['solve']), 60)}",
                 lines=tuple(line for line in lines if line),
             )
         )
     if found:
-        found[-1] = replace(found[-1], note=reach.reach_note(contents))
+        found[-1] = replace(found[-1], note=reach_note(contents))
     return found
 
 
@@ -128,7 +138,7 @@ def _headed(answer: str, entry: Mapping[str, Any], contents: Contents) -> tuple[
     first, *rest = re.split(r"; |\. ", answer, maxsplit=1)
     sure = (entry.get("ignorance") or {}).get("sure")
     told = entry["value"] if sure is None else {**entry["value"], "value": sure}
-    beyond = reach.beyond_bars({**entry, "value": told}, contents.subject(entry["solve"])).partition(": there")[0]
+    beyond = beyond_bars({**entry, "value": told}, contents.subject(entry["solve"])).partition(": there")[0]
     head = first.rstrip(".") + (f"; {beyond}" if beyond else "")
     if rest and beyond and sure is None:
         # the head has it already
@@ -147,7 +157,7 @@ def no_common_value(contents: Contents) -> str:
     if not most or not least:
         return ""
     top, bottom = min(most), max(least)
-    ends = [event.answer_text(contents, name) for _, name in (top, bottom)]
+    ends = [answer_text(contents, name) for _, name in (top, bottom)]
     what = input_name(next(iter(contents.results["margins"].values()))["solve"])
     names = limit_name(top[1]), limit_name(bottom[1])
     if bottom[0] <= top[0]:
@@ -281,10 +291,10 @@ def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Conte
     rising = entry["curve"][-1][1] >= entry["curve"][0][1]
     chance = plain_percent(bars.get("contact_probability", 0.0))
     if contact and contact["value"] is not None:
-        value = event.safe_side(contact, subject, at_most=rising, digits=3)
+        value = safe_side(contact, subject, at_most=rising, digits=3)
         text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
         text += f"{'from' if rising else 'below'} {value}"
-        text += " on: harder or thicker bars are due" if reach.beyond_bars(entry, subject) else " on"
+        text += " on: harder or thicker bars are due" if beyond_bars(entry, subject) else " on"
     elif bars.get("contact_everywhere") == "yields":
         text = (
             f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "
@@ -297,3 +307,143 @@ def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Conte
     if bars.get("pulse_value") is not None:
         return f"{text}; the pulse alone leaves them elastic up to {value_text(bars['pulse_value'], subject, 3)}."
     return f"{text}; the pulse as planned {'leaves them elastic' if bars['pulse_elastic'] else 'makes them yield'}."
+
+
+# --- What a margin is made of, as a table: safety factors, partial factors, scatter, ignorance, error, and the bars.
+
+
+def parts_finding(contents: Contents, name: str) -> str:
+    """How far the value lies from the median of fracture, and to whom that is owed."""
+    entry = contents.results["margins"][name]
+    value, fitted = entry.get("value") or {}, entry.get("lognormal") or {}
+    middle = (entry["values"].get("0.5") or {}).get("value") or (fitted.get("median") or {}).get("value")
+    shares = (entry.get("lost_to") or {}).get("shares")
+    if not value.get("value") or not middle or not shares:
+        return ""
+    subject = contents.subject(entry["solve"])
+    factor = middle / value["value"]
+    if not factor > 0.0:
+        # a scalar of either sign has no factors
+        return ""
+    lost = listed([
+        f"{math.exp(share * math.log(factor)):.2f} ({input_name(n)})"
+        for n, share in sorted(shares.items(), key=lambda item: -item[1])
+        if abs(math.exp(share * math.log(factor)) - 1.0) >= 0.005
+    ])  # fmt: skip
+    return (
+        f"Half of the specimens of {limit_name(name)} break at {value_text(middle, subject)}; between that and "
+        f"{answer_text(contents, name)} lies a factor of {factor:.2f}, made up of {lost}."
+    )
+
+
+def _factor(limit: Mapping[str, Any]) -> str:
+    """What strength over demand is called: safe above 1 where the sphere is to survive, short where it is to break."""
+    return "safety factor" if limit["aim"] == "survive" else "strength over demand (above 1: short of breaking)"
+
+
+def _likeliest(limit: Mapping[str, Any]) -> str:
+    return "failure" if limit["aim"] == "survive" else "survival"
+
+
+def parts_table(contents: Contents, name: str) -> Table | None:
+    """Everything that is known of a margin beside its curve; None for a folder of an earlier version."""
+    entry, limit = contents.results["margins"][name], contents.results["limits"][name]
+    if "factors" not in entry:
+        return None
+    subject, quantity = contents.subject(entry["solve"]), limit["quantity"]
+    rows: list[tuple[str, str]] = []
+    factor = reserve(contents, entry, limit)
+    if factor is not None:
+        word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
+        told = down(factor) if factor >= 1.0 else f"{factor:.3g}"
+        rows.append((f"{word} in {input_name(entry['solve'])}: the answer against the planned value", told))
+    factors = entry["factors"]
+    if "medians" in factors:
+        of = factors["fractiles_of"]
+        rows += [
+            (
+                f"{_factor(limit)} as planned: median strength over median demand",
+                _ranged(contents, name, factors["medians"], 0.5),
+            ),
+            (
+                f"{_factor(limit)} as planned: {plain_percent(of['strength'])} fractile of the strength over "
+                f"{plain_percent(of['demand'])} fractile of the demand (each by itself, without their dependence)",
+                _ranged(contents, name, factors["fractiles"], of["demand"]),
+            ),
+        ]
+    for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
+        strength = key.endswith(".strength")
+        own = quantity if strength else key
+        fractile = "5 %" if limit["aim"] == "survive" else "95 %"
+        what = (
+            f"its {fractile} fractile over its value at the likeliest {_likeliest(limit)}"
+            if strength
+            else f"its value at the likeliest {_likeliest(limit)} over its median"
+        )
+        values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
+        text = f"{part['factor']:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
+    split = entry.get("split", {})
+    for key, words in (
+        ("scatter", "scatter from specimen to specimen, in the probability already"),
+        ("ignorance", "uncertainty of the answer from few tests"),
+        ("numerical", "uncertainty of the answer from computing"),
+    ):
+        if split.get(key) is not None:
+            rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{split[key]:#.2g}")))
+    opened = entry.get("ignorance") or {}
+    if "laws" in opened:
+        ends = [_three(opened[end], subject) if opened[end] is not None else "beyond the range" for end in
+                ("low", "high")]  # fmt: skip
+        rows.append((f"{input_name(entry['solve'])} that the tests leave open (95 %)", " to ".join(ends)))
+        if opened.get("mean_law") is not None:
+            rows.append(
+                (
+                    f"{input_name(entry['solve'])} with the mean over all laws that the tests allow",
+                    _three(opened["mean_law"], subject),
+                )
+            )
+    standing = limit.get("ignorance") or {}
+    if standing.get("miss"):
+        rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
+    at = f"{event(contents.results, name)} with a probability of {plain_percent(entry['probability'])}"
+    caption = f"Margin of {limit_name(name)}; the answer is where {at}"
+    note = (
+        "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
+        "deviations and what the tests leave open are uncertainties themselves."
+    )
+    note += _two_medians(limit, factors)
+    return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
+
+
+def _two_medians(limit: Mapping[str, Any], factors: Mapping[str, Any]) -> str:
+    """Why the median margin is another number than the safety factor on medians; empty where both read the same."""
+    median = limit["margin"].get("median")
+    if not median or median["value"] is None or "medians" not in factors:
+        return ""
+    # in as many digits as the margin is known to
+    off = factors["medians"] - median["value"]
+    moved = {key: None if median[key] is None else median[key] + off for key in ("value", "low", "high")}
+    margin, medians = rounded(median), rounded(moved)
+    if margin == medians:
+        return ""
+    return (
+        f" The median margin, {margin}, is the middle of strength over demand taken case by case; {medians} is the "
+        "middle strength over the middle demand. The two part where a law is skewed, or where strength and demand "
+        "depend on each other."
+    )
+
+
+def _three(value: float, subject: str) -> str:
+    """A value of which three digits count, with the zeros among them."""
+    return rounded({"value": value, "low": None, "high": None}, subject, 3)
+
+
+def _ranged(contents: Contents, name: str, factor: float, fractile: float) -> str:
+    """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
+    limit = contents.resolved["limits"][name]
+    demand = contents.results["quantities"].get(limit["quantity"], {}).get("quantiles", {}).get(f"{fractile:g}")
+    if limit["model_factor"] != 1.0 or not demand or not demand["value"] or not demand["low"] or not demand["high"]:
+        return f"{factor:.3g} (no interval: the demand has none of its own)"
+    low, high = sorted((factor * demand["value"] / demand["high"], factor * demand["value"] / demand["low"]))
+    return cell({"value": factor, "low": low, "high": high})

@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREY, INK, ORANGE, RED, Picture
+from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures import axis_label, slug
-from uqsphere.report.tables import Table
-from uqsphere.report.wording import (
+from uqsphere.report.figures.canvas import BLUE, GREY, INK, ORANGE, RED, Picture, new_figure, slug, style, wrap
+from uqsphere.report.figures.distributions import axis_label
+from uqsphere.report.phrases import (
     begin,
     estimate_text,
     input_name,
@@ -107,8 +106,8 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
         return None
     factor = display_unit(quantity)[1]
     middle = float(np.median(contents.samples[quantity].values)) * factor
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.2 + 0.42 * len(shown))
+    with style():
+        figure, (axes,) = new_figure(1.2 + 0.42 * len(shown))
         ends = [v * factor for s in shown for v in (*s.at_low, *s.at_high)]
         left, right = min(*ends, middle), max(*ends, middle)
         margin = 0.2 * (right - left)
@@ -116,7 +115,7 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
         for row, s in enumerate(shown):
             _swing_bar(axes, row, s, middle, quantity)
         axes.axvline(middle, color=INK, linewidth=0.9)
-        axes.set_yticks(range(len(shown)), [canvas.wrap(short_input(s.name), 24) for s in shown])
+        axes.set_yticks(range(len(shown)), [wrap(short_input(s.name), 24) for s in shown])
         axes.set_ylim(len(shown) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
@@ -263,8 +262,8 @@ def waterfall_figure(contents: Contents, name: str) -> Picture | None:
     begin_at, end_at, steps = _steps(limit)
     if not steps:
         return None
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(1.3 + 0.42 * (len(steps) + 2))
+    with style():
+        figure, (axes,) = new_figure(1.3 + 0.42 * (len(steps) + 2))
         low, high = min(1.0, begin_at, end_at), max(1.0, begin_at, end_at)
         width = 0.2 * (high - low) or 0.1
         axes.set_xlim(low - width, high + width)
@@ -283,7 +282,7 @@ def waterfall_figure(contents: Contents, name: str) -> Picture | None:
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         worst = "5 % case" if limit["aim"] == "survive" else "95 % case"
         words = ["median case", *(_step_name(n) for n, _ in steps), worst]
-        axes.set_yticks(range(len(words)), [canvas.wrap(w, 24) for w in words])
+        axes.set_yticks(range(len(words)), [wrap(w, 24) for w in words])
         axes.set_ylim(len(words) - 0.4, -0.9)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)

@@ -3,25 +3,59 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars
-from uqsphere.quantities import display_unit, format_value
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PAPER, PURPLE, RED, Picture
-from uqsphere.report.wording import number_text
+from uqsphere.mechanics.field import BARS, last_time
+from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
+from uqsphere.mechanics.history import equilibrium, shown_time, view_field
+from uqsphere.mechanics.stress.tables import outside
+from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PAPER,
+    PURPLE,
+    RED,
+    Picture,
+    new_figure,
+    render,
+    style,
+    wrap,
+)
+from uqsphere.report.figures.scene import draw_field, field_rows, stress_figure
+from uqsphere.report.phrases import number_text
+from uqsphere.store import csv_text, write_atomically
+from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from uqsphere.mechanics.gauges import GaugeRecord
     from uqsphere.mechanics.history import History
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["draw_history", "draw_xt", "history_figure", "xt_figure"]
+__all__ = [
+    "draw_forces",
+    "draw_gauges",
+    "draw_history",
+    "draw_xt",
+    "force_rows",
+    "gauge_rows",
+    "history_figure",
+    "units_of_history",
+    "wave_forces",
+    "write_history",
+    "xt_figure",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,12 +73,12 @@ def history_figure(history: History) -> str:
 
     Contacts lost and found, the end of the record and the largest pressures are marked.
     """
-    return canvas.render(draw_history(history))
+    return render(draw_history(history))
 
 
 def xt_figure(scene: Scene, history: History, row: int = 0) -> str:
     """SVG text of the wave fronts in both bars over place and time, the sphere at x = 0."""
-    return canvas.render(draw_xt(scene, history, row))
+    return render(draw_xt(scene, history, row))
 
 
 def _time_unit(horizon: float) -> tuple[str, float]:
@@ -89,8 +123,8 @@ def draw_history(history: History) -> Picture:
             ],
         ),
     ]
-    with canvas.style():
-        figure, axes = canvas.new_figure(8.4, rows=len(panels), sharex=True)
+    with style():
+        figure, axes = new_figure(8.4, rows=len(panels), sharex=True)
         for place, (label, courses) in zip(axes, panels, strict=True):
             for name, course, colour, line in courses:
                 place.plot(t, course[keep], color=colour, linestyle=line, linewidth=1.3, label=name)
@@ -191,8 +225,8 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
     lengths = [0.5 * c0 * trip if math.isfinite(trip) else 0.6 * c0 * last for trip in trips]
     pulse = float(scene.pulse.end[row])
     unit, factor = _time_unit(last)
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(5.6)
+    with style():
+        figure, (axes,) = new_figure(5.6)
         for delay, line in ((0.0, "-"), (pulse, "--")):
             if math.isfinite(delay):
                 _fronts(axes, c0, lengths, trips, ends, last, delay, factor, line)
@@ -329,3 +363,248 @@ def _xt_finding(history: History, trips: list[float], ends: list[float], pulse: 
     if history.record_end < history.horizon:
         text += f" Contact is lost at {history.record_end * factor:.4g} {unit}."
     return text
+
+
+# --- What the bars see of one scene as figures and tables: gauge signals, and forces by wave analysis.
+
+#: gauges with a panel of their own; further ones are in the table
+_PANELS: Final = 5
+#: instants of the tables
+_ROWS: Final = 4000
+_LEVEL: Final = 0.05
+
+
+def _micro(value: float) -> str:
+    return f"{value * 1e6:.4g} us"
+
+
+# --- gauges -------------------------------------------------------------------------------------------
+
+
+def draw_gauges(history: History) -> Picture:
+    """Signals of the gauges in microstrain over microseconds, what arrives when, and where waves overlap."""
+    records = history.gauges[:_PANELS]
+    end = min(shown_time(history), *(float(record.time[-1]) for record in records))
+    begin = min(float(record.time[0]) for record in records)
+    with style():
+        figure, axes = new_figure(1.0 + 1.9 * len(records), rows=len(records), sharex=True)
+        for place, record in zip(axes, records, strict=True):
+            keep = record.time <= end
+            time, strain = record.time[keep], record.strain[keep]
+            place.plot(time * 1e6, strain * 1e6, color=BLUE, linewidth=1.2)
+            place.axhline(0.0, color=GREY, linewidth=0.6)
+            low, high = min(strain.min(), 0.0), max(strain.max(), 0.0)
+            room = max(high - low, 1e-12)
+            place.set_ylim((low - 0.08 * room) * 1e6, (high + 0.3 * room) * 1e6)
+            for overlap in record.overlaps:
+                stop = min(overlap.end, end)
+                place.axvspan(overlap.begin * 1e6, stop * 1e6, color=ORANGE, alpha=0.22, linewidth=0.0)
+            _arrivals(place, history, record, begin, end)
+            place.set_ylabel("strain [10⁻⁶]")
+            place.set_title(f"{record.bar} bar, {record.position:.4g} m from the sphere", fontsize=9.5)
+            place.grid()
+        axes[-1].set_xlim(begin * 1e6, end * 1e6)
+        axes[-1].set_xlabel("time since first touch [µs]")
+        if any(record.overlaps for record in records):
+            figure.suptitle("shaded: two waves at the gauge at once", x=0.02, ha="left", fontsize=8.5)
+    return Picture(name="gauges", title="Signals of the strain gauges", finding=gauges_finding(history), figure=figure)
+
+
+def gauges_finding(history: History) -> str:
+    """Extremes and overlaps of every gauge, in sentences."""
+    parts = []
+    for record in history.gauges:
+        low, high = record.strain.min() * 1e6, record.strain.max() * 1e6
+        text = f"The gauge on the {record.bar} bar, {record.position:.4g} m from the sphere, shows {low:.4g} to "
+        text += f"{high:.4g} microstrain."
+        for overlap in record.overlaps:
+            text += f" From {_micro(overlap.begin)} to {_micro(overlap.end)} it sees the {overlap.first} wave and "
+            text += ("the reflected one" if overlap.second == "reflected" else overlap.second) + " at once."
+        parts.append(text)
+    return " ".join(parts)
+
+
+def _arrivals(axes: Axes, history: History, record: GaugeRecord, begin: float, end: float) -> None:
+    """When which wave comes first, as words along the top."""
+    motion = history.motion
+    number = BARS.index(record.bar)
+    delay, trip = record.position / motion.wave_speed, motion.round_trip(number)
+    marks = [(-delay, "incident")] if number == 0 else []
+    marks.append((delay, "reflected" if number == 0 else "transmitted"))
+    if motion.echoes(number):
+        marks.append((trip - delay, "its return"))
+    before, line = -math.inf, 0
+    for time, word in marks:
+        if not begin <= time < end:
+            continue
+        # words of waves that come close upon one another go below each other
+        line = line + 1 if time - before < 0.13 * (end - begin) else 0
+        before = time
+        axes.axvline(time * 1e6, color=GREY, linewidth=0.7, linestyle=":")
+        axes.annotate(word, (time * 1e6, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3 - 11 * line),
+                      textcoords="offset points", va="top", fontsize=8.5, color=INK)  # fmt: skip
+
+
+def gauge_rows(history: History) -> tuple[list[str], list[list[Any]]]:
+    """Heading and rows of gauges.csv: time [us] on an even grid, and the strain of every gauge [1e-6]."""
+    motion = history.motion
+    begin = min(float(record.time[0]) for record in history.gauges)
+    end = min(float(last_time(motion, record.bar, record.position)) for record in history.gauges)
+    times = np.linspace(begin, end, _ROWS)
+    columns = [times, *(gauge_strain(motion, record.bar, record.position, times) for record in history.gauges)]
+    heading = ["time [us]", *(f"{record.name} [microstrain]" for record in history.gauges)]
+    return heading, (np.stack(columns, axis=1) * 1e6).tolist()
+
+
+# --- forces -------------------------------------------------------------------------------------------
+
+
+def wave_forces(history: History) -> tuple[BarForces | None, str]:
+    """Forces from the first gauge of each bar; None with the reason where they cannot be had."""
+    first: dict[str, float] = {}
+    for record in history.gauges:
+        first.setdefault(record.bar, record.position)
+    missing = [bar for bar in BARS if bar not in first]
+    if missing:
+        return None, f"no gauge on the {' and the '.join(missing)} bar"
+    try:
+        return bar_forces(history.motion, first["incident"], first["receiving"]), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def draw_forces(history: History) -> Picture:
+    """Forces at both faces by one, two and three waves beside those of the contacts, and their imbalance."""
+    found, reason = wave_forces(history)
+    end = found.end if found is not None else min(history.record_end, shown_time(history))
+    times = np.linspace(0.0, end, 1500)
+    exact = history.motion.forces_at(times)
+    unit, scale = display_unit("P_max")
+    balance = equilibrium(history, _LEVEL)
+    with style():
+        figure, (above, below) = new_figure(5.2, rows=2, sharex=True, height_ratios=[2, 1])
+        above.plot(times * 1e6, exact[:, 0] * scale, color=GREY, linewidth=4.0, alpha=0.5, label="contact A")
+        above.plot(times * 1e6, exact[:, 1] * scale, color=ORANGE, linewidth=4.0, alpha=0.4, label="contact B")
+        if found is not None:
+            for course, colour, line, name in ((found.two_wave, BLUE, "-", "two waves"),
+                                               (found.one_wave, RED, "--", "one wave"),
+                                               (found.three_wave, GREEN, ":", "three waves")):  # fmt: skip
+                above.plot(found.time * 1e6, course * scale, color=colour, linestyle=line, linewidth=1.3, label=name)
+        above.set_ylabel(f"force [{unit}]")
+        above.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderpad=0.0, columnspacing=1.0,
+                     handlelength=1.8)  # fmt: skip
+        above.grid()
+        below.semilogy(times[1:] * 1e6, np.maximum(force_imbalance(exact[1:, 0], exact[1:, 1]), 1e-5), color=PURPLE)
+        below.axhline(_LEVEL, color=INK, linewidth=0.8, linestyle="--")
+        below.axvspan(balance.until * 1e6, end * 1e6, color=GREY, alpha=0.10, linewidth=0.0)
+        if balance.lasting is not None:
+            below.axvline(balance.lasting * 1e6, color=GREEN, linewidth=1.0)
+        below.set_ylim(1e-4, 3.0)
+        below.set_yticks([1e-4, 1e-3, 1e-2, 1e-1, 1.0], ["0.0001", "0.001", "0.01", "0.1", "1"])
+        below.minorticks_off()
+        below.set_ylabel("imbalance R")
+        below.set_xlabel("time at the faces since first touch [µs]")
+        below.grid()
+        below.set_xlim(0.0, end * 1e6)
+        figure.suptitle(wrap(_forces_finding(history, found, reason), 105, lines=3), x=0.02, ha="left",
+                        fontsize=8.5)  # fmt: skip
+    return Picture(name="forces", title="Forces at both faces as the gauges give them",
+                   finding=_forces_finding(history, found, reason), figure=figure)  # fmt: skip
+
+
+def _forces_finding(history: History, found: BarForces | None, reason: str) -> str:
+    text = f"Records are clean up to {_micro(found.end)} at the faces." if found else f"No wave analysis: {reason}."
+    balance = equilibrium(history, _LEVEL)
+    share = f"{_LEVEL:.0%} of their mean"
+    if balance.first is None:
+        return f"{text} Up to the first loading's largest force the two forces never agree within {share}."
+    text += f" The two forces agree within {share} first after {_micro(balance.first)}"
+    if balance.lasting is None:
+        return f"{text}, but not for good up to the first loading's largest force at {_micro(balance.until)}."
+    return f"{text}, and from {_micro(balance.lasting)} on up to the first loading's largest force (grey: after it)."
+
+
+def force_rows(history: History) -> tuple[list[str], list[list[Any]]] | None:
+    """Heading and rows of bar_forces.csv; None where the gauges allow no wave analysis."""
+    found, _ = wave_forces(history)
+    if found is None:
+        return None
+    exact = history.motion.forces_at(found.time)
+    columns = [found.time * 1e6, found.one_wave, found.two_wave, found.three_wave, exact[:, 0], exact[:, 1],
+               force_imbalance(exact[:, 0], exact[:, 1])]  # fmt: skip
+    heading = ["time at the faces [us]", "one wave (B) [N]", "two waves (A) [N]", "three waves [N]", "contact A [N]",
+               "contact B [N]", "imbalance [-]"]  # fmt: skip
+    return heading, np.stack(columns, axis=1).tolist()
+
+
+# --- The files of one scene over time: its course as a table and as pictures.
+
+#: columns of history.csv and the fields of History they come from
+_COLUMNS = {
+    "time [s]": "time",
+    "force_a [N]": "force_a",
+    "force_b [N]": "force_b",
+    "pressure_a [Pa]": "pressure_a",
+    "pressure_b [Pa]": "pressure_b",
+    "approach_a [m]": "approach_a",
+    "approach_b [m]": "approach_b",
+    "sphere_velocity [m/s]": "velocity",
+    "incident_wave [m/s]": "incident",
+    "returning_wave [m/s]": "returning",
+    "wave_leaving_a [m/s]": "leaving_a",
+    "wave_leaving_b [m/s]": "leaving_b",
+}
+
+
+def write_history(found: History, study: Study, folder: Path) -> list[Path]:
+    """Table and pictures of a history in `folder`; the paths.
+
+    history.csv, history.svg, xt.svg; field.csv, field.svg; forces.svg and, where the gauges allow it, bar_forces.csv;
+    gauges.csv, gauges.svg where there are gauges; stress.svg within the range of its tables.
+    """
+    with reading_units(units_of_history(found)):
+        return _write(found, study, folder)
+
+
+def units_of_history(found: History) -> dict[str, str]:
+    """The units in which forces, pressures and the tension in the core of one scene read well."""
+    pressure = found.hardest_contact[1]
+    peaks = [peak.force for peak in (found.first_peak, found.later_peak) if peak is not None]
+    return {
+        "P_max": unit_that_reads("P_max", peaks),
+        "p_max": unit_that_reads("p_max", [pressure]),
+        # of some twentieth of the pressure
+        "core_tension": unit_that_reads("core_tension", [0.05 * pressure]),
+    }
+
+
+def _write(found: History, study: Study, folder: Path) -> list[Path]:
+    scene = found.motion.scene
+    columns = [getattr(found, field) for field in _COLUMNS.values()]
+    rows = np.stack(columns, axis=1).tolist()
+    contents = {
+        "history.csv": csv_text(list(_COLUMNS), rows),
+        "history.svg": history_figure(found),
+        "xt.svg": xt_figure(scene, found),
+    }
+    contents |= _bar_pictures(found)
+    ratio, pressure = found.hardest_contact
+    nu = float(scene.columns["sphere.nu"][found.motion.row])
+    if not outside(ratio, nu):
+        contents["stress.svg"] = stress_figure(ratio, nu, pressure)
+    for name, text in contents.items():
+        write_atomically(folder / name, text)
+    return [folder / name for name in contents]
+
+
+def _bar_pictures(found: History) -> dict[str, str]:
+    """What the bars see, by file name."""
+    contents = {"field.csv": csv_text(*field_rows(found))}
+    pictures = [draw_field(view_field(found)), draw_forces(found)]
+    if found.gauges:
+        contents["gauges.csv"] = csv_text(*gauge_rows(found))
+        pictures.append(draw_gauges(found))
+    forces = force_rows(found)
+    if forces is not None:
+        contents["bar_forces.csv"] = csv_text(*forces)
+    return contents | {f"{picture.name}.svg": render(picture) for picture in pictures}

@@ -10,18 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, INK, PAPER, RED, Picture
 from uqsphere.report.contents import Contents, Samples, law_of
-from uqsphere.report.index_marks import draw_indices
-from uqsphere.report.wording import (
+from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, new_figure, slug, style
+from uqsphere.report.phrases import (
     begin,
     call,
     limit_name,
     listed,
     plain_percent,
     rounded,
-    share_text,
     short_input,
     symbol,
     unit_text,
@@ -32,12 +29,14 @@ from uqsphere.uq.law import Law, cdf, pdf, ppf
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MOST_INPUTS", "axis_label", "distribution_figure", "overlap_remarks", "sensitivity_figure", "slug"]
+__all__ = [
+    "axis_label",
+    "distribution_figure",
+    "overlap_remarks",
+]
 
 Array = npt.NDArray[np.float64]
 
-#: inputs of a sensitivity figure
-MOST_INPUTS: Final = 12
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
 
@@ -57,12 +56,6 @@ class _Strength:
             return self.value, self.value
         low, high = ppf(self.law, np.array([0.001, 0.999]))
         return float(low), float(high)
-
-
-def slug(*words: str) -> str:
-    """A file name and anchor made of words."""
-    text = "-".join(words).lower()
-    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in text)[:60].strip("-") or "figure"
 
 
 def axis_label(name: str, words: str = "") -> str:
@@ -115,8 +108,8 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
     if not spread > 1e-9 * float(np.abs(samples.values).max()):
         return None
     strengths = _strengths(contents, quantity)
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(3.0 if not strengths else 3.3)
+    with style():
+        figure, (axes,) = new_figure(3.0 if not strengths else 3.3)
         low, high, logarithmic = _range(samples.values, strengths)
         factor = display_unit(quantity)[1]
         if logarithmic:
@@ -301,94 +294,6 @@ def distribution_finding(contents: Contents, quantity: str) -> str:
     if share > 0.0:
         text += f" In {plain_percent(share)} of the cases it outlasts the record; these are known as lower bounds only."
     return text
-
-
-def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
-    """First and total indices with their uncertainty, the largest on top; None where there are none."""
-    entry = contents.results["sensitivity"].get(quantity)
-    rows = ranked(entry)
-    if not rows:
-        return None
-    shown = rows[:MOST_INPUTS]
-    assert entry is not None
-    figure = draw_indices(
-        shown,
-        {name: short_input(name) for name in shown},
-        entry["first"],
-        entry["total"],
-        f"share of the variance of {symbol(quantity, 24)}",
-    )
-    return Picture(
-        name=slug("sensitivity", quantity),
-        title=f"What drives {symbol(quantity)}",
-        finding=sensitivity_finding(contents, quantity),
-        figure=figure,
-    )
-
-
-def ranked(entry: Mapping[str, Any] | None) -> list[str]:
-    """Inputs with an index, the most important first: by the total index where interactions are seen."""
-    if not entry:
-        return []
-    known = [n for n, e in entry["total"].items() if e["value"] is not None and entry["first"][n]["value"] is not None]
-    order = "total" if any(_interacts(entry, name) for name in known) else "first"
-    return sorted(known, key=lambda name: -float(entry[order][name]["value"]))
-
-
-def sensitivity_finding(contents: Contents, quantity: str) -> str:
-    """Which inputs drive a quantity, with numbers."""
-    entry = contents.results["sensitivity"].get(quantity)
-    rows = ranked(entry)
-    name = symbol(quantity)
-    if not rows and entry and entry.get("shapley"):
-        return _shared_finding(entry["shapley"], name)
-    if not rows or entry is None:
-        reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
-        return f"What drives {name} is not known: {reason}."
-    acting = any(_interacts(entry, n) for n in rows)
-    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
-    text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
-    if len(parts) > 1:
-        text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
-    if acting:
-        return f"{text}."
-    if any(_exceeds(entry, n) for n in rows):
-        return f"{text}. Interactions that are seen add at most 1 % to an input."
-    return f"{text}. Interactions are not seen above the intervals."
-
-
-def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
-    """Who owns the variance where inputs depend on each other."""
-    known = {n: float(e["value"]) for n, e in shapley.items() if e["value"] is not None}
-    if not known:
-        reason = next((str(e.get("reason")) for e in shapley.values()), "no effects were computed")
-        return f"What drives {name} is not known: {reason}."
-    shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
-    return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
-
-
-def _seen(estimate: Mapping[str, Any]) -> bool:
-    return (estimate["low"] or 0.0) > 0.0 and estimate["value"] > 0.005
-
-
-def _interacts(entry: Mapping[str, Any], name: str) -> bool:
-    """Whether the total index is larger than the first by more than the intervals and by what matters."""
-    first, total = entry["first"][name], entry["total"][name]
-    return _exceeds(entry, name) and bool(total["value"] - first["value"] > 0.01)
-
-
-def _exceeds(entry: Mapping[str, Any], name: str) -> bool:
-    """Whether the total index is larger than the first by more than the intervals."""
-    first, total = entry["first"][name], entry["total"][name]
-    return first["high"] is not None and total["low"] is not None and bool(total["low"] > first["high"])
-
-
-def _driver(entry: Mapping[str, Any], name: str, acting: bool) -> tuple[str, str]:
-    """An input in words, and its share of the variance; with its interactions where any input has them."""
-    first, total = share_text(entry["first"][name]), share_text(entry["total"][name])
-    if acting:
-        return short_input(name), f"{total} with its interactions ({first} alone)"
-    return short_input(name), first
 
 
 def single_value(contents: Contents, quantity: str) -> str:

@@ -4,35 +4,46 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
-from uqsphere.report.canvas import clean, shorten
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures.canvas import clean, shorten
 
 __all__ = [
     "ABSENT",
     "MOST_DIGITS",
+    "SUBJECTS",
     "Estimate",
     "absent_reason",
+    "answer_text",
+    "at_most",
     "begin",
+    "breaks",
     "call",
     "capital",
     "estimate_text",
+    "event",
     "failures_text",
     "input_name",
     "law_name",
     "limit_name",
     "listed",
     "mathematical",
+    "missing",
     "number_text",
+    "of_limit",
     "outward",
     "powers",
     "probability_range",
     "probability_text",
     "rounded",
+    "safe_side",
     "share_text",
     "short_input",
+    "shortfalls",
+    "solved_name",
     "symbol",
     "the_input",
     "two_digits",
@@ -46,6 +57,8 @@ MOST_DIGITS: Final = 5
 #: an EST of results.json
 Estimate = Mapping[str, Any]
 
+#: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
+SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
 ABSENT: Final = "–"
 #: what an answer of a run in which evaluations failed is: without them, and by a surrogate
 _WITHOUT_FAILED: Final = (
@@ -383,3 +396,139 @@ def without_failed(results: Mapping[str, Any]) -> str:
 def listed(words: list[str]) -> str:
     """a, b and c."""
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""
+
+
+# --- What a limit's event is called: one name, in whichever way the aim puts it.
+
+
+def at_most(entry: Mapping[str, Any], aim: str) -> bool:
+    """Whether the aim is reached below the value (at most) or above it (at least)."""
+    curve = entry["curve"]
+    rising = bool(curve[-1][1] >= curve[0][1])
+    return rising == (aim == "survive")
+
+
+def answer_text(contents: Contents, name: str) -> str:
+    """The answer of a limit's inverse question as it is given everywhere: rounded to the safe side."""
+    entry = contents.results["margins"][name]
+    most = at_most(entry, contents.results["limits"][name]["aim"])
+    return safe_side(entry["value"], contents.subject(entry["solve"]), at_most=most)
+
+
+def breaks(results: Mapping[str, Any], name: str) -> bool:
+    """Whether exceeding a limit means that the sphere breaks.
+
+    A limit that the study leaves out of fracture still does where its aim is to break: nothing else is to be broken.
+    """
+    found = results.get("fracture") or {}
+    left_out = name in found.get("left_out", ()) and results["limits"][name]["aim"] == "break"
+    return name in found.get("limits", ()) or left_out
+
+
+def event(results: Mapping[str, Any], name: str) -> str:
+    """Exceeding a limit as a clause."""
+    return "the sphere breaks" if breaks(results, name) else f"{limit_name(name)} is exceeded"
+
+
+def missing(results: Mapping[str, Any], name: str) -> str:
+    """Missing the aim of a limit as a clause."""
+    if results["limits"][name]["aim"] == "survive":
+        return event(results, name)
+    return "the sphere is left whole" if breaks(results, name) else f"{limit_name(name)} is not exceeded"
+
+
+def of_limit(results: Mapping[str, Any], name: str) -> str:
+    """The limit's name in brackets behind its event, where there are several limits."""
+    return f" (limit {limit_name(name)})" if breaks(results, name) and len(results["limits"]) > 1 else ""
+
+
+def solved_name(results: Mapping[str, Any], solve: str) -> str:
+    """The free scalar in words, with a capital letter; of one that scatters it is the mean that is solved for."""
+    return f"Mean {input_name(solve)}" if solve in results["inputs"] else begin(solve, input_name(solve))
+
+
+def safe_side(estimate: Mapping[str, Any], name: str, *, at_most: bool, digits: int = 4) -> str:
+    """A limit in the digits that its interval supports, rounded to the safe side and never past the value.
+
+    >>> known = {"value": 0.65852, "low": 0.6573, "high": 0.6597}
+    >>> safe_side(known, "striker.speed", at_most=True), safe_side(known, "striker.speed", at_most=False)
+    ('0.658 m/s', '0.659 m/s')
+    """
+    text = rounded(estimate, name, digits)
+    found = re.match(r"(−?)(\d+(?:\.(\d+))?)(?![\d.]| ×)", text)
+    value = estimate["value"]
+    if found is None or value is None:
+        return text
+    # in the unit that the text is in: a prefix may differ from the one that is usual for the name
+    shown = float(found[2]) * (-1.0 if found[1] else 1.0)
+    scaled = value * display_unit(name)[1]
+    if shown == 0.0 or not scaled:
+        return text
+    power = round(math.log10(abs(shown / scaled)))
+    scaled *= 10.0 ** (3 * round(power / 3))
+    decimals = len(found[3] or "")
+    step = 10.0**-decimals
+    if not found[3]:
+        step = 10.0 ** (len(found[2]) - len(found[2].rstrip("0")))
+    if at_most and shown > scaled * (1.0 + 1e-9):
+        shown -= step
+    elif not at_most and shown < scaled * (1.0 - 1e-9):
+        shown += step
+    return f"{shown:.{decimals}f}".replace("-", "−") + text[found.end() :]
+
+
+# --- Accuracies that were not reached, as people are told them: those of one reason and one cost in one sentence.
+
+#: subjects that a sentence in the terminal names
+SUBJECTS: Final = 6
+
+#: a half-width with what was asked, and quantiles that too few samples lie beyond: what differs stands in the list
+_HALF: Final = re.compile(r"(.+): half-width (\S+)( of [^,]+)?, asked ([^\s:;]+)(.*)")
+_BAND: Final = ": the band of the curve"
+_BEYOND: Final = re.compile(r"(.+): too few samples beyond the \S+ quantile(.*)")
+_MOMENT: Final = re.compile(r"(.+?: (?:mean|quantile \S+)): (.*)")
+
+
+def shortfalls(texts: Sequence[str], most: int) -> list[str]:
+    """The sentences of `accuracy.missed` of results.json, those that differ in nothing but their subject as one.
+
+    One names at most so many subjects, and says how many more there are; a sentence that stands alone stays as it is.
+
+    >>> texts = [f"y: quantile {p}: half-width {w} of the standard deviation, asked 0.05 (given up)"
+    ...          for p, w in ((0.05, 0.16), (0.5, 0.11), (0.95, 0.12))]
+    >>> shortfalls(texts, 2)
+    ['y quantile 0.05 (0.16), y quantile 0.5 (0.11) and 1 more: half-width above the 0.05 of the standard deviation that was asked (given up)']
+    >>> shortfalls(["y: indices: none: a reason", "z: indices: none: a reason"], 2)
+    ['y, z: indices: none: a reason']
+    """  # noqa: E501
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for text in texts:
+        reason, subject = _parted(text)
+        groups.setdefault(reason, []).append((subject, text))
+    return [_together(reason, group, most) for reason, group in groups.items()]
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """Reason and cost of a sentence, and what it is said of."""
+    if found := _HALF.fullmatch(text):
+        head, width, scale, asked, rest = found.groups(default="")
+        name = head.removesuffix(_BAND)
+        what = _BAND.removeprefix(": ") + ": " if name != head else ""
+        return f"{what}half-width above the {asked}{scale} that was asked{rest}", f"{_subject(name)} ({width})"
+    if found := _BEYOND.fullmatch(text):
+        return f"too few samples beyond the quantile{found[2]}", _subject(found[1])
+    if found := _MOMENT.fullmatch(text):
+        return found[2], _subject(found[1])
+    head, _, rest = text.partition(": ")
+    return rest, head
+
+
+def _subject(head: str) -> str:
+    return head.replace(": ", " ")
+
+
+def _together(reason: str, group: Sequence[tuple[str, str]], most: int) -> str:
+    if len(group) == 1:
+        return group[0][1]
+    more = f" and {len(group) - most} more" if len(group) > most else ""
+    return f"{', '.join(subject for subject, _ in group[:most])}{more}: {reason}"

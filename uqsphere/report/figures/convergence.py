@@ -7,11 +7,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, Picture
 from uqsphere.report.contents import Contents
-from uqsphere.report.method import question_name
-from uqsphere.report.wording import limit_name, number_text, symbol
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    MARKS,
+    ORANGE,
+    RED,
+    SKY,
+    Picture,
+    new_figure,
+    spread,
+    style,
+    wrap,
+)
+from uqsphere.report.phrases import limit_name, number_text, symbol
+from uqsphere.report.tables import question_name
 from uqsphere.runner.account import FURTHER
 from uqsphere.runner.band import ASKED, METHOD
 
@@ -123,8 +136,8 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
     pursued = [s for s in series if s.kind not in FURTHER]
     methods = sorted({s.method for s in pursued})
     labelled = _labelled(pursued)
-    with canvas.style():
-        figure, (axes,) = canvas.new_figure(3.9)
+    with style():
+        figure, (axes,) = new_figure(3.9)
         axes.set_xscale("log")
         axes.set_yscale("log")
         ends = [s.points[-1] for s in further]
@@ -136,7 +149,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
                 [p[column] for p in points],
                 [p[2] for p in points],
                 color=_COLOURS[where % len(_COLOURS)],
-                marker=canvas.MARKS[where % len(canvas.MARKS)],
+                marker=MARKS[where % len(MARKS)],
                 markersize=4.5,
                 linestyle=_STYLES[k % len(_STYLES)],
                 linewidth=1.2 if s in labelled else 0.6,
@@ -215,7 +228,7 @@ def _end_labels(axes: Axes, series: list[Series], column: int) -> None:
     """Labels in a column on the right, at the height of their last point as far as there is room."""
     low, high = (math.log10(v) for v in axes.get_ylim())
     wanted = [math.log10(s.points[-1][2]) for s in series]
-    places = canvas.spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
+    places = spread(wanted, 0.062 * (high - low), low + 0.03 * (high - low), high - 0.03 * (high - low))
     for s, place in zip(series, places, strict=True):
         last = s.points[-1]
         axes.annotate(
@@ -248,7 +261,7 @@ def _legend_names(methods: list[str]) -> list[str]:
     """Names of methods that fit a legend: what comes before the first comma where that tells them apart."""
     heads = [_SHORT.get(method, method.partition(",")[0]) for method in methods]
     return [
-        head if heads.count(head) == 1 and len(head) <= _LINE else canvas.wrap(method, _LINE, lines=3)
+        head if heads.count(head) == 1 and len(head) <= _LINE else wrap(method, _LINE, lines=3)
         for head, method in zip(heads, methods, strict=True)
     ]
 
@@ -261,7 +274,7 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
             [],
             [],
             color=_COLOURS[k % len(_COLOURS)],
-            marker=canvas.MARKS[k % len(canvas.MARKS)],
+            marker=MARKS[k % len(MARKS)],
             markersize=5,
             label=name,
         )

@@ -5,11 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.pulses import pulse_value
-from uqsphere.report import canvas
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, Picture
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    RED,
+    Picture,
+    new_figure,
+    render,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,8 +31,6 @@ if TYPE_CHECKING:
     from uqsphere.records.record import Record
 
 __all__ = ["forces_figure", "pulse_figure"]
-
-Array = npt.NDArray[np.float64]
 
 #: points of a course; of more, each stretch shows its lowest and its highest
 _POINTS: Final = 1600
@@ -46,8 +55,8 @@ def _legend(axes: Axes, columns: int) -> None:
 
 def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse) -> str:
     """SVG text: the record with the window of its pulse, and the pulse with the cubics that stand for it."""
-    with canvas.style():
-        figure, axes = canvas.new_figure(5.6, rows=2)
+    with style():
+        figure, axes = new_figure(5.6, rows=2)
         time = record.time * 1e6
         axes[0].plot(
             *_outline(time, record.strain[:, 0] * 1e6), color=BLUE, linewidth=0.9, label="record, baseline taken off"
@@ -76,15 +85,15 @@ def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse) -> str:
             place.grid()
             _legend(place, 3)
     finding = f"The pulse reaches {pulse.peak * 1e6:.4g} microstrain and lasts {pulse.duration * 1e6:.4g} µs."
-    return canvas.render(Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
+    return render(Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
 
 
 def forces_figure(faces: Faces, found: Inverse) -> str:
     """SVG text: waves at the faces, forces with intervals beside the model that fits, what is left between them."""
     forces = found.forces
     time = forces.time * 1e6
-    with canvas.style():
-        figure, axes = canvas.new_figure(7.6, rows=3, sharex=True)
+    with style():
+        figure, axes = new_figure(7.6, rows=3, sharex=True)
         waves = (faces.incident, BLUE, "-"), (faces.reflected, PURPLE, ":"), (faces.transmitted, ORANGE, "--")
         for name, (wave, colour, line) in zip(("incident", "reflected", "transmitted"), waves, strict=True):
             axes[0].plot(*_outline(time, wave * 1e6), color=colour, linestyle=line, linewidth=1.1, label=name)
@@ -117,4 +126,4 @@ def forces_figure(faces: Faces, found: Inverse) -> str:
     finding = f"The largest force at B is {float(found.fitted_b.max()) * 1e-3:.4g} kN by the model that fits."
     if end is not None:
         finding += f" The elastic contact ends at {end.time * 1e6:.4g} µs."
-    return canvas.render(Picture(name="forces", title="Forces of a test", finding=finding, figure=figure))
+    return render(Picture(name="forces", title="Forces of a test", finding=finding, figure=figure))

@@ -1,0 +1,391 @@
+"""Shares of the variance as marks with their uncertainty: a violin for what is likely, a whisker for 95 %."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from uqsphere.report.blocks import Table, index_cell
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    FAINT,
+    GREY,
+    INK,
+    ORANGE,
+    PAPER,
+    Picture,
+    new_figure,
+    shorten,
+    slug,
+    style,
+    wrap,
+)
+from uqsphere.report.phrases import (
+    absent_reason,
+    begin,
+    capital,
+    input_name,
+    listed,
+    share_text,
+    short_input,
+    symbol,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "MOST_INPUTS",
+    "draw_indices",
+    "group_figure",
+    "group_finding",
+    "group_table",
+    "pair_figure",
+    "pair_finding",
+    "pair_table",
+    "ranked",
+    "sensitivity_figure",
+    "sensitivity_finding",
+]
+
+_HALF: Final = 0.17
+#: what an index is drawn within: a bad estimate must not squeeze the others
+_LEFT, _RIGHT = -0.1, 1.5
+
+
+def draw_indices(
+    names: Sequence[str],
+    labels: Mapping[str, str],
+    first: Mapping[str, Mapping[str, Any]],
+    total: Mapping[str, Mapping[str, Any]],
+    axis: str,
+    words: tuple[str, str] = ("alone (first)", "with interactions (total)"),
+) -> Figure:
+    """A row for each of `names`, from the top; the indices in it above each other, each with its violin."""
+    with style():
+        figure, (axes,) = new_figure(1.15 + 0.52 * len(names))
+        top = 0.0
+        for row, name in enumerate(names):
+            top = max(
+                top, _mark(axes, first[name], row - 0.19, BLUE, "o"), _mark(axes, total[name], row + 0.19, ORANGE, "D")
+            )
+        axes.set_yticks(range(len(names)), [wrap(labels[name], 24) for name in names])
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.axvline(0.0, color=GREY, linewidth=0.8)
+        axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, top) * 1.22)
+        axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
+        axes.grid(axis="x")
+        axes.set_xlabel(axis)
+        _legend(axes, words)
+    return figure
+
+
+def _mark(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, marker: str) -> float:
+    """Stem, violin, whisker, mark and label of one index; the right end of what is drawn."""
+    value = estimate["value"]
+    if value is None:
+        return 0.0
+    low = value if estimate["low"] is None else max(estimate["low"], _LEFT)
+    high = value if estimate["high"] is None else min(estimate["high"], _RIGHT)
+    axes.plot([0.0, value], [y, y], color=colour, linewidth=2.6, alpha=0.35, solid_capstyle="butt")
+    error = estimate.get("std_error") or (high - low) / 4.0
+    if error > 0.0:
+        x = np.linspace(max(value - 3.0 * error, _LEFT), min(value + 3.0 * error, _RIGHT), 61)
+        half = _HALF * np.exp(-0.5 * ((x - value) / error) ** 2)
+        axes.fill_between(x, y - half, y + half, color=colour, alpha=0.45, linewidth=0.0)
+    axes.plot([low, high], [y, y], color=INK, linewidth=1.0, marker="|", markersize=5)
+    axes.plot(
+        [value], [y], marker=marker, markersize=4.5, color=INK, markerfacecolor=colour if marker == "o" else PAPER
+    )
+    axes.annotate(
+        share_text(estimate),
+        (max(high, value, 0.0), y),
+        xytext=(6, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=8.0,
+    )
+    return float(max(high, value))
+
+
+def _legend(axes: Axes, words: tuple[str, str]) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=BLUE, alpha=0.9, marker="o", markeredgecolor=INK, label=words[0]),
+        Line2D([], [], color=ORANGE, marker="D", markerfacecolor=PAPER, markeredgecolor=INK, label=words[1]),
+        Line2D([], [], color=INK, linewidth=1.0, marker="|", markersize=6, label="95 % interval"),
+    ]
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=3,
+        borderaxespad=0.2,
+        borderpad=0.0,
+        handlelength=1.8,
+        columnspacing=1.2,
+    )
+
+
+# --- Indices of pairs of inputs as a heat map, and of groups of inputs: who acts together with whom.
+
+#: inputs of a heat map: with more no number can be read
+MOST: Final = 10
+#: a share below this is no finding, whatever its interval
+_LEAST: Final = 0.005
+
+
+def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Mapping[str, Any]]:
+    """Indices of pairs that are known."""
+    entry = contents.results["sensitivity"].get(quantity) or {}
+    found = {}
+    for name, estimate in (entry.get("second") or {}).items():
+        a, _, b = name.partition("|")
+        if estimate["value"] is not None:
+            found[a, b] = estimate
+    return found
+
+
+def pair_figure(contents: Contents, quantity: str) -> Picture | None:
+    """Shares of the variance of pairs below the diagonal, of single inputs on it; None where none is known."""
+    pairs = _pairs(contents, quantity)
+    entry = contents.results["sensitivity"].get(quantity)
+    if not pairs or entry is None:
+        return None
+    taking_part = {name for pair in pairs for name in pair}
+    names = [name for name in ranked(entry) if name in taking_part][:MOST]
+    if len(names) < 2:
+        return None
+    with style():
+        figure, (axes,) = new_figure(1.5 + 0.5 * len(names))
+        for row, a in enumerate(names):
+            for column, b in enumerate(names[: row + 1]):
+                estimate = entry["first"][a] if a == b else pairs.get((a, b)) or pairs.get((b, a))
+                if estimate is not None and estimate["value"] is not None:
+                    _tile(axes, row, column, estimate, single=a == b, small=len(names) > 6)
+        axes.set_xlim(-0.5, len(names) - 0.5)
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.set_yticks(range(len(names)), [wrap(f"{k + 1}  {short_input(n)}", 26) for k, n in enumerate(names)])
+        axes.set_xticks(range(len(names)), [str(k + 1) for k in range(len(names))])
+        axes.tick_params(length=0)
+        axes.spines[["left", "bottom"]].set_visible(False)
+        axes.set_xlabel(f"share of the variance of {symbol(quantity, 24)}\n(framed: the input alone; others: the pair)")
+    return Picture(
+        name=slug("pairs", quantity),
+        title=f"Which inputs act together on {symbol(quantity)}",
+        finding=pair_finding(contents, quantity),
+        figure=figure,
+    )
+
+
+def _tile(axes: Axes, row: int, column: int, estimate: Mapping[str, Any], *, single: bool, small: bool) -> None:
+    """One square: the deeper the larger the share; its number in the colour that can be read on it."""
+    from matplotlib.patches import Rectangle
+
+    share = float(np.clip(estimate["value"], 0.0, 1.0))
+    # from the page's own background to blue, so that a dark page has dark small shares
+    axes.add_patch(
+        Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor=BLUE, alpha=0.85 * share**0.5, linewidth=0)
+    )
+    axes.add_patch(
+        Rectangle(
+            (column - 0.48, row - 0.46), 0.96, 0.92, fill=False, edgecolor=INK if single else FAINT, linewidth=1.0
+        )
+    )
+    seen = estimate["low"] is not None and estimate["low"] > 0.0
+    text = share_text(estimate).replace("less than ", "<").removesuffix(" %").replace("nearly all", "all")
+    axes.annotate(
+        text if seen or single else "0",
+        (column, row),
+        ha="center",
+        va="center",
+        fontsize=7.0 if small else 9.0,
+        color=PAPER if share > 0.35 else INK,
+    )
+
+
+def pair_finding(contents: Contents, quantity: str) -> str:
+    """Which pair of inputs interacts most, and how much all pairs carry together."""
+    entry = contents.results["sensitivity"].get(quantity) or {}
+    pairs = _pairs(contents, quantity)
+    if not pairs:
+        reason = next((absent_reason(e) for e in (entry.get("second") or {}).values()), "")
+        return f"Which inputs act together on {symbol(quantity)} is not known: {reason}." if reason else ""
+    (a, b), largest = max(pairs.items(), key=lambda item: float(item[1]["value"]))
+    seen = {p: e for p, e in pairs.items() if (e["low"] or 0.0) > 0.0 and e["value"] > _LEAST}
+    if (a, b) not in seen:
+        widest = max(float(e["high"]) for e in pairs.values() if e["high"] is not None)
+        return f"No pair of inputs matters: each carries at most {100.0 * max(widest, 0.0):.2g} %."
+    words = f"{begin(a, short_input(a))} and {short_input(b)} together carry {share_text(largest)} of the variance"
+    text = f"{words} of {symbol(quantity)} beyond what each does alone"
+    others = len(seen) - 1
+    if not others:
+        return text + "; no other pair is seen."
+    return (
+        text + f"; {others} more pair{'s' if others > 1 else ''} are seen." if others > 1 else text + "; one more is."
+    )
+
+
+def pair_table(contents: Contents, quantity: str) -> Table | None:
+    """Indices of pairs with intervals, the largest first."""
+    pairs = _pairs(contents, quantity)
+    rows = sorted(pairs.items(), key=lambda item: -float(item[1]["value"]))
+    if not rows:
+        return None
+    return Table(
+        caption=f"Second-order indices of {symbol(quantity)} with 95 % intervals",
+        header=("input", "with", "share of the variance"),
+        rows=tuple((input_name(a), input_name(b), index_cell(e)) for (a, b), e in rows),
+    )
+
+
+def _groups(contents: Contents, quantity: str) -> dict[str, Mapping[str, Any]]:
+    entry = contents.results["sensitivity"].get(quantity) or {}
+    return dict(entry.get("groups") or {})
+
+
+def group_figure(contents: Contents, quantity: str) -> Picture | None:
+    """Closed and total indices of groups of inputs; None where none is known."""
+    groups = _groups(contents, quantity)
+    names = [n for n, e in (groups.get("total") or {}).items() if e["value"] is not None]
+    names.sort(key=lambda n: -float(groups["total"][n]["value"]))
+    if not names:
+        return None
+    figure = draw_indices(
+        names,
+        {n: shorten(n, 40) for n in names},
+        groups["first"],
+        groups["total"],
+        f"share of the variance of {symbol(quantity, 24)}",
+        ("by themselves (closed)", "with interactions (total)"),
+    )
+    return Picture(
+        name=slug("groups", quantity),
+        title=f"What groups of inputs do to {symbol(quantity)}",
+        finding=group_finding(contents, quantity),
+        figure=figure,
+    )
+
+
+def group_finding(contents: Contents, quantity: str) -> str:
+    """Which group of inputs carries most."""
+    total = _groups(contents, quantity).get("total") or {}
+    known = {n: e for n, e in total.items() if e["value"] is not None}
+    if not known:
+        reason = next((absent_reason(e) for e in total.values()), "")
+        return f"What the groups do is not known: {reason}." if reason else ""
+    largest = max(known, key=lambda n: float(known[n]["value"]))
+    share = share_text(known[largest])
+    return f"Taken together, {shorten(largest, 60)} carries {share} of the variance of {symbol(quantity)}."
+
+
+def group_table(contents: Contents, quantity: str) -> Table | None:
+    """Indices of groups with intervals."""
+    groups = _groups(contents, quantity)
+    names = list(groups.get("total") or {})
+    if not names:
+        return None
+    return Table(
+        caption=capital(f"indices of groups of inputs, {symbol(quantity)}, with 95 % intervals"),
+        header=("group", "by themselves (closed)", "with interactions (total)"),
+        rows=tuple((shorten(n, 60), index_cell(groups["first"][n]), index_cell(groups["total"][n])) for n in names),
+    )
+
+
+def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
+    """First and total indices with their uncertainty, the largest on top; None where there are none."""
+    entry = contents.results["sensitivity"].get(quantity)
+    rows = ranked(entry)
+    if not rows:
+        return None
+    shown = rows[:MOST_INPUTS]
+    assert entry is not None
+    figure = draw_indices(
+        shown,
+        {name: short_input(name) for name in shown},
+        entry["first"],
+        entry["total"],
+        f"share of the variance of {symbol(quantity, 24)}",
+    )
+    return Picture(
+        name=slug("sensitivity", quantity),
+        title=f"What drives {symbol(quantity)}",
+        finding=sensitivity_finding(contents, quantity),
+        figure=figure,
+    )
+
+
+def ranked(entry: Mapping[str, Any] | None) -> list[str]:
+    """Inputs with an index, the most important first: by the total index where interactions are seen."""
+    if not entry:
+        return []
+    known = [n for n, e in entry["total"].items() if e["value"] is not None and entry["first"][n]["value"] is not None]
+    order = "total" if any(_interacts(entry, name) for name in known) else "first"
+    return sorted(known, key=lambda name: -float(entry[order][name]["value"]))
+
+
+def sensitivity_finding(contents: Contents, quantity: str) -> str:
+    """Which inputs drive a quantity, with numbers."""
+    entry = contents.results["sensitivity"].get(quantity)
+    rows = ranked(entry)
+    name = symbol(quantity)
+    if not rows and entry and entry.get("shapley"):
+        return _shared_finding(entry["shapley"], name)
+    if not rows or entry is None:
+        reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
+        return f"What drives {name} is not known: {reason}."
+    acting = any(_interacts(entry, n) for n in rows)
+    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
+    text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
+    if len(parts) > 1:
+        text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
+    if acting:
+        return f"{text}."
+    if any(_exceeds(entry, n) for n in rows):
+        return f"{text}. Interactions that are seen add at most 1 % to an input."
+    return f"{text}. Interactions are not seen above the intervals."
+
+
+def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
+    """Who owns the variance where inputs depend on each other."""
+    known = {n: float(e["value"]) for n, e in shapley.items() if e["value"] is not None}
+    if not known:
+        reason = next((str(e.get("reason")) for e in shapley.values()), "no effects were computed")
+        return f"What drives {name} is not known: {reason}."
+    shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
+    return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
+
+
+def _seen(estimate: Mapping[str, Any]) -> bool:
+    return (estimate["low"] or 0.0) > 0.0 and estimate["value"] > 0.005
+
+
+def _interacts(entry: Mapping[str, Any], name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals and by what matters."""
+    first, total = entry["first"][name], entry["total"][name]
+    return _exceeds(entry, name) and bool(total["value"] - first["value"] > 0.01)
+
+
+def _exceeds(entry: Mapping[str, Any], name: str) -> bool:
+    """Whether the total index is larger than the first by more than the intervals."""
+    first, total = entry["first"][name], entry["total"][name]
+    return first["high"] is not None and total["low"] is not None and bool(total["low"] > first["high"])
+
+
+def _driver(entry: Mapping[str, Any], name: str, acting: bool) -> tuple[str, str]:
+    """An input in words, and its share of the variance; with its interactions where any input has them."""
+    first, total = share_text(entry["first"][name]), share_text(entry["total"][name])
+    if acting:
+        return short_input(name), f"{total} with its interactions ({first} alone)"
+    return short_input(name), first
+
+
+#: inputs of a sensitivity figure
+MOST_INPUTS: Final = 12

@@ -1,0 +1,441 @@
+"""The contact force over time as a band over many scenes, with the hardest of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from uqsphere.mechanics.field import BARS, field_grid
+from uqsphere.mechanics.history import FieldView, extent
+from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
+from uqsphere.mechanics.stress.tables import core_ratio, outside
+from uqsphere.mechanics.validity import RULES
+from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
+from uqsphere.report.blocks import Table, thousands
+from uqsphere.report.contents import Contents
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    LIGHT,
+    ON_LIGHT,
+    ORANGE,
+    PAPER,
+    RED,
+    Picture,
+    new_figure,
+    render,
+    style,
+)
+from uqsphere.report.phrases import input_name, value_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from uqsphere.mechanics.history import History
+
+__all__ = [
+    "bars_figure",
+    "draw_field",
+    "field_rows",
+    "force_band_figure",
+    "force_band_finding",
+    "force_band_heading",
+    "hardest_table",
+    "hardest_words",
+    "stress_figure",
+    "stress_inside_figure",
+    "stress_picture",
+]
+
+#: contact pressure over the yield strength of the bars at which they yield
+YIELD_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
+_FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving face B", ORANGE))
+
+
+def force_band_figure(contents: Contents) -> Picture | None:
+    """Median and 5 to 95 % of the force at both faces, one above the other; None where no scene was followed."""
+    courses = contents.courses
+    if courses is None:
+        return None
+    seconds = np.array(courses["time"], dtype=float)
+    unit, factor = ("ms", 1e3) if seconds[-1] >= 2e-3 else ("µs", 1e6)
+    largest = max(max(courses["hardest"][face]) for face, _, _ in _FACES)
+    force_unit, scale = display_unit("P_max")
+    with style():
+        figure, axes = new_figure(5.0, rows=2, sharex=True, sharey=True)
+        for place, (face, words, colour) in zip(axes, _FACES, strict=True):
+            low, middle, high = (np.array(courses[face][level]) * scale for level in ("0.05", "0.5", "0.95"))
+            t = seconds * factor
+            place.fill_between(t, low, high, color=colour, alpha=0.30, linewidth=0.0)
+            place.plot(t, middle, color=colour)
+            place.plot(t, np.array(courses["hardest"][face]) * scale, color=RED, linestyle="--", linewidth=1.2)
+            place.set_ylabel(f"force [{force_unit}]")
+            place.annotate(words, (0.99, 0.97), xycoords="axes fraction", ha="right", va="top", color=INK)
+            place.grid()
+            place.set_xlim(0.0, t[-1])
+            place.set_ylim(0.0, 1.12 * largest * scale)
+        axes[-1].set_xlabel(f"time since first touch [{unit}]")
+        _legend(axes[0])
+    return Picture(
+        name="force-band",
+        title="Contact force over time",
+        finding=force_band_finding(contents),
+        figure=figure,
+    )
+
+
+def _legend(axes: Axes) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles = [
+        Line2D([], [], color=BLUE, label="median"),
+        Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"),
+        Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest scene"),
+    ]
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, borderpad=0.0)
+
+
+def force_band_finding(contents: Contents) -> str:
+    """How high the force rises, when, and by how much the hardest scene exceeds that."""
+    courses = contents.courses
+    if courses is None:
+        return ""
+    seconds = np.array(courses["time"], dtype=float)
+    medians = {face: np.array(courses[face]["0.5"]) for face, _, _ in _FACES}
+    face = max(medians, key=lambda f: float(medians[f].max()))
+    k = int(np.argmax(medians[face]))
+    low, high = (float(courses[face][level][k]) for level in ("0.05", "0.95"))
+    hardest = max(max(courses["hardest"][f]) for f, _, _ in _FACES)
+    letter = face[-1].upper()
+    return (
+        f"The median force is largest at face {letter}, {value_text(float(medians[face][k]), 'P_max', 4)} after "
+        f"{value_text(float(seconds[k]), 'contact_time', 4)}; nine in ten scenes lie between "
+        f"{value_text(low, 'P_max', 4)} and {value_text(high, 'P_max', 4)} at that instant. {hardest_words(contents)} "
+        f"reaches {value_text(hardest, 'P_max', 4)}.{beyond_yield(contents)}"
+    )
+
+
+def force_band_heading(contents: Contents) -> str:
+    """The heading over the forces, with the largest median."""
+    if contents.courses is None:
+        return "Force over time"
+    largest = max(float(np.max(contents.courses[face]["0.5"])) for face, _, _ in _FACES)
+    return f"Force over time: in the median up to {value_text(largest, 'P_max', 4)}"
+
+
+def hardest_words(contents: Contents) -> str:
+    """Which scene is called the hardest."""
+    courses = contents.courses
+    assert courses is not None
+    among, by = courses["hardest"].get("among"), courses["hardest"].get("by")
+    if not among or by == "the largest force":
+        return f"The hardest of the {courses['scenes']} scenes that were followed over time, not of all samples,"
+    return f"The hardest of all {thousands(among)} samples, by {by},"
+
+
+def beyond_yield(contents: Contents) -> str:
+    """That the bars yield under the sphere in the hardest scene, where they do."""
+    contact = (contents.courses or {}).get("hardest", {}).get("contact")
+    strength = contents.at_mean("bars.yield_strength")
+    if contact is None or strength is None or contact["pressure"] <= YIELD_ONSET * strength:
+        return ""
+    return (
+        f" There the contact pressure of {value_text(contact['pressure'], 'p_max', 3)} is "
+        f"{contact['pressure'] / strength:.2f} times the yield strength of the bars, which yield from {YIELD_ONSET:g} "
+        "times on: what is shown of this scene is that of bars that stay elastic."
+    )
+
+
+def hardest_table(contents: Contents) -> Table | None:
+    """The inputs of the hardest scene beside their means."""
+    if contents.courses is None:
+        return None
+    rows = []
+    for name, value in contents.courses["hardest"]["inputs"].items():
+        mean = contents.results["inputs"].get(name, {}).get("mean")
+        rows.append((input_name(name), value_text(float(value), name, 4), value_text(mean, name, 4)))
+    return Table(
+        caption="Inputs of the hardest scene",
+        header=("input", "in the hardest scene", "mean"),
+        rows=tuple(rows),
+        note="Exact: one scene, and the means of the laws.",
+    )
+
+
+# --- The stress inside the sphere as a picture: a section through its axis at the largest force.
+
+Array = npt.NDArray[np.float64]
+
+#: contours of the largest principal stress over the core tension and of the largest shear over the contact pressure
+_TENSION: Final = (0.0, 0.1, 0.25, 0.5, 0.75, 0.95, 2.0, 5.0)
+_SHEAR: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3)
+
+
+def _field(contact_ratio: float, nu: float) -> tuple[Array, Array, Array, Array]:
+    """Largest principal stress and largest shear over p_0 on half a section, and its points across and along."""
+    load = Load.balanced(contact_ratio)
+    # fine below the contact, coarse in the middle; the last row lies on the surface
+    depth = np.geomspace(0.08 * contact_ratio, 1.0, 70)
+    near = np.linspace(0.0, 3.0 * contact_ratio, 50)
+    outwards = np.geomspace(0.5 * contact_ratio, 0.5 * np.pi, 90)
+    angle = np.unique(np.concatenate([near, outwards, np.linspace(0.0, 0.5 * np.pi, 60)]).clip(0.0, 0.5 * np.pi))
+    inside = series_stress(1.0 - depth[:, None], angle, load, nu, tolerance=1e-4)
+    on_it = surface_stress(angle, load, nu)
+    radius = np.concatenate([[1.0], 1.0 - depth])[:, None]
+    tension, shear = (
+        np.vstack([getattr(on_it, name)[None, :], getattr(inside, name)]) for name in ("tension", "largest_shear")
+    )
+    # the other half is the mirror image
+    angle = np.concatenate([angle, np.pi - angle[-2::-1]])
+    tension, shear = (np.hstack([part, part[:, -2::-1]]) for part in (tension, shear))
+    return tension, shear, radius * np.sin(angle), radius * np.cos(angle)
+
+
+def _half(axes: Axes, points: tuple[Array, Array], values: Array, levels: tuple[float, ...], colours: str) -> Any:
+    import matplotlib
+    from matplotlib.colors import BoundaryNorm
+
+    palette = matplotlib.colormaps[colours].resampled(len(levels) + 2)
+    shades = [palette(k + 1) for k in range(len(levels))]
+    drawn = axes.contourf(*points, values, levels=levels, colors=shades, extend="max", norm=BoundaryNorm(levels, 256))
+    axes.contour(*points, values, levels=levels, colors=[ON_LIGHT], linewidths=0.4)
+    return drawn
+
+
+def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
+    """Half section with the largest principal stress (right) and half with the largest shear (left).
+
+    Parameters
+    ----------
+    contact_ratio : a/r at the largest force, 0.005 to 0.3
+    nu : Poisson ratio of the sphere, 0 to 0.5
+    pressure : p_0 [Pa] at that force
+
+    Raises
+    ------
+    ValueError
+        Outside these ranges.
+    """
+    from matplotlib.patches import Arc, Circle
+
+    if outside(contact_ratio, nu):
+        raise ValueError(f"no picture for a/r = {contact_ratio:g}, nu = {nu:g}: outside the tables of the stress")
+    tension, shear, across, along = _field(contact_ratio, nu)
+    value, depth = (float(part) for part in core_ratio(contact_ratio, nu))
+    with style():
+        figure, (axes,) = new_figure(4.7)
+        # what is compressed stays white on dark paper too
+        axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=LIGHT, edgecolor="none", zorder=0.5))
+        right = _half(axes, (across, along), tension / value, _TENSION, "YlOrRd")
+        left = _half(axes, (-across, along), shear, _SHEAR, "Blues")
+        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=GREY, linewidth=1.0))
+        opening = float(np.degrees(np.arcsin(contact_ratio)))
+        for middle in (90.0, 270.0):
+            axes.add_patch(Arc((0.0, 0.0), 2.0, 2.0, theta1=middle - opening, theta2=middle + opening, color=INK,
+                               linewidth=4.0))  # fmt: skip
+        axes.plot([0.0, 0.0], [-1.0, 1.0], color=GREY, linewidth=0.8)
+        axes.plot(0.0, 1.0 - depth, marker="o", color=RED, markersize=6.0, markeredgecolor=PAPER, zorder=5)
+        axes.annotate(
+            f"core tension {format_value(value * pressure, 'core_tension', 3)}", (0.0, 1.0 - depth), xytext=(14, -4),
+            textcoords="offset points", fontsize=9.0, color=INK,
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.5, "alpha": 0.9},
+        )  # fmt: skip
+        axes.set_aspect("equal")
+        axes.set_xlim(-1.08, 1.08)
+        axes.set_ylim(-1.08, 1.08)
+        axes.set_axis_off()
+        axes.text(-1.05, 1.02, "largest shear", color=INK)
+        axes.text(1.05, 1.02, "largest principal stress", color=INK, ha="right")
+        for drawn, place, words in (
+            (right, "right", "over the core tension (white: compressed)"),
+            (left, "left", "over p_0"),
+        ):
+            bar = figure.colorbar(drawn, ax=axes, location=place, shrink=0.7, pad=0.01, format="%g")
+            bar.set_label(words)
+            bar.outline.set_visible(False)
+    finding = (
+        f"Under p_0 = {format_value(pressure, 'p_max', 3)} on contacts of a/r = {contact_ratio:.3g} the core is pulled "
+        f"apart by {format_value(value * pressure, 'core_tension', 3)}, {depth:.2g} r below either contact; "
+        "the tension at the rim of the contact is steeper and larger, and cuts rings."
+    )
+    return Picture(
+        name="stress",
+        title="Stress inside the sphere at the largest force",
+        finding=finding,
+        figure=figure,
+        header=("across, over r", "along the axis, over r", "largest principal stress [Pa]", "largest shear [Pa]"),
+        rows=_rows(across, along, tension * pressure, shear * pressure),
+    )
+
+
+def _rows(*columns: Array) -> tuple[tuple[float, ...], ...]:
+    """Every third point of the upper quarter: the others are its mirror images."""
+    quarter = columns[1][0] >= 0.0
+    kept = [column[::3, quarter][:, ::3].ravel().tolist() for column in columns]
+    return tuple(zip(*kept, strict=True))
+
+
+def stress_figure(contact_ratio: float, nu: float, pressure: float) -> str:
+    """The same as the text of an SVG file."""
+    return render(stress_picture(contact_ratio, nu, pressure))
+
+
+# --- Stress in both bars over place and time as a picture with its fronts and regions, and as a table.
+
+#: points of the table (places, times)
+_NODES: Final = (48, 160)
+#: a region needs this share of its bar's picture for a name
+_ROOM: Final = 0.012
+#: what a name stands on, so that it is read on the darkest stress too
+_LABEL: Final = {"boxstyle": "round,pad=0.2", "facecolor": LIGHT, "edgecolor": "none", "alpha": 0.7}
+
+
+def draw_field(view: FieldView) -> Picture:
+    """Stress in both bars over place and time, with the regions that the fronts bound, as in the paper's Fig. 3."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    (left, right), begin, last = view.reach, view.begin, view.last
+    unit, factor = _stress_unit(view)
+    stress = view.stress * factor
+    top = max(float(np.abs(stress).max()), 1e-12)
+    colours = LinearSegmentedColormap.from_list("stress", [BLUE, "#b9d9ec", PAPER, "#f3d9a4", RED])
+    with style():
+        figure, (axes,) = new_figure(6.2)
+        image = axes.imshow(
+            stress, origin="lower", aspect="auto", cmap=colours, vmin=-top, vmax=top, interpolation="nearest",
+            extent=(-left, right, begin * 1e6, last * 1e6),
+        )  # fmt: skip
+        figure.colorbar(image, ax=axes, label=f"axial stress [{unit}], tension positive", pad=0.02)
+        _fronts(axes, view)
+        axes.plot([0.0, 0.0], [0.0, min(view.record_end, last) * 1e6], color=ON_LIGHT, linewidth=3.0)
+        _names(axes, view)
+        _tensions(axes, view)
+        axes.set_xlim(-left, right)
+        axes.set_ylim(begin * 1e6, last * 1e6)
+        axes.set_xlabel("place along the bars, sphere at 0 [m]")
+        axes.set_ylabel("time since first touch [µs]")
+        axes.set_title("incident bar  |  receiving bar", fontsize=9.5)
+    return Picture(name="field", title="Stress in both bars over place and time", finding=_field_finding(view),
+                   figure=figure)  # fmt: skip
+
+
+def _stress_unit(view: FieldView) -> tuple[str, float]:
+    """The unit in which the largest stress of either sign reads well, and its factor."""
+    with reading_units({"bars.yield_strength": unit_that_reads("bars.yield_strength", [np.abs(view.stress).max()])}):
+        return display_unit("bars.yield_strength")
+
+
+def _fronts(axes: Axes, view: FieldView) -> None:
+    """Fronts (solid) and tails (dashed) of the pulse, on their way in, away from the sphere, and back."""
+    for delay, line in ((0.0, "-"), (view.pulse_end, "--")):
+        if not math.isfinite(delay):
+            continue
+        drawn: dict[str, Any] = {"color": ON_LIGHT, "linestyle": line, "linewidth": 0.8, "alpha": 0.8}
+        for bar, sign in ((0, -1.0), (1, 1.0)):
+            ends = np.array([0.0, sign * view.reach[bar]])
+            out = np.array([0.0, view.reach[bar] / view.wave_speed])
+            if bar == 0:
+                axes.plot(ends, (delay - out) * 1e6, **drawn)
+            axes.plot(ends, (delay + out) * 1e6, **drawn)
+            if math.isfinite(view.returns[bar]):
+                axes.plot(ends, (delay + view.returns[bar] - out) * 1e6, **drawn)
+
+
+def _names(axes: Axes, view: FieldView) -> None:
+    """The paper's numbers of the regions that its text defines, and words for the others, where there is room."""
+    x, t = np.meshgrid(view.places, view.times)
+    d = np.abs(x) / view.wave_speed
+    u, w, pulse, trips = t - d, t + d, view.pulse_end, view.returns
+    struck, there = (x < 0.0) & (w < trips[0]), (x > 0.0) & (w < trips[1])
+    regions = {
+        "incident": struck & (w > 0.0) & (w < pulse) & (u < 0.0),
+        "V": struck & (w > pulse) & (u < 0.0),
+        "VI": struck & (w < pulse) & (u > 0.0),
+        "VII": struck & (w > pulse) & (u > 0.0) & (u < pulse),
+        "X": struck & (w > pulse) & (u > pulse),
+        "VIII": there & (u > 0.0) & (u < pulse),
+        "XI": there & (u > pulse),
+        "returned": (x < 0.0) & (w > trips[0]) & (u < trips[0]),
+        " returned": (x > 0.0) & (w > trips[1]) & (u < trips[1]),
+    }
+    for name, inside in regions.items():
+        if inside.mean() > _ROOM:
+            axes.text(float(x[inside].mean()), float(t[inside].mean()) * 1e6, name.strip(), ha="center", va="center",
+                      fontsize=9.0, color=ON_LIGHT, bbox=_LABEL)  # fmt: skip
+
+
+def _tensions(axes: Axes, view: FieldView) -> None:
+    for found in view.tensions:
+        if found.time < view.last:
+            place = -found.position if found.bar == BARS[0] else found.position
+            axes.plot(place, found.time * 1e6, marker="o", markersize=6, color=ON_LIGHT, markerfacecolor=LIGHT,
+                      clip_on=False, zorder=5)  # fmt: skip
+
+
+def _field_finding(view: FieldView) -> str:
+    unit, factor = _stress_unit(view)
+    low, high = float(view.stress.min()) * factor, float(view.stress.max()) * factor
+    text = f"The bars carry between {low:.3g} and {high:.3g} {unit} (tension positive).".replace("-", "−")
+    tensions = {one.bar: one for one in view.tensions}
+    for bar in BARS:
+        found = tensions.get(bar)
+        if found is None:
+            text += f" The {bar} bar sees no tension."
+        else:
+            text += f" The {bar} bar is first under tension {found.position:.4g} m from the sphere after "
+            text += f"{found.time * 1e6:.4g} µs (circle)."
+    return (
+        f"{text} Regions, by the numbers of the paper – V: at rest behind the pulse; VI: pulse and reflected wave; "
+        "VII: reflected wave alone; VIII: transmitted wave; X, XI: the same after the pulse has passed."
+    )
+
+
+def field_rows(history: History) -> tuple[list[str], list[list[Any]]]:
+    """Heading and rows of field.csv: place, time, stress and velocity on a grid of both bars."""
+    (left, right), last = extent(history)
+    places = np.concatenate([-left * (1.0 - np.arange(_NODES[0] // 2) / (_NODES[0] // 2)), [0.0],
+                             right * (1.0 + np.arange(_NODES[0] // 2)) / (_NODES[0] // 2)])  # fmt: skip
+    times = np.linspace(-left / history.motion.wave_speed, last, _NODES[1])
+    found = field_grid(history.motion, places, times)
+    x, t = np.meshgrid(places, times)
+    columns = [x.ravel(), t.ravel() * 1e6, found.stress.ravel() * 1e-6, found.velocity.ravel()]
+    heading = ["place [m]", "time [us]", "stress [MPa]", "particle velocity [m/s]"]
+    return heading, np.stack(columns, axis=1).tolist()
+
+
+# --- The hardest of the scenes that were followed over time: what its bars see, and the stress inside its sphere.
+
+#: of the stored places and instants every so-manieth goes into the file of the figure
+_STRIDES: Final = (3, 2)
+
+
+def bars_figure(contents: Contents) -> Picture | None:
+    """Stress in both bars over place and time; None where no scene was followed."""
+    stored = (contents.courses or {}).get("hardest", {}).get("bars")
+    if stored is None:
+        return None
+    view = FieldView.from_document(stored)
+    every, other = _STRIDES
+    places, times, stress = view.places[::every], view.times[::other], view.stress[::other, ::every]
+    x, t = np.meshgrid(places, times)
+    rows = zip(x.ravel().tolist(), t.ravel().tolist(), stress.ravel().tolist(), strict=True)
+    return replace(
+        draw_field(view),
+        name="bars-hardest",
+        header=("place [m]", "time [s]", "axial stress, tension positive [Pa]"),
+        rows=tuple(rows),
+    )
+
+
+def stress_inside_figure(contents: Contents) -> Picture | None:
+    """Half sections of the sphere at its largest pressure; None where the tables of the stress do not reach."""
+    contact = (contents.courses or {}).get("hardest", {}).get("contact")
+    if contact is None or outside(contact["ratio"], contact["nu"]):
+        return None
+    return replace(stress_picture(contact["ratio"], contact["nu"], contact["pressure"]), name="stress-hardest")

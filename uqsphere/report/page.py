@@ -1,0 +1,437 @@
+"""One self-contained page from a finished run: figures inlined, no script, nothing fetched."""
+
+from __future__ import annotations
+
+import html
+import io
+import logging
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from uqsphere.errors import UsageError
+from uqsphere.quantities import reading_units
+from uqsphere.report.blocks import Block, Chapter, Table
+from uqsphere.report.chapters import build_chapters
+from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
+from uqsphere.report.margins import margin_verdicts
+from uqsphere.report.tables import commands, repeat_rows
+from uqsphere.report.units import units_of
+from uqsphere.report.verdict import cautions, glances, verdicts
+from uqsphere.runner.sums import write_sums
+from uqsphere.store import csv_text, write_atomically
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = [
+    "GLOSSARY",
+    "MOST_BYTES",
+    "build_pdf",
+    "build_report",
+    "check_pdf",
+    "loosened",
+    "margin_boxes",
+    "new_environment",
+    "typeset",
+    "unbroken",
+    "words_used",
+]
+
+# --- What paper has beside the page: number, title and day of the run in the margins, lines that keep numbers whole.
+
+#: letters of a title in the margin
+_LONGEST: Final = 90
+#: letters of an interval that is kept on one line: a longer one would not fit a narrow column
+_WHOLE: Final = 34
+
+_UNIT: Final = re.compile(r"(?<=[\d)]) (?=%|[µmkMG]?(?:Pa|N|m|s|J)\b|m/s|kg/m)")
+_POWER: Final = re.compile(r"(?<=\d) × (?=10)")
+_INTERVAL: Final = re.compile(r"\([−\d][^()]* to [^()]*\)")
+_QUOTED: Final = re.compile(r'(?<![\w=])"([^"=\n]{1,200})"(?!\w)')
+_COMMAS: Final = re.compile(r"(?<![\w.,])\d{1,3}(?:,\d{3})+(?![\w,]|\.\d)")
+
+
+def unbroken(text: str) -> str:
+    """The text with one kind of thousands, and numbers that stay on one line with their powers, units and intervals.
+
+    >>> unbroken("1,234 runs, 1.2 × 10⁻⁴ (1.1 × 10⁻⁴ to 1.3 × 10⁻⁴)").replace("\u00a0", "~").replace("\u202f", "_")
+    '1_234 runs, 1.2~×~10⁻⁴ (1.1~×~10⁻⁴~to~1.3~×~10⁻⁴)'
+    >>> unbroken("1.447 (1.445 to 1.449) %").replace("\u00a0", "~")
+    '1.447 (1.445~to~1.449)~%'
+    >>> unbroken('the bar\\'s end, "steels, 1976"')
+    'the bar’s end, “steels, 1976”'
+    """
+    text = _QUOTED.sub("“\\1”", APOSTROPHE.sub("’", text))
+    text = _COMMAS.sub(lambda found: found[0].replace(",", "\u202f"), text)
+    text = _UNIT.sub("\u00a0", _POWER.sub("\u00a0×\u00a0", text))
+    return _INTERVAL.sub(lambda found: found[0].replace(" ", "\u00a0") if len(found[0]) <= _WHOLE else found[0], text)
+
+
+def loosened(text: str) -> str:
+    """The same with a place to part the line within each interval, after its "to".
+
+    >>> loosened("1.2\u00a0mm (1.1\u00a0to\u00a01.3)\u00a0mm").replace("\u00a0", "~")
+    '1.2~mm (1.1~to 1.3)~mm'
+    """
+    return text.replace("\u00a0to\u00a0", "\u00a0to ")
+
+
+def margin_boxes(title: str, manifest: Mapping[str, Any]) -> str:
+    """The style sheet of the margins of paper; the day is that of the run, where its manifest has one."""
+    day = str(manifest.get("finished", ""))[:10]
+    left = f"content: {_quoted(shorten(title, _LONGEST))}"
+    right = f"content: {_quoted('run of ' + day)}" if day else "content: none"
+    face = 'font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #444444'
+    return (
+        f"@page {{ @top-left {{ {left}; {face}; width: 75%; }} @top-right {{ {right}; {face}; }}\n"
+        f'  @bottom-right {{ content: counter(page) " / " counter(pages); {face}; }} }}\n'
+        "@page :first { @top-left { content: none; } }\n"
+    )
+
+
+def _quoted(text: str) -> str:
+    """A text as a string of a style sheet, in which nothing but letters, numerals and spaces stands for itself."""
+    return '"' + "".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text) + '"'
+
+
+# --- The words of the trade that a page uses, each in a plain sentence.
+
+#: (word, what it is found by, its meaning), in the order of the alphabet
+GLOSSARY: Final[tuple[tuple[str, str, str], ...]] = (
+    ("Borgonovo’s δ", r"Borgonovo",
+     "How far a quantity’s distribution moves, on average, once an input is known: 0 not at all, 1 wholly."),
+    ("case", r"\bcases?\b",
+     "One combination of all the random numbers of the study, as one test in the laboratory would be; also called a "
+     "sample where it was computed, and a scene where its motion was followed."),
+    ("censored", r"censored|outlast",
+     "Known as a lower bound only, because the record ended first."),
+    ("characteristic value", r"characteristic",
+     "Here the 5 % quantile of a strength (95 % where the aim is to break), and the median of a load; the design value "
+     "is that of the design point."),
+    ("coefficient of variation", r"coefficient of variation",
+     "Standard deviation over mean."),
+    ("control variate", r"control variate",
+     "A cheaper model, computed beside the dear one, whose known mean takes scatter out of the estimate."),
+    ("demand", r"\bdemand\b",
+     "What the impact asks of the sphere, the quantity that a limit compares with the strength."),
+    ("design point", r"\bdesign point",
+     "Of all combinations of inputs that miss the aim, the likeliest; the reliability index is its distance."),
+    ("direction cosines, importance factor", r"direction cosines|importance factor",
+     "How much of the way from the means to the design point goes along each input; squared they sum to one. Standard "
+     "normal space is where every input is measured in its own standard deviations, made independent."),
+    ("first and total index (Sobol’)", r"first index|total index|first \(alone\)|Sobol’ ind",
+     "Shares of the variance of a quantity: what an input causes alone, and what it causes with all its interactions."),
+    ("force difference", r"force[_ ]balance|contact forces differ",
+     "Difference of the forces at both faces of the sphere over the largest force."),
+    ("fragility", r"[Ff]ragility",
+     "The probability that the limit is exceeded, over a number such as the speed."),
+    ("full, massless, linear (model)", r"\bmassless\b|\blinear model|model is full|model is linear",
+     "Full: the sphere’s own inertia counts and both contacts are nonlinear. Massless: its inertia is left out. "
+     "Linear: its contacts are springs of one stiffness, so that the motion is known in closed form."),
+    ("Gaussian copula", r"[Gg]aussian copula",
+     "The way in which two numbers depend on each other: as two normal numbers of that correlation, each then turned "
+     "into its own law."),
+    ("Kucherenko’s indices", r"Kucherenko",
+     "First and total index of inputs that depend on each other."),
+    ("law", r"\blaws?\b",
+     "How a random number is distributed, with its kind and its parameters."),
+    ("margin", r"\b[Mm]argins?\b",
+     "Strength over demand: above one the sphere withstands, below one it breaks."),
+    ("modulus (Weibull)", r"\bmodulus\b.{0,40}\b(scale|mean|threshold)|[Ww]eibull",
+     "How little a strength of this law scatters: the larger, the narrower; no relation to Young’s modulus."),
+    ("paper", r"\bpaper\b",
+     "W. K. Nowacki, Dynamic compression of a brittle spherical specimen, Engng. Trans. 42(3), 263–279, 1994: "
+     "the theory that this model corrects; Roman numbers are those of the errata in the program’s documents."),
+    ("PAWN", r"\bPAWN\b",
+     "The largest gap between the distribution of a quantity and the same with an input known."),
+    ("pilot sample", r"\bpilot\b",
+     "A small first sample, from which the model, the way of computing and the validity are judged."),
+    ("polynomial chaos", r"[Pp]olynomial chaos",
+     "The answer written as a sum of polynomials of the inputs, of so many terms and such a degree; a surrogate."),
+    ("profile likelihood", r"profile likelihood",
+     "An interval of a fitted parameter that holds every value under which the tests are not too unlikely."),
+    ("quantile", r"\bquantiles?\b",
+     "The value that a given share of the cases stays below."),
+    ("rank correlation (Spearman)", r"[Ss]pearman",
+     "How far two numbers rise together, from −1 to 1, judged by their order alone."),
+    ("reliability index β", r"[Rr]eliability index",
+     "A small probability as a number of standard deviations of the normal law: 2.3 is 1 %, 3.1 is 0.1 %."),
+    ("Shapley effect", r"Shapley",
+     "The share of the variance that belongs to an input; they sum to one even where inputs depend on each other."),
+    ("standard error", r"standard error",
+     "The standard deviation of an estimate; a 95 % interval reaches about two of them to each side."),
+    ("surrogate", r"\bsurrogate",
+     "A formula fitted to some evaluations of the model, that answers in its place."),
+    ("violin", r"\b[Vv]iolins?\b",
+     "In a figure of indices, the bulge that shows where an index is likely to lie; its whisker is the 95 % interval."),
+    ("a/r", r"\ba/r\b", "Radius of the contact circle over that of the sphere."),
+    ("p, p_max, p_0", r"\bp_max\b|\bp_0\b",
+     "Contact pressure in the centre of the circle: p_0 at any instant, p_max the largest of both faces. P is a force: "
+     "P_0 the force scale, P_max the largest force. A lone p in a fit of tests is the probability of a worse fit."),
+    ("t_c, θ", r"\bt_c\b|\bθ\b|\btheta\b",
+     "Time scale of the contact, and the time t_i for which the pulse lasts over it."),
+    ("Z, v_0, c_0", r"\bv_0\b|\bc_0\b",
+     "Impedance of a bar (force over the speed of its end), the speed that the pulse brings, the speed of waves in the "
+     "bar."),
+)  # fmt: skip
+
+_TAG: Final = re.compile(r"<style>.*?</style>|<[^>]*>", re.DOTALL)
+
+
+def words_used(page: str) -> list[tuple[str, str]]:
+    """The entries of the glossary that the text of a page (HTML, without drawings) asks for, in their order."""
+    text = re.sub(r"\s+", " ", html.unescape(_TAG.sub(" ", page)))
+    return [(word, meaning) for word, found, meaning in GLOSSARY if re.search(found, text)]
+
+
+#: a page is never larger than this
+MOST_BYTES: Final = 3_000_000
+#: of which the figures take up this much; what is beyond stays a file of its own
+MOST_INLINED: Final = 2_200_000
+#: characters of one text on the page; a study may hold megabytes
+LONGEST: Final = 1500
+
+
+def build_report(folder: Path) -> Path:
+    """Write figures/*.svg and report.html of a finished run, from what is stored there.
+
+    Parameters
+    ----------
+    folder : result folder of `uqsphere.run`
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    FolderError
+        When the folder holds no finished run, or is damaged.
+    AccessError
+        When a file cannot be written.
+    """
+    contents = read_contents(folder)
+    with reading_units(units_of(contents.results, courses=contents.courses)):
+        return _build(folder, contents)
+
+
+def _build(folder: Path, contents: Contents) -> Path:
+    chapters = _distinct(build_chapters(contents))
+    written = []
+    for block in _blocks(chapters):
+        if block.picture is not None and block.picture.header:
+            table = csv_text(block.picture.header, block.picture.rows)
+            written.append(f"figures/{block.picture.name}.csv")
+            write_atomically(folder / written[-1], table)
+    drawn = {b.picture.name: render(b.picture) for b in _blocks(chapters) if b.picture is not None}
+    for name, svg in drawn.items():
+        write_atomically(folder / "figures" / f"{name}.svg", svg)
+    page = folder / "report.html"
+    write_atomically(page, _page(contents, chapters, drawn))
+    write_sums(folder, ["report.html", *written, *(f"figures/{name}.svg" for name in drawn)], keep=True)
+    return page
+
+
+def _blocks(chapters: Sequence[Chapter]) -> Iterator[Block]:
+    for chapter in chapters:
+        yield from chapter.blocks
+
+
+def _distinct(chapters: Sequence[Chapter]) -> list[Chapter]:
+    """The same chapters without empty blocks, their pictures with names that do not fall together.
+
+    Names are cut to what files allow, so that two long ones may be the same.
+    """
+    taken: set[str] = set()
+    found = []
+    for chapter in chapters:
+        blocks = []
+        for block in chapter.blocks:
+            if block.empty:
+                continue
+            if block.picture is not None:
+                name, number = block.picture.name, 1
+                while name in taken:
+                    number += 1
+                    name = f"{block.picture.name}-{number}"
+                taken.add(name)
+                block = replace(block, picture=replace(block.picture, name=name))
+            blocks.append(block)
+        found.append(replace(chapter, blocks=tuple(blocks)))
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """What a template sets: no control characters, and not endless; drawings pass as they are."""
+    if type(value) is not str:
+        return value
+    return unbroken(shorten(value, LONGEST))
+
+
+def _loose(value: str) -> Any:
+    """A cell of a table of very many columns: its intervals may part after their "to", so that no column is cut off."""
+    from markupsafe import Markup, escape
+
+    return Markup(escape(loosened(_plain(value))))
+
+
+def new_environment() -> Environment:
+    """Templates that escape every text and refuse what is not there, with what all pages share."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=FunctionLoader(_own_text), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, finalize=_plain,
+    )  # fmt: skip
+    environment.globals["style"] = Markup(_own_text("style.css"))
+    environment.filters["loose"] = _loose
+    return environment
+
+
+def _own_text(name: str) -> str:
+    return resources.files("uqsphere.report").joinpath(name).read_text("utf-8")
+
+
+def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[str, str]) -> str:
+    """The text of the page; the figures that it has no room for stay files."""
+    from markupsafe import Markup, escape
+
+    room = MOST_INLINED
+
+    def drawn(picture: Picture) -> Any:
+        nonlocal room
+        element = inline(figures_drawn[picture.name], picture.name)
+        room -= len(element.encode())
+        if room < 0:
+            return f"The figure is in figures/{picture.name}.svg: the page would become too large with it."
+        # the one text that is not escaped: made of escaped parts by the XML writer
+        return Markup(element)
+
+    appendix: list[tuple[Table, str]] = []
+    numbers: dict[int, int] = {}
+    figure_numbers: dict[str, int] = {}
+    for k, block in enumerate(_blocks(chapters)):
+        if block.appendix and block.table is not None:
+            appendix.append((block.table, f"block-{k + 1}"))
+            numbers[k] = len(appendix)
+        if block.picture is not None:
+            figure_numbers[block.picture.name] = len(figure_numbers) + 1
+    title = shorten(str(contents.results["study"]["title"]), 300) or "Untitled study"
+    shown = {
+        "title": title,
+        "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
+        "numbers_of": _numbers_of,
+        "verdicts": [*margin_verdicts(contents), *verdicts(contents)],
+        "glances": glances(contents),
+        "cautions": cautions(contents),
+        "chapters": chapters,
+        "appendix": appendix,
+        "numbers": numbers,
+        "figure_numbers": figure_numbers,
+        "repeat": repeat_rows(contents),
+        "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
+        "version": contents.results["versions"].get("uqsphere", ""),
+        "black_box": contents.black_box,
+    }
+
+    def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
+        order = iter(range(sum(1 for _ in _blocks(chapters))))
+        environment = new_environment()
+        environment.filters["drawn"] = draw
+        template = environment.get_template("template.html")
+        return template.render(shown, words=words, next_block=lambda: next(order))
+
+    # set first without figures, to see which words are used
+    plain = set_page(lambda picture: f"{picture.title} {picture.finding}", ())
+    return set_page(drawn, words_used(plain)) + "\n"
+
+
+def _numbers_of(block: Block) -> tuple[str, ...]:
+    """The files that hold the numbers of the picture of a block."""
+    assert block.picture is not None
+    return (f"figures/{block.picture.name}.csv",) if block.picture.header else block.files
+
+
+# --- The page as a typeset document, by WeasyPrint, which is an optional extra.
+
+#: what a browser takes from the theme and a typesetter does not know
+_VARIABLE: Final = re.compile(r"var\(--[a-z]+, (#[0-9a-f]{6})\)")
+_LACKING: Final = "the PDF needs the extra: pip install 'uqsphere[pdf]'"
+#: page numbers, and what the screen alone needs left out
+_SHEET: Final = """
+@page { size: A4; margin: 16mm 15mm 18mm;
+  @bottom-right { content: counter(page) " / " counter(pages); font: 8pt "DejaVu Sans", sans-serif; } }
+:root { color-scheme: light; }
+html, body { background: #ffffff; color: #000000; }
+.skip { display: none; }
+nav a::after { content: " " target-counter(attr(href), page); }
+/* the typesetter parts a floating figure from its caption */
+figure { float: none; }
+.scroll, .drawing { overflow: visible; }
+/* beside a figure that floats all the same a table would go to the next page as a whole */
+.scroll { clear: both; }
+figure svg { min-width: 0; max-width: 100%; width: 165mm; }
+table { font-size: 8pt; }
+th, td { min-width: 0 !important; padding-right: 6pt; overflow-wrap: anywhere; }
+"""
+
+
+def check_pdf() -> None:
+    """Refuse before anything is written where the extra, or a library of the system that it needs, is missing.
+
+    Raises
+    ------
+    UsageError
+        With what to install.
+    """
+    try:
+        import weasyprint  # noqa: F401
+    except ImportError as error:
+        raise UsageError(_LACKING) from error
+    except OSError as error:
+        raise UsageError(
+            f"the PDF needs Pango, a library of the system that WeasyPrint sets texts with: {error}"
+        ) from error
+
+
+def build_pdf(folder: Path) -> Path:
+    """Typeset report.html of a folder as report.pdf; nothing is fetched.
+
+    Raises
+    ------
+    UsageError
+        Where the extra is missing.
+    AccessError
+        When the file cannot be written.
+    """
+    check_pdf()
+    text = _VARIABLE.sub(r"\1", (folder / "report.html").read_text(encoding="utf-8"))
+    # the typesetter's remarks on styles of the screen are nobody's business
+    log = logging.getLogger("weasyprint")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        buffer = io.BytesIO()
+        typeset(text).write_pdf(buffer, uncompressed_pdf=False)
+    finally:
+        log.setLevel(before)
+    path = folder / "report.pdf"
+    write_atomically(path, buffer.getvalue())
+    return path
+
+
+def typeset(text: str) -> Any:
+    """The page laid out on paper, a `weasyprint.Document`: chapters in the list on the first pages have their page."""
+    from weasyprint import CSS, HTML
+    from weasyprint.urls import URLFetcher
+
+    # nothing of a page lies outside it: its pictures are data of its own
+    inside = URLFetcher(allowed_protocols=("data",))
+    return HTML(string=text, url_fetcher=inside, media_type="print").render(stylesheets=[CSS(string=_SHEET)])
