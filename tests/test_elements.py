@@ -9,7 +9,7 @@ import pytest
 
 from tests.independent import elements
 from tests.independent.elements import compare, elements_figure, make_mesh, solve_elements
-from uqsphere.report.canvas import render, style
+from uqsphere.report.figures.canvas import render, style
 
 
 @pytest.fixture(scope="module")

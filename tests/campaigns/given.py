@@ -35,7 +35,7 @@ from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = [
     "BUILT",

@@ -17,10 +17,10 @@ from tests.campaigns import chaos, coverage, given, overhead, rough, study_runs,
 from tests.campaigns.chaos import MODELS, Measured
 from tests.campaigns.coverage import LEAST, NOMINAL, POOLED, CoverageRow, pooled
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.report.canvas import BLUE, GREEN, GREY, INK, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
+from uqsphere.report.figures.canvas import BLUE, GREEN, GREY, INK, MARKS, ORANGE, PURPLE, RED, SKY, Picture, new_figure
 
 if TYPE_CHECKING:
-    from uqsphere.report.canvas import Picture
+    from uqsphere.report.figures.canvas import Picture
 
 __all__ = [
     "PARTS",
@@ -239,7 +239,7 @@ def run_uncertainty(
     """
     from threadpoolctl import threadpool_limits
 
-    from uqsphere.report.canvas import render, style
+    from uqsphere.report.figures.canvas import render, style
 
     unknown = [name for name in parts if name not in PARTS]
     if unknown:
