@@ -14,9 +14,9 @@ import pytest
 import uqsphere
 from tests.campaigns.auto import compare
 from tests.campaigns.auto import main as print_table
-from uqsphere.runner.api import Run
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Candidate, first_look
+from uqsphere.runner.finished import Run
 from uqsphere.runner.multifidelity import HOPEFUL, WORTHWHILE, Plan, propose, weigh
 from uqsphere.study import Study
 

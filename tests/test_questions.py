@@ -24,9 +24,9 @@ from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.results import MarginEntry, Results, SpeedRow
 from uqsphere.runner.account import FURTHER, further_rows
-from uqsphere.runner.api import Run
 from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.campaign import indices_missed
+from uqsphere.runner.finished import Run
 from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
 from uqsphere.study import Study
 from uqsphere.uq.describe import Description, lacking

@@ -15,7 +15,7 @@ from conftest import BOX
 
 import uqsphere
 from uqsphere.errors import FolderError, TooManyFailures, UsageError
-from uqsphere.runner.api import Run
+from uqsphere.runner.finished import Run
 from uqsphere.study import Study
 
 NUMBER = {"type": ["number", "null"]}

@@ -240,7 +240,7 @@ def test_no_damage_anywhere_is_an_internal_error(folder: Path, file: str, junk: 
     from uqsphere.report.tables import inputs_table, limits_table, model_table, repeat_rows
     from uqsphere.report.terminal import summary_of
     from uqsphere.report.verdict import cautions, verdicts
-    from uqsphere.runner.api import open_run
+    from uqsphere.runner.finished import open_run
 
     whole = json.loads((folder / file).read_text())
     refused = 0

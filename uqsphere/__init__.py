@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uqsphere.model import evaluate
-    from uqsphere.runner.api import Run, open_run, run
+    from uqsphere.runner.api import run
     from uqsphere.runner.deterministic import history_of as history
+    from uqsphere.runner.finished import Run, open_run
     from uqsphere.study import Study, load_study
 
 __all__ = ["Run", "Study", "evaluate", "history", "load_study", "open_run", "run"]
@@ -22,12 +23,12 @@ __version__ = "0.1.0"
 
 #: where each public name lives; loaded when it is first used, since some take a second to import
 _HOMES = {
-    "Run": ("uqsphere.runner.api", "Run"),
+    "Run": ("uqsphere.runner.finished", "Run"),
     "Study": ("uqsphere.study", "Study"),
     "evaluate": ("uqsphere.model", "evaluate"),
     "history": ("uqsphere.runner.deterministic", "history_of"),
     "load_study": ("uqsphere.study", "load_study"),
-    "open_run": ("uqsphere.runner.api", "open_run"),
+    "open_run": ("uqsphere.runner.finished", "open_run"),
     "run": ("uqsphere.runner.api", "run"),
 }
 

@@ -35,7 +35,7 @@ def _believed(*folders: Path) -> Iterator[None]:
 def command_report(chosen: argparse.Namespace) -> int:
     """Build the report again from what is stored."""
     from uqsphere.report import build_report
-    from uqsphere.runner.api import open_run
+    from uqsphere.runner.finished import open_run
 
     if chosen.pdf:
         from uqsphere.report.page import build_pdf, check_pdf
@@ -55,7 +55,7 @@ def command_report(chosen: argparse.Namespace) -> int:
 
 def command_show(chosen: argparse.Namespace) -> int:
     """The answers of a run as a table."""
-    from uqsphere.runner.api import open_run
+    from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):
         found = open_run(chosen.folder)
@@ -69,8 +69,8 @@ def command_show(chosen: argparse.Namespace) -> int:
 
 def command_export(chosen: argparse.Namespace) -> int:
     """Samples and tables of a run in another format."""
-    from uqsphere.runner.api import open_run
     from uqsphere.runner.export import export_run
+    from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):
         found = open_run(chosen.folder)

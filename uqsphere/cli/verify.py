@@ -136,8 +136,8 @@ def _repeat(
 ) -> None:
     """Tables against results, results against evaluations, evaluations against the model."""
     from uqsphere.results.tables import tables
-    from uqsphere.runner.api import open_run
     from uqsphere.runner.datafiles import kept_data
+    from uqsphere.runner.finished import open_run
     from uqsphere.runner.rehearsal import rehearse, stored_study
 
     run = open_run(folder)

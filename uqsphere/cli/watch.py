@@ -17,7 +17,7 @@ from uqsphere.console import Progress, say
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.runner.api import Run
+    from uqsphere.runner.finished import Run
     from uqsphere.runner.workers import Executor
 
 __all__ = ["KILLED", "Patience", "Silence", "attend", "last_words"]

@@ -278,7 +278,7 @@ def _unit_of(name: str) -> tuple[str, float]:
 
 def _open(folder: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """results.json, manifest.json and study.resolved.json of a finished run."""
-    from uqsphere.runner.api import open_run
+    from uqsphere.runner.finished import open_run
 
     run = open_run(folder)
     return run.results.document(), run.manifest.document(), read_resolved(folder).document()

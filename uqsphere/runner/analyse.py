@@ -8,7 +8,6 @@ from typing import Any
 
 from uqsphere.quantities import format_estimate
 from uqsphere.runner.answer_validity import judge_answers
-from uqsphere.runner.api import Run
 from uqsphere.runner.dear import answer_dear
 from uqsphere.runner.dear_end import Dear
 from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
@@ -17,6 +16,7 @@ from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish
+from uqsphere.runner.finished import Run
 from uqsphere.runner.margins import band_history, find_margins
 from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.price import price

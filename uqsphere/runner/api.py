@@ -3,91 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.errors import FolderError, UsageError
-from uqsphere.files import refuse_links
-from uqsphere.model import BlackBox, load_black_box, model_digest
+from uqsphere.errors import UsageError
+from uqsphere.model import NO_DAMPER, BlackBox, load_black_box, model_digest, scene_of
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.results import Results, read_results
-from uqsphere.results.entries import Manifest, read_manifest
-from uqsphere.store import open_store, read_json
+from uqsphere.store import open_store
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from uqsphere.runner.evaluate import SpeedRow
+    from uqsphere.runner.finished import Run
     from uqsphere.runner.workers import Executor
 
 __all__ = [
-    "Run",
-    "open_run",
     "run",
     "why_not_extended",
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run:
-    """A finished run: its folder, the content of results.json and of manifest.json."""
-
-    folder: Path
-    results: Results
-    manifest: Manifest
-
-    @property
-    def met(self) -> bool:
-        """Whether every limit with a target meets it."""
-        return all(limit.met is True for limit in self.results.limits.values() if limit.target is not None)
-
-    def _table(self, name: str) -> pd.DataFrame:
-        from uqsphere.runner.export import read_table
-
-        return read_table(self.folder, name)
-
-    def samples(self) -> pd.DataFrame:
-        """Rows that were sampled: inputs (SI), quantities (SI), status, censored flags."""
-        from uqsphere.runner.samples import load_samples
-
-        return load_samples(self.folder)
-
-    def indices(self) -> pd.DataFrame:
-        """First and total Sobol' indices with their intervals."""
-        return self._table("sensitivity")
-
-    def limits(self) -> pd.DataFrame:
-        """Probabilities and margins of every limit with their intervals."""
-        return self._table("limits")
-
-    def margins(self) -> pd.DataFrame:
-        """Values of the free scalar at the probabilities asked for."""
-        return self._table("margins")
-
-
-def open_run(folder: str | Path) -> Run:
-    """A finished run from its folder.
-
-    Raises
-    ------
-    FolderError
-        When the folder is no result folder, or its run has not finished.
-    """
-    path = Path(folder)
-    if not path.is_dir():
-        raise FolderError(f"{path} is not a result folder")
-    refuse_links(path)
-    if not (path / "results.json").is_file() and (path / "study.resolved.json").is_file():
-        raise FolderError(f"the run in {path} has not finished: run the study again to go on with it")
-    results = read_results(path)
-    mark = read_json(path / "study.resolved.json") if (path / "study.resolved.json").is_file() else {}
-    if isinstance(mark, dict) and mark.get("hash", results.study.hash) != results.study.hash:
-        raise FolderError(f"the run in {path} that extends another has not finished: run the study again")
-    return Run(folder=path, results=results, manifest=read_manifest(path))
 
 
 def run(
@@ -146,27 +82,16 @@ def run(
     """
     from threadpoolctl import threadpool_limits
 
-    from uqsphere.model import NO_DAMPER
     from uqsphere.runner.analyse import analyse
     from uqsphere.runner.cluster import as_executor
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.log import logged
     from uqsphere.runner.workers import Engine
 
-    if study.receiving_damper is not None:
-        raise UsageError(NO_DAMPER)
-
-    if study.black_box and model is None:
-        raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
-    if not study.black_box and model is not None:
-        raise UsageError("--model serves black-box studies; this one describes an impact scene")
-    if executor is not None and callable(model):
-        raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
-    if study.analysis.time_limit is not None and callable(model):
-        raise UsageError("analysis.time_limit needs the model as FILE.py:FUNCTION: it is kept by ending a process")
+    _check_usage(study, model, executor)
+    check_range(study)
     reference = model if isinstance(model, str) else None
     box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
-    check_range(study)
     folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
     digest = None if model is None else model_digest(model)
     store = open_store(
@@ -217,12 +142,25 @@ def run(
         store.close()
 
 
+def _check_usage(study: Study, model: str | BlackBox | None, executor: Executor | None) -> None:
+    """Refuse a study that cannot be run, or not with such a model or executor."""
+    if study.receiving_damper is not None:
+        raise UsageError(NO_DAMPER)
+    if study.black_box and model is None:
+        raise UsageError("this is a black-box study: give its model with --model FILE.py:FUNCTION")
+    if not study.black_box and model is not None:
+        raise UsageError("--model serves black-box studies; this one describes an impact scene")
+    if executor is not None and callable(model):
+        raise UsageError("with an executor the model must be given as FILE.py:FUNCTION, so that workers can load it")
+    if study.analysis.time_limit is not None and callable(model):
+        raise UsageError("analysis.time_limit needs the model as FILE.py:FUNCTION: it is kept by ending a process")
+
+
 def check_range(study: Study) -> None:
     """Refuse a range of the free scalar at whose ends the scene at its means has no answer."""
     if study.margins is None or study.black_box:
         return
     from uqsphere.mechanics.scene import STATUS
-    from uqsphere.model import scene_of
 
     axis = study.margins.axis
     name = axis.path

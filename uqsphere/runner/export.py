@@ -14,7 +14,7 @@ from uqsphere.store import plain_cell, write_atomically
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uqsphere.runner.api import Run
+    from uqsphere.runner.finished import Run
 
 __all__ = ["export_run", "read_table"]
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from uqsphere.results.entries import PricesEntry
 from uqsphere.runner.account import account, further_rows
-from uqsphere.runner.api import Run
 from uqsphere.runner.courses import save_courses
 from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.finished import Run
 from uqsphere.runner.price import Priced
 from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
