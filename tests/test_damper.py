@@ -152,7 +152,7 @@ def test_history_follows_a_damper_and_a_run_refuses_it(study_from, damped, tmp_p
         (("bars.infinite=true",), "no far end"),
         (('bars.receiving_damper="../damper.csv"',), "own folder"),
         (('bars.receiving_damper="other.csv"',), "no file"),
-        (("bars.receiving_damper=3",), "name of a CSV"),
+        (("bars.receiving_damper=3",), "a text in quotes is due"),
     ],
 )
 def test_wrong_dampers_of_a_study_are_refused(study_from, damped, overrides, words):

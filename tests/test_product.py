@@ -16,7 +16,7 @@ from uqsphere.quantities import display_unit, lookup
 from uqsphere.report import build_report
 from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
-from uqsphere.study.editor import build_schema
+from uqsphere.study.reference import build_schema
 
 PRODUCT = """
 [product]
@@ -96,7 +96,7 @@ def test_asked_without_a_product_it_is_refused(study_from: Callable[..., Study],
 
 
 def test_the_schema_for_editors_knows_the_table() -> None:
-    table = build_schema()["properties"]["product"]
+    table = build_schema()["$defs"]["ProductTable"]
     assert set(table["properties"]) == {"A", "b"} == set(table["required"])
 
 

@@ -21,7 +21,17 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.pulses import noise_names
 from uqsphere.quantities import INPUTS
 from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
-from uqsphere.study.document import BarsTable, ProductTable, PulseTable, SphereTable, StrikerTable
+from uqsphere.study.document import (
+    Analysis,
+    BarsTable,
+    LimitTable,
+    MarginsTable,
+    ProductTable,
+    PulseTable,
+    SphereTable,
+    StrikerTable,
+    declared,
+)
 from uqsphere.uq.law import Law, cdf, mean, nominal_mean, ppf, sd
 
 STUDIES = Path(__file__).parent.parent / "studies"
@@ -406,19 +416,19 @@ def test_schema_refuses_what_an_editor_should_underline() -> None:
 
 
 def test_schema_knows_the_keys_that_the_parser_knows() -> None:
-    properties = json_schema()["properties"]
-    for name, table in {
-        "sphere": SphereTable,
-        "bars": BarsTable,
-        "striker": StrikerTable,
-        "pulse": PulseTable,
-        "product": ProductTable,
-    }.items():
-        assert set(properties[name]["properties"]) == set(table.model_fields)
+    tables = json_schema()["$defs"]
+    for kind in (SphereTable, BarsTable, StrikerTable, PulseTable, ProductTable, LimitTable, Analysis, MarginsTable):
+        assert set(tables[kind.__name__]["properties"]) == set(declared(kind))
+    for path in INPUTS:
+        section, key = path.split(".")
         # the noise of a record is made an input by a flag
-        own = {path.split(".")[1] for path in INPUTS if path.startswith(f"{name}.") and path not in noise_names()}
-        assert own <= set(properties[name]["properties"])
-        assert all(properties[name]["properties"][key]["description"] for key in own)
+        if path not in noise_names():
+            assert tables[f"{section.capitalize()}Table"]["properties"][key]["description"]
+
+
+def test_the_schema_has_nothing_that_a_study_cannot_have() -> None:
+    text = json.dumps(json_schema())
+    assert not any(word in text for word in ("null", "default_is", "dimension", '"due"'))
 
 
 def test_loading_a_study_is_light() -> None:

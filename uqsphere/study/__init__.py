@@ -1,5 +1,4 @@
-"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file located and told at "
-"once."""
+"""Study files: TOML text → validated, frozen `Study` in SI, with every fault of a file located and told at once."""
 
 from __future__ import annotations
 
@@ -7,21 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.study.axis import ENERGY, Axis, law_with_mean
+from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
 from uqsphere.study.resolve import load_study
-from uqsphere.study.study import (
-    Accuracy,
-    Analysis,
-    Budget,
-    Dependence,
-    EndImpedance,
-    Family,
-    Gauge,
-    Limit,
-    Margins,
-    ModelChoice,
-    Source,
-    Study,
-)
+from uqsphere.study.study import EndImpedance, Family, Limit, Margins, Source, Study
 
 __all__ = [
     "ENERGY",
@@ -46,9 +33,8 @@ __all__ = [
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and
-    meanings."""
-    from uqsphere.study.editor import build_schema
+    """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings."""
+    from uqsphere.study.reference import build_schema
 
     return build_schema()
 

@@ -11,7 +11,6 @@ from uqsphere.study.axis import ENERGY, SPEED, law_with_mean, make_axis
 from uqsphere.study.document import MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
-from uqsphere.study.requests import shares
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import Family, Margins, Study
 from uqsphere.uq.law import LawError
@@ -36,11 +35,7 @@ def read_margins(
 ) -> Margins | None:
     if table is None:
         return None
-    probabilities = shares(table.for_probability, ("margins", "for_probability"), findings)
-    if table.for_fracture is not None:
-        probabilities += shares(table.for_fracture, ("margins", "for_fracture"), findings)
-    if table.for_survival is not None:
-        probabilities += tuple(_rest(p) for p in shares(table.for_survival, ("margins", "for_survival"), findings))
+    probabilities = (*table.for_probability, *(table.for_fracture or ()), *map(_rest, table.for_survival or ()))
     probabilities = tuple(sorted(set(probabilities)))
     if black_box and table.bars_elastic:
         findings.add(("margins", "bars_elastic"), "a black box has no bars: leave bars_elastic out")

@@ -14,7 +14,7 @@ from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests
 from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
 
-__all__ = ["BAR_ENDS", "Reading", "plain_quantity", "read_fixed", "read_number"]
+__all__ = ["BAR_ENDS", "Reading", "fixed_value", "plain_quantity", "read_fixed", "read_number"]
 
 #: Words for the far end of a bar, and the velocity reflection coefficient that each stands for.
 BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
@@ -61,33 +61,35 @@ def read_number(raw: object, place: Place, quantity: Quantity, findings: Finding
 
 
 def read_fixed(raw: object, place: Place, quantity: Quantity, findings: Findings) -> float | None:
-    """SI value of a fixed number inside the bounds of its meaning."""
-    if isinstance(raw, str) and quantity.symbol in ("R_1", "R_3"):
-        if raw in BAR_ENDS:
-            return BAR_ENDS[raw]
-        words = one_of(BAR_ENDS)
-        findings.add(place, f"found {shown(raw)}, allowed: {words}, or a number in [-1, 1]{suggestion(raw, BAR_ENDS)}")
-        return None
-    value = _parse(raw, place, quantity, findings)
-    if value is not None and not quantity.allows(value):
-        findings.add(place, f"found {shown(raw)}: {_bounds_in_words(quantity)}")
-        return None
-    return value
-
-
-def _parse(raw: object, place: Place, quantity: Quantity, findings: Findings) -> float | None:
-    dimension = quantity.dimension
-    if isinstance(raw, str) and len(raw) > 200:
-        findings.add(place, f"found {shown(raw)}, which is too long for a number")
-        return None
+    """SI value of a fixed number inside the bounds of its meaning; None, with the fault noted, where it is none."""
     try:
-        if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
-            unit = "" if dimension == "number" else " with its unit in quotes"
-            raise UnitError(f"found {shown(raw)}, where a number{unit} is due")
-        return parse_value(raw, dimension, _likely_unit(raw, quantity))
+        return fixed_value(raw, quantity)
     except UnitError as error:
         findings.add(place, str(error))
         return None
+
+
+def fixed_value(raw: object, quantity: Quantity) -> float:
+    """SI value of a fixed number; raises UnitError where it is none, or outside the bounds of its meaning."""
+    if isinstance(raw, str) and quantity.symbol in ("R_1", "R_3"):
+        if raw in BAR_ENDS:
+            return BAR_ENDS[raw]
+        near = suggestion(raw, BAR_ENDS)
+        raise UnitError(f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]{near}")
+    value = _parse(raw, quantity)
+    if not quantity.allows(value):
+        raise UnitError(f"found {shown(raw)}: {_bounds_in_words(quantity)}")
+    return value
+
+
+def _parse(raw: object, quantity: Quantity) -> float:
+    """SI value of a number with its unit, wherever it lies; raises UnitError."""
+    if isinstance(raw, str) and len(raw) > 200:
+        raise UnitError(f"found {shown(raw)}, which is too long for a number")
+    if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
+        unit = "" if quantity.dimension == "number" else " with its unit in quotes"
+        raise UnitError(f"found {shown(raw)}, where a number{unit} is due")
+    return parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
 
 
 def _likely_unit(raw: object, quantity: Quantity) -> str:
@@ -147,9 +149,10 @@ def _read_law(
         if key not in _WHERE:
             beside = _unit_beside(raw, due) if due.dimension != "number" else ""
             due = replace(due, plausible=(0.0, math.inf), display=beside)
-        value = _parse(raw[key], (*place, key), due, findings)
-        if value is not None:
-            (bounds if key in ("lower", "upper") else given)[key] = value
+        try:
+            (bounds if key in ("lower", "upper") else given)[key] = _parse(raw[key], due)
+        except UnitError as error:
+            findings.add((*place, key), str(error))
     data: tuple[float, ...] = ()
     stopped: tuple[float, ...] = ()
     if empirical:

@@ -1,5 +1,4 @@
-"""From the tables of a file to a `Study`: every part is read, every fault noted, then the whole is put "
-"together."""
+"""From the tables of a file to a `Study`: every part is read, every fault noted, then the whole is put together."""
 
 from __future__ import annotations
 
@@ -10,27 +9,36 @@ from typing import Any, Final
 
 from uqsphere.errors import StudyError
 from uqsphere.quantities import INPUTS
-from uqsphere.study.checks import check_scene
-from uqsphere.study.damper import read_damper
-from uqsphere.study.dependence import read_dependence
-from uqsphere.study.document import Document, ModelTable, read_document
+from uqsphere.study.axis import strength_name
+from uqsphere.study.document import (
+    SCENE,
+    Analysis,
+    Dependence,
+    Document,
+    ModelChoice,
+    ToleranceRequest,
+    read_document,
+)
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.gauges import read_gauges
+from uqsphere.study.limits import LimitReading, known_quantity, read_limits, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
-from uqsphere.study.product import with_product
-from uqsphere.study.requests import LimitReading, read_analysis, read_limits, read_model, valid_name
-from uqsphere.study.scene import SECTIONS, Scene, read_scene
-from uqsphere.study.sensitivities import read_groups
-from uqsphere.study.study import Dependence, EndImpedance, Gauge, ModelChoice, Study
+from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
+from uqsphere.study.study import Study, tie_of
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
-from uqsphere.uq.law import Law
+from uqsphere.uq.law import Law, LawError, make_law
 
 __all__ = ["load_study"]
 
 MOST_INPUTS: Final = 1000
-#: Columns of result tables that are no outputs.
+MOST_DEPENDENCES: Final = 100
+MOST_GROUPS: Final = 50
+#: independent runs for tolerance limits
+MOST_RUNS: Final = 1_000_000
+#: columns of result tables that are no outputs
 RESERVED: Final = ("status", "censored")
+#: the fineness of the product, which needs a table of its own
+FINENESS: Final = "t10"
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
@@ -83,42 +91,34 @@ def _refuse_parts_of_no_limit(
 
 
 def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) -> Study | None:
+    """The study of a table of plain values; None, with every fault noted, where there is none."""
     document = read_document(data, findings)
     black_box = _kind(data, findings)
     folder = path.parent
-    scene, outputs, model = Scene(), None, ModelChoice()
-    gauges: tuple[Gauge, ...] = ()
-    damper: EndImpedance | None = None
+    scene, outputs, model = Scene(), None, document.model or ModelChoice()
     if black_box:
         outputs = _read_outputs(document, findings)
         _read_inputs(document, scene, findings, folder)
     elif black_box is not None:
-        model = read_model(document.model or ModelTable(), findings)
         scene = read_scene(document, data, findings, folder)
         check_scene(scene, model, findings)
-        damper = read_damper(document.bars, findings, folder)
-        gauges = read_gauges(document.gauges, scene, findings)
-    if document.seed < 0:
-        findings.add(("seed",), f"found {document.seed}, a whole number from 0 upwards is due")
     limits = read_limits(document.limits, outputs, findings, folder, scene)
-    analysis = read_analysis(document.analysis, outputs, limits, findings)
-    if black_box is False:
-        analysis = with_product(analysis, document, findings)
+    analysis = _read_analysis(document, outputs, limits, findings)
     random, given = _random(scene, limits)
-    numbers = _places(document, scene, bool(black_box))
-    dependence: tuple[Dependence, ...] = ()
-    margins = None
+    parts: dict[str, Any] = {}
+    if black_box is False:
+        parts["receiving_damper"] = read_damper(document.bars, findings, folder)
+        parts["gauges"] = read_gauges(document.gauges, scene, findings)
     if black_box is not None:
-        scattering = [name for name, reading in scene.readings.items() if isinstance(reading.value, Law)]
-        groups = read_groups(document.analysis.groups, scattering, numbers, findings)
-        analysis = replace(analysis, groups=groups)
-        dependence = read_dependence(document.dependence, random, numbers, findings)
-        strengths = {f"limits.{limit.name}.strength": limit.quantity for limit in limits if limit.quantity is not None}
+        numbers = _places(document, black_box)
+        _check_groups(analysis.groups, scene, numbers, findings)
+        parts["dependence"] = _read_dependence(document.dependence, random, numbers, findings)
+        strengths = {strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None}
         margins = read_margins(document.margins, scene, black_box, numbers, findings, strengths)
-        if margins is not None and margins.bars_elastic and "p_max" not in analysis.quantities:
-            analysis = replace(analysis, quantities=(*analysis.quantities, "p_max"))
-        if margins is not None and margins.against is not None and margins.against not in analysis.quantities:
-            analysis = replace(analysis, quantities=(*analysis.quantities, margins.against))
+        parts["margins"] = margins
+        if margins is not None and analysis.quantities:
+            more = [*(["p_max"] if margins.bars_elastic else []), *([margins.against] if margins.against else [])]
+            analysis = replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *more])))
     if document.margins is not None and not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     if findings.faults:
@@ -138,14 +138,11 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         sources=scene.sources,
         model=model,
         limits=tuple(noun for limit in limits if (noun := limit.limit()) is not None),
-        dependence=dependence,
         analysis=analysis,
-        margins=margins,
         outputs=tuple(outputs or ()),
         warnings=tuple(findings.warnings),
         record=scene.record,
-        gauges=gauges,
-        receiving_damper=damper,
+        **parts,
     )
     check_moved_mean(study, findings)
     return None if findings.faults else study
@@ -153,19 +150,20 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
 
 def _kind(data: Mapping[str, Any], findings: Findings) -> bool | None:
     """Whether this is a black-box study; None where that cannot be said."""
-    parts = [name for name in (*SECTIONS, "model", "gauges") if name in data]
+    parts = [name for name in (*SCENE, "model", "gauges") if name in data]
     black = [name for name in ("inputs", "outputs") if name in data]
     if not black:
-        if not any(name in SECTIONS for name in data):
-            findings.add(
-                (),
-                "found neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])",
-            )
+        if not any(name in SCENE for name in data):
+            said = "found neither a scene ([sphere], [bars], [striker]) nor a black box ([inputs], [outputs])"
+            findings.add((), said)
             return None
         return False
     for name in parts:
         findings.add((name,), f"[{name}] belongs to a scene, and [{black[0]}] to a black box: leave one of them out")
     return None if parts else True
+
+
+# --- black boxes ------------------------------------------------------------------------------------
 
 
 def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: Path) -> None:
@@ -188,12 +186,10 @@ def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: P
 
 
 def _read_outputs(document: Document, findings: Findings) -> list[str]:
-    names = None if document.outputs is None else document.outputs.names
+    names = [] if document.outputs is None else list(document.outputs.names)
     place: Place = ("outputs", "names")
-    if not names:
-        if findings.clean(("outputs",)):
-            findings.add(place, 'the outputs are missing: add [outputs] with names = ["y"]')
-        return []
+    if not names and findings.clean(("outputs",)):
+        findings.add(place, 'the outputs are missing: add [outputs] with names = ["y"]')
     for index, name in enumerate(names):
         if not valid_name(name) or name in RESERVED:
             findings.add((*place, index), f"{shown(name)} cannot be the name of an output")
@@ -202,6 +198,71 @@ def _read_outputs(document: Document, findings: Findings) -> list[str]:
         elif name in (document.inputs or {}):
             findings.add((*place, index), f"{shown(name)} is the name of an input already")
     return names
+
+
+# --- what is asked ----------------------------------------------------------------------------------
+
+
+def _read_analysis(
+    document: Document, outputs: Sequence[str] | None, limits: Sequence[LimitReading], findings: Findings
+) -> Analysis:
+    """What is asked of every quantity; those that a limit or a product needs are among them."""
+    given = document.analysis
+    black_box = outputs is not None
+    for key in ("cost", "rows_per_call", "time_limit"):
+        if getattr(given, key) is not None and not black_box:
+            findings.add(("analysis", key), f"{key} is for a black box ([inputs], [outputs]): leave it out")
+    for index, name in enumerate(given.quantities):
+        known_quantity(name, ("analysis", "quantities", index), outputs, findings)
+    needed = [limit.quantity for limit in limits if limit.quantity is not None]
+    default = list(outputs) if outputs is not None else (needed or ["p_max", "contact_time"])
+    asked = [*(given.quantities or default), *needed]
+    if document.product is not None:
+        asked.append(FINENESS)
+    elif not black_box:
+        _refuse_fineness(document, findings)
+    tolerance = _tolerance(given.tolerance_intervals, findings)
+    if not asked:
+        return given
+    return replace(
+        given,
+        quantities=tuple(dict.fromkeys(asked)),
+        tolerance_intervals=tolerance,
+        # a limit of time is kept by ending a process: one row in each call unless the study says otherwise
+        rows_per_call=given.rows_per_call or (None if given.time_limit is None else 1),
+    )
+
+
+def _refuse_fineness(document: Document, findings: Findings) -> None:
+    """Note where the fineness of the product is asked for without [product]."""
+    asked = document.analysis.quantities
+    places: list[Place] = [("analysis", "quantities", asked.index(FINENESS))] if FINENESS in asked else []
+    places += [("limits", name, "quantity") for name, table in document.limits.items() if table.quantity == FINENESS]
+    for place in places:
+        if findings.clean(("product",)):
+            findings.add(place, 't10 needs a table [product] with A = "55 %" and b = "0.8 t/kWh", or laws')
+
+
+def _tolerance(asked: ToleranceRequest | None, findings: Findings) -> ToleranceRequest | None:
+    """The tolerance intervals with their runs, by default the fewest that give a two-sided interval."""
+    place: Place = ("analysis", "tolerance_intervals")
+    if asked is None or not findings.clean(place):
+        return None
+    from uqsphere.uq.tolerance import least_runs
+
+    least, both = (least_runs(asked.coverage, asked.confidence, sides=sides) for sides in (1, 2))
+    if both > MOST_RUNS:
+        findings.add(place, f"this coverage and confidence take {both:,} runs, at most {MOST_RUNS:,} are allowed")
+        return None
+    runs = asked.runs or both
+    if not least <= runs <= MOST_RUNS:
+        said = f"found {runs}, from {least} (one-sided; {both} for two sides) to {MOST_RUNS:,} are due"
+        findings.add((*place, "runs"), said)
+        return None
+    return replace(asked, runs=runs)
+
+
+# --- random inputs by name --------------------------------------------------------------------------
 
 
 def _random(scene: Scene, limits: Sequence[LimitReading]) -> tuple[list[str], dict[str, Mapping[str, float]]]:
@@ -213,7 +274,7 @@ def _random(scene: Scene, limits: Sequence[LimitReading]) -> tuple[list[str], di
     return list(found), {name: item.given for name, item in found.items()}
 
 
-def _places(document: Document, scene: Scene, black_box: bool) -> dict[str, Place]:
+def _places(document: Document, black_box: bool) -> dict[str, Place]:
     """Every number of the study, faulty ones too, with the place where it stands."""
     places: dict[str, Place] = {}
     for name in document.limits:
@@ -221,8 +282,91 @@ def _places(document: Document, scene: Scene, black_box: bool) -> dict[str, Plac
             places[f"limits.{name}.{part}"] = ("limits", name, part)
     if black_box:
         return places | {name: ("inputs", name) for name in document.inputs or {}}
-    for name in INPUTS:
-        section, key = name.split(".")
-        # A value that could not even be taken in is gone from the document, but not from the file.
-        places[name] = (section, key)
-    return places
+    # A value that could not even be taken in is gone from the document, but not from the file.
+    return places | {name: tuple(name.split(".")) for name in INPUTS}
+
+
+def _is_random(name: str, place: Place, random: Sequence[str], fixed: Mapping[str, Place], findings: Findings) -> bool:
+    """Whether a name is that of a random input; noted where not, but for a number that is faulty itself."""
+    if name in random:
+        return True
+    if name in fixed:
+        if findings.clean(fixed[name]):
+            findings.add(place, f"{shown(name)} is a fixed number here: give it a distribution, or leave it out")
+    else:
+        listed = one_of(list(random[:20])) if random else "none"
+        findings.add(place, f"unknown random input {shown(name)}, random here: {listed}{suggestion(name, random)}")
+    return False
+
+
+def _check_groups(
+    groups: Mapping[str, Sequence[str]], scene: Scene, numbers: Mapping[str, Place], findings: Findings
+) -> None:
+    """Every group is one of inputs of the model that scatter."""
+    place: Place = ("analysis", "groups")
+    if len(groups) > MOST_GROUPS:
+        findings.add(place, f"found {len(groups)} groups, at most {MOST_GROUPS} are allowed")
+        return
+    scattering = [name for name, reading in scene.readings.items() if isinstance(reading.value, Law)]
+    for group, names in groups.items():
+        for index, name in enumerate(names):
+            _is_random(name, (*place, group, index), scattering, numbers, findings)
+
+
+def _read_dependence(
+    tables: Sequence[Dependence], random: Sequence[str], fixed: Mapping[str, Place], findings: Findings
+) -> tuple[Dependence, ...]:
+    """The dependences between random variables, checked one by one and then together.
+
+    `random` are the names that scatter, in order; `fixed` the other numbers of the study, with their places.
+    """
+    if len(tables) > MOST_DEPENDENCES:
+        findings.add(("dependence",), f"found {len(tables)} dependences, at most {MOST_DEPENDENCES} are allowed")
+        return ()
+    usable = True
+    for index, table in enumerate(tables):
+        place: Place = ("dependence", index)
+        for at, name in enumerate(table.of):
+            usable &= _is_random(name, (*place, "of", at), random, fixed, findings)
+        _check_strength(table, place, findings)
+        usable &= findings.clean(place)
+    if usable:
+        _check_together(tables, random, findings)
+    return tuple(tables)
+
+
+def _check_strength(table: Dependence, place: Place, findings: Findings) -> None:
+    """One rank correlation, and the degrees of freedom where they belong."""
+    if table.spearman is not None and table.kendall is not None:
+        findings.add((*place, "kendall"), "spearman is given too: one of them says how strong the dependence is")
+    sound = findings.clean((*place, "spearman")) and findings.clean((*place, "kendall"))
+    if table.spearman is None and table.kendall is None and sound:
+        findings.add(
+            (*place, "spearman"),
+            "spearman is missing: add a rank correlation between -1 and 1, or kendall in its place",
+        )
+    if not findings.clean((*place, "copula")):
+        return
+    if table.copula == "student_t" and table.dof is None and findings.clean((*place, "dof")):
+        findings.add((*place, "dof"), "dof is missing: a Student t copula needs its degrees of freedom, 4 say")
+    elif table.copula != "student_t" and table.dof is not None:
+        findings.add((*place, "dof"), f'dof belongs to copula = "student_t", the copula here is {shown(table.copula)}')
+
+
+def _check_together(tables: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
+    """Refuse the first dependence that contradicts those before it."""
+    from uqsphere.uq.joint import make_inputs
+
+    # Only the names that are tied matter, and a study can have many more.
+    tied = [name for name in random if any(name in table.of for table in tables)]
+    ties = [tie_of(table) for table in tables]
+    unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
+    for count in range(1, len(ties) + 1):
+        try:
+            make_inputs(tied, [unit] * len(tied), ties[:count])
+        except LawError as error:
+            key = error.key
+            if key == "spearman" and ties[count - 1].spearman is None:
+                key = "kendall"
+            findings.add(("dependence", count - 1, *((key,) if key else ())), error.message)
+            return

@@ -1,26 +1,36 @@
-"""The scene of a study: sphere, bars, striker and pulse as numbers in SI, with defaults from the library."""
+"""The scene of a study: sphere, bars, striker and pulse as numbers in SI, with defaults from the library, and whether
+they go together."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.materials import KINDS, library
-from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse
+from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.document import Document, PulseTable
+from uqsphere.study.columns import inside_folder, read_column
+from uqsphere.study.document import MOST_GAUGES, SCENE, BarsTable, Document, Gauge, ModelChoice, PulseTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.numbers import BAR_ENDS, Reading, read_number
-from uqsphere.study.record import RECORD_KEYS, read_record
-from uqsphere.study.study import Source
-from uqsphere.uq.law import Law
+from uqsphere.study.numbers import BAR_ENDS, Reading, plain_quantity, read_number
+from uqsphere.study.study import EndImpedance, Source
+from uqsphere.uq.law import Law, make_law
 
-__all__ = ["PULSE_KEYS", "Scene", "read_scene"]
+if TYPE_CHECKING:
+    from uqsphere.records.pulse import Bar
+    from uqsphere.records.record import Wiring
 
-SECTIONS: Final = ("sphere", "bars", "striker", "pulse", "product")
+__all__ = ["DAMPER_COLUMNS", "PULSE_KEYS", "Scene", "check_scene", "read_damper", "read_gauges", "read_scene"]
 
+#: keys of a measured pulse beside its file
+_RECORD: Final = (
+    "columns", "time_unit", "unit", "gauge_factor", "excitation", "amplification", "active_arms", "polarity", "window",
+    "correct_dispersion", "gauge_distance", "gain", "noise",
+)  # fmt: skip
 #: pulse shape -> (keys it needs, keys it can have beside)
 PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "rectangular": ((), ("duration",)),
@@ -29,11 +39,26 @@ PULSE_KEYS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "half_sine": ((), ("duration",)),
     "two_peak": (("t1", "level1", "t2", "level2"), ("duration", "valley")),
     "step": ((), ()),
-    "measured": RECORD_KEYS,
+    "measured": (("file",), _RECORD),
 }
-
 #: level of a two-peak pulse half-way between its peaks, over the lower peak
 DEFAULT_VALLEY: Final = 0.75
+#: noise of a mode over the peak that deserves to be an input
+_NOTABLE: Final = 0.005
+#: frequency [Hz], impedance [kg/s] with the time factor exp(+i 2 pi f t)
+DAMPER_COLUMNS: Final = ("frequency", "impedance_real", "impedance_imag")
+#: two lengths that are meant to be equal differ by rounding alone
+_ROUNDING: Final = 1.0 + 1e-9
+_EXAMPLES: Final = {
+    "sphere": {"E": '"52 GPa"', "nu": "0.25", "density": '"2650 kg/m3"'},
+    "bars": {"E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"'},
+}
+#: what a library gives to each table, and which of its materials
+_GIVES: Final = {
+    "sphere": ("sphere", ("E", "nu", "density")),
+    "bars": ("bars", ("E", "nu", "density", "yield_strength")),
+    "striker": ("bars", ("E", "density")),
+}
 
 
 @dataclass(kw_only=True)
@@ -53,11 +78,27 @@ class Scene:
 
 
 def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, folder: Path) -> Scene:
-    """Scene of the tables [sphere], [bars], [striker] and [pulse]; whatever is missing or faulty is noted."""
+    """Scene of the tables [sphere], [bars], [striker], [pulse] and [product]; what is missing or faulty is noted."""
     scene = Scene()
-    # Random inputs keep the order of the file: that of the tables, then that of the keys.
+    _read_numbers(document, data, scene, findings, folder)
+    measured = document.pulse is not None and document.pulse.shape == "measured"
+    for section in ("sphere", "bars", "striker"):
+        optional = section == "striker" and measured
+        if getattr(document, section) is None and not optional and not findings.touched((section,)):
+            findings.add((section,), f"the table [{section}] is missing")
+        _fill_from_library(document, section, scene, findings)
+    _read_bars(document.bars, scene, findings)
+    given = data.get("pulse")
+    pulse = document.pulse or PulseTable()
+    _read_pulse(pulse, isinstance(given, Mapping) and "shape" in given, scene, findings, folder)
+    _check_striker(document, scene, findings)
+    return scene
+
+
+def _read_numbers(document: Document, data: Mapping[str, Any], scene: Scene, findings: Findings, folder: Path) -> None:
+    """The numbers that the file gives, in its order: that of the tables, then that of the keys."""
     for section in data:
-        table = getattr(document, section, None) if section in SECTIONS else None
+        table = getattr(document, section) if section in SCENE else None
         if table is None or not isinstance(data[section], Mapping):
             continue
         for key in data[section]:
@@ -67,31 +108,21 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
                 if reading is not None:
                     scene.readings[name] = reading
                     _warn_of_odd(name, reading, findings)
-    for section in ("sphere", "bars", "striker"):
-        measured = section == "striker" and document.pulse is not None and document.pulse.shape == "measured"
-        if getattr(document, section) is None and not measured and not findings.touched((section,)):
-            findings.add((section,), f"the table [{section}] is missing")
-    _fill_from_library(document, scene, findings)
-    _fill_striker(document, scene, findings)
-    _read_bars(document, scene, findings)
-    _read_pulse(document.pulse or PulseTable(), scene, findings, folder)
-    if document.sphere is not None:
-        _require(scene, findings, "sphere.radius", '"10 mm"')
-    if document.product is not None:
-        _require(scene, findings, "product.A", '"55 %"')
-        _require(scene, findings, "product.b", '"0.8 t/kWh"')
-    if scene.options.get("pulse.shape") == "measured":
+
+
+def _check_striker(document: Document, scene: Scene, findings: Findings) -> None:
+    """A striker has a speed, and a length where the pulse follows from it; a record stands for both."""
+    shape = scene.options.get("pulse.shape")
+    if shape == "measured":
         for name in ("striker.speed", "striker.length"):
             if scene.readings.pop(name, None) is not None:
-                findings.add(
-                    tuple(name.split(".")), "the record says what the striker did: leave it out, or use pulse.gain"
-                )
+                said = "the record says what the striker did: leave it out, or use pulse.gain"
+                findings.add(tuple(name.split(".")), said)
     elif document.striker is not None:
         _require(scene, findings, "striker.speed", '"0.5 m/s"')
-        needs_length = scene.options.get("pulse.shape") not in (None, "step") and "pulse.duration" not in scene.readings
+        needs_length = shape not in (None, "step") and "pulse.duration" not in scene.readings
         if needs_length and not findings.touched(("pulse", "duration")):
             _require(scene, findings, "striker.length", '"0.8 m"', ": it sets the duration of the pulse")
-    return scene
 
 
 def _warn_of_odd(name: str, reading: Reading, findings: Findings) -> None:
@@ -110,74 +141,39 @@ def _require(scene: Scene, findings: Findings, name: str, example: str, why: str
         findings.add(place, f"{key} is missing ({said}): add {key} = {example}")
 
 
-def _fill_from_library(document: Document, scene: Scene, findings: Findings) -> None:
-    for kind, keys in (
-        ("sphere", ("E", "nu", "density")),
-        ("bars", ("E", "nu", "density", "yield_strength")),
-    ):
-        table = getattr(document, kind)
-        if table is None:
-            continue
-        name = table.material
-        known = library()[kind]
-        if name is None:
-            if not findings.touched((kind, "material")):
-                for key in keys[:3]:
-                    _require(
-                        scene,
-                        findings,
-                        f"{kind}.{key}",
-                        _EXAMPLES[kind][key],
-                        ', or a material = "…" to take it from',
-                    )
-            continue
-        if name not in known:
-            elsewhere = next((other for other in KINDS if name in library()[other]), None)
-            near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
-            findings.add((kind, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
-            continue
-        scene.materials[kind] = name
-        for key in keys:
-            found = known[name].properties.get(key)
-            path = f"{kind}.{key}"
-            if found is not None and path not in scene.readings and findings.clean((kind, key)):
-                scene.readings[path] = Reading(value=found.value)
-                scene.sources[path] = Source(text=found.source, seen=found.seen)
-
-
-def _fill_striker(document: Document, scene: Scene, findings: Findings) -> None:
-    """A striker of a material of its own; what it lacks is that of the bars."""
-    name = None if document.striker is None else document.striker.material
+def _fill_from_library(document: Document, section: str, scene: Scene, findings: Findings) -> None:
+    """The numbers of a table that its material gives and the file does not."""
+    table = getattr(document, section)
+    if table is None:
+        return
+    kind, keys = _GIVES[section]
+    known = library()[kind]
+    name = table.material
     if name is None:
+        if section in _EXAMPLES and not findings.touched((section, "material")):
+            for key, example in _EXAMPLES[section].items():
+                _require(scene, findings, f"{section}.{key}", example, ', or a material = "…" to take it from')
         return
-    known = library()["bars"]
     if name not in known:
-        found = f"unknown material {shown(name)}, known for bars: {one_of(known)}{suggestion(name, known)}"
-        findings.add(("striker", "material"), found)
+        elsewhere = next((other for other in KINDS if name in library()[other]), None)
+        near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
+        findings.add((section, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
         return
-    scene.materials["striker"] = name
-    for key in ("E", "density"):
-        path, value = f"striker.{key}", known[name].properties[key]
-        if path not in scene.readings and findings.clean(("striker", key)):
-            scene.readings[path] = Reading(value=value.value)
-            scene.sources[path] = Source(text=value.source, seen=value.seen)
+    scene.materials[section] = name
+    for key in keys:
+        found = known[name].properties.get(key)
+        path = f"{section}.{key}"
+        if found is not None and path not in scene.readings and findings.clean((section, key)):
+            scene.readings[path] = Reading(value=found.value)
+            scene.sources[path] = Source(text=found.source, seen=found.seen)
 
 
-_EXAMPLES: Final = {
-    "sphere": {"E": '"52 GPa"', "nu": "0.25", "density": '"2650 kg/m3"'},
-    "bars": {"E": '"210 GPa"', "nu": "0.3", "density": '"7850 kg/m3"'},
-}
-
-
-def _read_bars(document: Document, scene: Scene, findings: Findings) -> None:
-    bars = document.bars
+def _read_bars(bars: BarsTable | None, scene: Scene, findings: Findings) -> None:
     if bars is None:
         return
-    infinite = bars.infinite
-    scene.options["bars.infinite"] = infinite
+    scene.options["bars.infinite"] = bars.infinite
     scene.options["bars.rigid_contact"] = bars.rigid_contact
-    _require(scene, findings, "bars.diameter", '"40 mm"')
-    if not infinite and findings.clean(("bars", "infinite")):
+    if not bars.infinite and findings.clean(("bars", "infinite")):
         for key in ("incident_length", "receiving_length"):
             _require(scene, findings, f"bars.{key}", '"1.5 m"', ", finite unless infinite = true")
     for key, word in (("incident_end", "free"), ("receiving_end", "absorbing")):
@@ -185,37 +181,28 @@ def _read_bars(document: Document, scene: Scene, findings: Findings) -> None:
             scene.readings.setdefault(f"bars.{key}", Reading(value=BAR_ENDS[word]))
 
 
-def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> None:
-    shape: str = pulse.shape
-    if not findings.clean(("pulse", "shape")):
+# --- the pulse --------------------------------------------------------------------------------------
+
+
+def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Findings, folder: Path) -> None:
+    """Shape and numbers of the pulse; `shaped`: the file names the shape."""
+    shape = pulse.shape
+    if not findings.clean(("pulse", "shape")) or not findings.clean(("pulse", "preset")):
         return
     if pulse.preset is not None:
-        if pulse.preset not in PRESETS:
-            near = suggestion(pulse.preset, PRESETS)
-            findings.add(("pulse", "preset"), f"found {shown(pulse.preset)}, allowed: {one_of(PRESETS)}{near}")
-            return
         named, numbers = PRESETS[pulse.preset]
-        if "shape" in pulse.model_fields_set and shape != named:
-            findings.add(
-                ("pulse", "shape"), f'the preset "{pulse.preset}" is a {named} pulse: leave shape or preset out'
-            )
+        if shaped and shape != named:
+            said = f'the preset "{pulse.preset}" is a {named} pulse: leave shape or preset out'
+            findings.add(("pulse", "shape"), said)
             return
         shape = named
         for key, value in numbers.items():
             if findings.clean(("pulse", key)):
                 scene.readings.setdefault(f"pulse.{key}", Reading(value=value))
     scene.options["pulse.shape"] = shape
-    needed, optional = PULSE_KEYS[shape]
-    takes = one_of([*needed, *optional]) if needed or optional else "no further key"
-    for key in PulseTable.model_fields:
-        given = getattr(pulse, key) is not None and key not in ("shape", "preset")
-        if given and key not in (*needed, *optional):
-            findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
-            scene.readings.pop(f"pulse.{key}", None)
-        elif key in needed and shape != "measured":
-            _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
+    _check_keys(pulse, shape, scene, findings)
     if shape == "measured":
-        scene.record = read_record(pulse, scene, findings, folder)
+        scene.record = _read_record(pulse, scene, findings, folder)
         return
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in scene.readings), None)
     if own is not None and shape not in STRIKER_SHAPES:
@@ -226,3 +213,300 @@ def _read_pulse(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pat
     fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]
     if shape == "two_peak" and len(fixed) == 2 and pulse.valley is None:
         scene.readings["pulse.valley"] = Reading(value=DEFAULT_VALLEY * min(fixed))
+
+
+def _check_keys(pulse: PulseTable, shape: str, scene: Scene, findings: Findings) -> None:
+    """Every shape has keys of its own."""
+    needed, optional = PULSE_KEYS[shape]
+    takes = one_of([*needed, *optional]) if needed or optional else "no further key"
+    for key, value in vars(pulse).items():
+        if key in ("shape", "preset") or key.startswith("_"):
+            continue
+        if value not in (None, ()) and key not in (*needed, *optional):
+            findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
+            scene.readings.pop(f"pulse.{key}", None)
+        elif key in needed and shape != "measured":
+            _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
+
+
+def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> MeasuredPulse | None:
+    """The pulse of the file that [pulse] names; None, with the faults noted, where there is none.
+
+    With ``noise = true`` the modes of the record's noise become random inputs of `scene`.
+    """
+    place: Place = ("pulse", "file")
+    bar, distance = _bar(pulse, scene, findings)
+    if pulse.file is None:
+        if findings.clean(place):
+            findings.add(place, 'file is missing (the record): add file = "pulse.csv"')
+        return None
+    path = inside_folder(pulse.file, place, findings, folder)
+    faulty = not all(findings.clean(("pulse", key)) for key in ("file", *_RECORD[:-2]))
+    if path is None or faulty or (pulse.correct_dispersion and bar is None):
+        return None
+    from uqsphere.records.pulse import measured_pulse
+    from uqsphere.records.record import RecordError
+
+    begin, end = pulse.window or (None, None)
+    try:
+        found = measured_pulse(path, wiring=_wiring(pulse), columns=pulse.columns, bar=bar, distance=distance,
+                               begin=begin, end=end, polarity=pulse.polarity or "auto")  # fmt: skip
+    except RecordError as error:
+        findings.add(place, str(error))
+        return None
+    for note in found.notes:
+        findings.warn(place, f"{shown(pulse.file)}: {note}")
+    if pulse.noise:
+        for name in noise_names() if found.noise > 0.0 else ():
+            given = {"mean": 0.0, "sd": 1.0}
+            scene.readings[name] = Reading(value=make_law("normal", given), given=given)
+        if not found.noise:
+            findings.warn(("pulse", "noise"), "the record has no noise at rest, so that none can be taken into account")
+    elif found.noise > _NOTABLE:
+        findings.warn(place, f"noise moves the pulse by {found.noise:.2g} of its peak: noise = true makes it an input")
+    return found
+
+
+def _wiring(pulse: PulseTable) -> Wiring:
+    """How the signal of the record becomes strain."""
+    from uqsphere.records.record import Wiring
+
+    usual: dict[str, Any] = {"unit": "", "time_unit": "", "excitation": 0.0, "gauge_factor": 2.0, "amplification": 1.0,
+             "active_arms": 1.0}  # fmt: skip
+    given = {key: getattr(pulse, key) for key in usual}
+    return Wiring(**{key: usual[key] if value is None else value for key, value in given.items()})
+
+
+def _bar(pulse: PulseTable, scene: Scene, findings: Findings) -> tuple[Bar | None, float]:
+    """The bar, at its means, and the distance over which dispersion is to be corrected."""
+    from uqsphere.records.pulse import Bar
+
+    distance = pulse.gauge_distance or 0.0
+    length = scene.mean("bars.incident_length")
+    if length is not None and distance > length:
+        found = format_value(distance, "bars.incident_length")
+        findings.add(("pulse", "gauge_distance"), f"found {found}: the gauge must sit on the incident bar")
+        return None, 0.0
+    if not pulse.correct_dispersion:
+        return None, 0.0
+    if pulse.gauge_distance is None:
+        if findings.clean(("pulse", "gauge_distance")):
+            findings.add(
+                ("pulse", "correct_dispersion"),
+                'the distance from gauge to sphere is needed for it: add gauge_distance = "0.75 m"',
+            )
+        return None, 0.0
+    numbers = [scene.mean(f"bars.{key}") for key in ("diameter", "E", "density", "nu")]
+    diameter, stiffness, density, nu = numbers
+    if diameter is None or stiffness is None or density is None or nu is None:
+        return None, 0.0  # said elsewhere
+    if not 0.0 <= nu < 0.5:
+        findings.add(("bars", "nu"), f"found {nu:g}: dispersion is known for ratios from 0 to below 0.5")
+        return None, 0.0
+    return Bar(radius=0.5 * diameter, wave_speed=math.sqrt(stiffness / density), nu=nu), distance
+
+
+# --- what history alone follows: a damper, gauges --------------------------------------------------------
+
+
+def read_damper(bars: BarsTable | None, findings: Findings, folder: Path) -> EndImpedance | None:
+    """The damper of a study, if it has one; what is missing or cannot be is noted."""
+    name = None if bars is None else bars.receiving_damper
+    if bars is None or name is None:
+        return None
+    place: Place = ("bars", "receiving_damper")
+    if bars.infinite:
+        findings.add(place, "infinite bars have no far end: leave infinite or receiving_damper out")
+        return None
+    if bars.receiving_end is not None:
+        findings.add(place, "the far end is given twice: leave receiving_end or receiving_damper out")
+        return None
+    columns = []
+    for column in DAMPER_COLUMNS:
+        values = read_column({"file": name, "column": column}, place, plain_quantity(column), findings, folder)
+        if not values:
+            return None
+        columns.append(values)
+    frequency, real, imaginary = columns
+    if frequency[0] <= 0.0 or any(after <= before for before, after in pairwise(frequency)):
+        findings.add(place, f"the frequencies in {shown(name)} must be positive and ascend")
+        return None
+    if min(real) < 0.0:
+        findings.add(
+            place, f"found {min(real):g} in impedance_real of {shown(name)}: below 0 the end would feed the bar"
+        )
+        return None
+    findings.warn(place, "followed by history alone; a run takes a number: receiving_end in place of receiving_damper")
+    return EndImpedance(frequency=frequency, real=real, imaginary=imaginary)
+
+
+def read_gauges(tables: tuple[Gauge, ...], scene: Scene, findings: Findings) -> tuple[Gauge, ...]:
+    """The gauges of a scene; a bar that is too short for its gauge is noted."""
+    if len(tables) > MOST_GAUGES:
+        findings.add(("gauges",), f"found {len(tables)} gauges, at most {MOST_GAUGES} are allowed")
+        return ()
+    found: list[Gauge] = []
+    for index, gauge in enumerate(tables):
+        place: Place = ("gauges", index)
+        if not findings.clean(place):
+            continue
+        length = scene.mean(f"bars.{gauge.bar}_length")
+        if length is not None and gauge.position > length:
+            findings.add(
+                (*place, "position"),
+                f"found {format_value(gauge.position, 'bars.incident_length')}, beyond the far end of the {gauge.bar} "
+                f"bar of {format_value(length, f'bars.{gauge.bar}_length')}: the distance counts from the sphere",
+            )
+        elif gauge in found:
+            findings.add(place, f"a gauge on the {gauge.bar} bar at this place is named twice")
+        else:
+            found.append(gauge)
+    return tuple(found)
+
+
+# --- whether the numbers go together ----------------------------------------------------------------
+
+
+def check_scene(scene: Scene, model: ModelChoice | None, findings: Findings) -> None:
+    """Note every contradiction between the numbers of the scene, the random ones taken at their nominal mean."""
+    for check in _CHECKS:
+        check(scene, findings)
+    _check_step(scene, model, findings)
+
+
+def pulse_duration(scene: Scene) -> float | None:
+    """t_i [s]: the pulse's own duration, or 2 l_0/c_0 of the striker; infinite for a step."""
+    if scene.options.get("pulse.shape") == "step":
+        return math.inf
+    if scene.record is not None:
+        return scene.record.duration
+    if (own := scene.mean("pulse.duration")) is not None:
+        return own
+    length, speed = scene.mean("striker.length"), _wave_speed(scene, "striker")
+    return None if length is None or speed is None else 2.0 * length / speed
+
+
+def striker_ratio(scene: Scene) -> float | None:
+    """Impedance of the striker over that of the bars; None where it is a piece of the bars, or a number is missing."""
+    if all(f"striker.{key}" not in scene.readings for key in ("E", "density", "diameter")):
+        return None
+    product = 1.0
+    for key, power in (("E", 0.5), ("density", 0.5), ("diameter", 2.0)):
+        bars = scene.mean(f"bars.{key}")
+        own = scene.mean(f"striker.{key}") if f"striker.{key}" in scene.readings else bars
+        if own is None or bars is None:
+            return None
+        product *= (own / bars) ** power
+    return product
+
+
+def _wave_speed(scene: Scene, part: str = "bars") -> float | None:
+    def own(key: str) -> float | None:
+        return scene.mean(f"{part}.{key}") if f"{part}.{key}" in scene.readings else scene.mean(f"bars.{key}")
+
+    stiffness, density = own("E"), own("density")
+    return None if stiffness is None or density is None else math.sqrt(stiffness / density)
+
+
+def _check_size(scene: Scene, findings: Findings) -> None:
+    radius, diameter = scene.mean("sphere.radius"), scene.mean("bars.diameter")
+    if radius is not None and diameter is not None and 2.0 * radius > diameter * _ROUNDING:
+        findings.add(
+            ("sphere", "radius"),
+            f"the sphere, 2 x {format_value(radius, 'sphere.radius')} across, is larger than its bars of "
+            f"{format_value(diameter, 'bars.diameter')}: take a smaller sphere or thicker bars",
+        )
+
+
+def _check_trapezoid(scene: Scene, findings: Findings) -> None:
+    rise, fall, width = scene.mean("pulse.rise"), scene.mean("pulse.fall"), pulse_duration(scene)
+    if scene.options.get("pulse.shape") == "ramp":
+        fall = 0.0
+    if scene.options.get("pulse.shape") not in ("trapezoid", "ramp") or rise is None or fall is None or width is None:
+        return
+    if 0.5 * (rise + fall) > width * _ROUNDING:
+        findings.add(
+            ("pulse", "rise"),
+            f"half of rise and fall, {format_value(0.5 * (rise + fall), 'pulse.rise')}, exceeds the width "
+            "of the pulse, "
+            f"{format_value(width, 'pulse.duration')}: shorten them, or lengthen the striker",
+        )
+
+
+def _check_two_peak(scene: Scene, findings: Findings) -> None:
+    first, second, end = scene.mean("pulse.t1"), scene.mean("pulse.t2"), pulse_duration(scene)
+    if scene.options.get("pulse.shape") != "two_peak" or first is None or second is None:
+        return
+    if first >= second:
+        findings.add(
+            ("pulse", "t2"),
+            f"found t1 = {format_value(first, 'pulse.t1')} and t2 = {format_value(second, 'pulse.t2')}: "
+            "the first peak must come before the second",
+        )
+    elif end is not None and second >= end:
+        findings.add(
+            ("pulse", "t2"),
+            f"the second peak, at {format_value(second, 'pulse.t2')}, must come before the end of the pulse "
+            "at "
+            f"{format_value(end, 'pulse.duration')}: give a longer duration",
+        )
+
+
+def _open_ended(scene: Scene) -> bool:
+    """Whether nothing returns from the far end of the incident bar."""
+    end = scene.readings.get("bars.incident_end")
+    absorbing = end is not None and not isinstance(end.value, Law) and end.value == 0.0
+    return scene.options.get("bars.infinite") is True or absorbing or end is None
+
+
+def _check_round_trip(scene: Scene, findings: Findings) -> None:
+    width, length, speed = pulse_duration(scene), scene.mean("bars.incident_length"), _wave_speed(scene)
+    if width is None or length is None or speed is None or math.isinf(width) or _open_ended(scene):
+        return
+    if not findings.clean(("pulse",)):
+        return
+    ratio = striker_ratio(scene)
+    if ratio is not None:
+        levels, complete = striker_steps(ratio)
+        if not complete[0]:
+            found = f"the striker's impedance is {ratio:.3g} times that of the bars, at most 9 is allowed"
+            findings.add(("striker",), f"{found}: take a thinner or lighter striker")
+            return
+        width *= levels.shape[1]
+    if scene.options.get("pulse.shape") in ("trapezoid", "ramp"):
+        width += 0.5 * ((scene.mean("pulse.rise") or 0.0) + (scene.mean("pulse.fall") or 0.0))
+    trip = 2.0 * length / speed
+    if width > trip * _ROUNDING:
+        place = ("pulse", "duration") if "pulse.duration" in scene.readings else ("striker", "length")
+        place = place if scene.record is None else ("pulse", "file")
+        findings.add(
+            place,
+            f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "
+            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect "
+            "before the "
+            'striker has left it: shorten the pulse, lengthen the bar, or set incident_end = "absorbing"',
+        )
+
+
+def _check_step(scene: Scene, model: ModelChoice | None, findings: Findings) -> None:
+    if scene.options.get("pulse.shape") != "step":
+        return
+    if model is not None and model.horizon is None and findings.clean(("model", "horizon")):
+        findings.add(
+            ("model", "horizon"),
+            'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]',
+        )
+    if not _open_ended(scene) and "bars.incident_length" in scene.readings:
+        findings.add(
+            ("pulse", "shape"),
+            "a step pulse is longer than any round trip of the incident bar: set bars.infinite = true or "
+            'incident_end = "absorbing"',
+        )
+
+
+_CHECKS: Final[tuple[Callable[[Scene, Findings], None], ...]] = (
+    _check_size,
+    _check_trapezoid,
+    _check_two_peak,
+    _check_round_trip,
+)

@@ -8,13 +8,15 @@ makes the demand out of them: what it was at the failure is the strength of that
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.materials import library
+from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.criteria import demand as demand_of
 from uqsphere.quantities import UNITS, Quantity, UnitError, parse_value
 from uqsphere.study.columns import Rows, column_values, open_table, read_flags, unit_factor
-from uqsphere.study.criterion import CriterionReading
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-__all__ = ["is_sphere_tests", "read_sphere_tests"]
+__all__ = ["Demand", "is_sphere_tests", "read_sphere_tests"]
 
 _KEYS: Final = (
     "dist", "file", "force", "force_unit", "diameter", "diameter_unit", "rate", "rate_unit", "censored", "platens",
@@ -42,6 +44,15 @@ _COLUMNS: Final = {
 _PLAIN: Final = ("p_max", "first_peak", "P_max", "energy", "specific_energy", "edge_tension", "alpha_max", "a_max")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Demand:
+    """What a limit holds against its strength: a quantity, or a criterion with its parameters by a name of its own."""
+
+    quantity: str
+    criterion: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
 def is_sphere_tests(raw: object) -> bool:
     """Whether a strength is written as tests that give a force."""
     return isinstance(raw, Mapping) and raw.get("dist") == "empirical" and "force" in raw
@@ -50,20 +61,19 @@ def is_sphere_tests(raw: object) -> bool:
 def read_sphere_tests(
     raw: Mapping[str, Any],
     place: Place,
-    quantity: str,
-    criterion: CriterionReading | None,
+    demand: Demand,
     scene: Scene,
     findings: Findings,
     folder: Path,
 ) -> Reading | None:
-    """The law of the strength against `quantity`; None, with the faults noted, where there is none."""
+    """The law of the strength against a demand; None, with the faults noted, where there is none."""
     before = len(findings.faults)
     for key in raw:
         if key not in _KEYS:
             near = suggestion(key, _KEYS) or f"; tests on spheres take {one_of(_KEYS[1:])}"
             findings.add((*place, key), f"unknown key {shown(key)}{near}")
-    if not _convertible(quantity, criterion):
-        findings.add((*place, "force"), f"a force at failure says nothing of {quantity}")
+    if not _convertible(demand):
+        findings.add((*place, "force"), f"a force at failure says nothing of {demand.quantity}")
     file = raw.get("file")
     if not isinstance(file, str) or not file:
         findings.add(place, 'tests need file = "tests.csv"')
@@ -82,7 +92,7 @@ def read_sphere_tests(
         return None
     stiff = {key: float(value) for key, value in sphere.items() if value is not None}
     try:
-        law = _law(raw, columns, flags, stiff, platens, quantity, criterion)
+        law = _law(raw, columns, flags, stiff, platens, demand)
     except LawError as error:
         key = "force" if error.key in ("column", "file") else error.key
         findings.add((*place, key) if key in raw else place, error.message)
@@ -93,11 +103,9 @@ def read_sphere_tests(
     return Reading(value=law)
 
 
-def _convertible(quantity: str, criterion: CriterionReading | None) -> bool:
-    from uqsphere.mechanics.criteria import CRITERIA
-
-    own = criterion is not None and criterion.criterion is not None
-    return own or quantity in _PLAIN or any(entry.quantity == quantity for entry in CRITERIA.values())
+def _convertible(demand: Demand) -> bool:
+    plain = (*_PLAIN, *(entry.quantity for entry in CRITERIA.values()))
+    return demand.criterion is not None or demand.quantity in plain
 
 
 def _columns(
@@ -168,8 +176,7 @@ def _law(
     flags: tuple[bool, ...] | None,
     sphere: Mapping[str, float],
     platens: tuple[float, float],
-    quantity: str,
-    criterion: CriterionReading | None,
+    demand: Demand,
 ) -> Law:
     """Raises LawError, ValueError."""
     import numpy as np
@@ -179,11 +186,12 @@ def _law(
     fit, unbiased = raw.get("fit", "weibull"), raw.get("unbiased", False)
 
     def fitted(parameters: Mapping[str, float]) -> Law:
-        values = _strengths(state, quantity, criterion, parameters)
+        values = _strengths(state, demand, parameters)
         return make_law("empirical", {}, None, None, values[~stopped].tolist(), fit, values[stopped].tolist(), unbiased)
 
-    parameters = {} if criterion is None else dict(criterion.parameters)
-    if criterion is None or criterion.criterion is None or "modulus" in parameters or not _needs_modulus(criterion):
+    parameters = dict(demand.parameters)
+    needs = demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters
+    if not needs or "modulus" in parameters:
         return fitted(parameters)
     if fit != "weibull":
         raise LawError('the strength of a weakest link is a Weibull law: fit = "weibull" is due', "fit")
@@ -195,12 +203,6 @@ def _law(
         if abs(modulus - before) < 1e-10 * modulus:
             return law
     raise ValueError("no modulus agrees with itself: give it by the key modulus of the limit")
-
-
-def _needs_modulus(criterion: CriterionReading) -> bool:
-    from uqsphere.mechanics.criteria import CRITERIA
-
-    return criterion.criterion is not None and "modulus" in CRITERIA[criterion.criterion].parameters
 
 
 def _at_failure(
@@ -228,17 +230,13 @@ def _at_failure(
     }  # fmt: skip
 
 
-def _strengths(
-    state: Mapping[str, Any], quantity: str, criterion: CriterionReading | None, parameters: Mapping[str, float]
-) -> Array:
+def _strengths(state: Mapping[str, Any], of: Demand, parameters: Mapping[str, float]) -> Array:
     """The demand of the limit at the failure of every test, (n,)."""
     import numpy as np
 
-    from uqsphere.mechanics.criteria import CRITERIA, demand
-
-    if criterion is not None and criterion.criterion is not None:
-        return demand(CRITERIA[criterion.criterion], state, parameters)
-    if quantity in _PLAIN:
-        return np.asarray(state[quantity], dtype=float)
-    entry = next(entry for entry in CRITERIA.values() if entry.quantity == quantity)
-    return demand(entry, state)
+    if of.criterion is not None:
+        return demand_of(CRITERIA[of.criterion], state, parameters)
+    if of.quantity in _PLAIN:
+        return np.asarray(state[of.quantity], dtype=float)
+    entry = next(entry for entry in CRITERIA.values() if entry.quantity == of.quantity)
+    return demand_of(entry, state)

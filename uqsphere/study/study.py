@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
+from uqsphere.study.document import Analysis, Dependence, Gauge, ModelChoice
 from uqsphere.uq.law import Law, nominal_mean
 
 if TYPE_CHECKING:
@@ -19,19 +20,12 @@ if TYPE_CHECKING:
     from uqsphere.uq.joint import Inputs
 
 __all__ = [
-    "Accuracy",
-    "Analysis",
-    "Budget",
-    "Dependence",
     "EndImpedance",
     "Family",
-    "Gauge",
     "Limit",
     "Margins",
-    "ModelChoice",
     "Source",
     "Study",
-    "ToleranceRequest",
     "tie_of",
 ]
 
@@ -53,73 +47,6 @@ class Limit:
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Accuracy:
-    """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability "
-    "relative."""
-
-    mean: float = 0.002
-    quantile: float = 0.01
-    sobol: float = 0.01
-    probability: float = 0.05
-
-
-@dataclass(frozen=True, kw_only=True)
-class Budget:
-    """Where a run stops at the latest; `time` in seconds.
-
-    `exhaust` spends all of it on an accuracy that is out of its reach; else such an accuracy is given up.
-    """
-
-    evaluations: int = 2_000_000
-    time: float = 600.0
-    exhaust: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class ToleranceRequest:
-    """Distribution-free limits from independent runs: the share that they hold, with which confidence."""
-
-    coverage: float
-    confidence: float
-    runs: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """What is asked, how precisely, and at what cost.
-
-    `cost` is what one evaluation of a black box takes, in seconds; None: it is measured.
-    `second_order` asks for the indices of all pairs of inputs, `groups` for those of inputs taken together, by a
-    name of the user's.  `rows_per_call` rows go into one call of a black box, by their number if None; `time_limit`
-    [s] ends an evaluation of a black box, none if None.
-    """
-
-    quantities: tuple[str, ...]
-    accuracy: Accuracy = field(default_factory=Accuracy)
-    budget: Budget = field(default_factory=Budget)
-    quantiles: tuple[float, ...] = (0.01, 0.05, 0.5, 0.95, 0.99)
-    methods: tuple[str, ...] = ("auto",)
-    cost: float | None = None
-    on_failure: str = "abort"
-    second_order: bool = False
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    tolerance_intervals: ToleranceRequest | None = None
-    rows_per_call: int | None = None
-    time_limit: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelChoice:
-    """Which mechanics, and how precisely; `horizon` in seconds."""
-
-    fidelity: str = "auto"
-    tolerance: float = 1e-6
-    first_loading_only: bool = False
-    horizon: float | None = None
-    compare_with_paper: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,31 +73,12 @@ class Family:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dependence:
-    """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a Student t copula."""
-
-    of: tuple[str, ...]
-    spearman: float | None = None
-    copula: str = "gaussian"
-    kendall: float | None = None
-    dof: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
 class EndImpedance:
     """Impedance of a bar's far end [kg/s], real and imaginary part, over ascending frequencies [Hz]."""
 
     frequency: tuple[float, ...]
     real: tuple[float, ...]
     imaginary: tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gauge:
-    """A strain gauge: bar `incident` or `receiving`, and its distance from the sphere [m]."""
-
-    bar: str
-    position: float
 
 
 @dataclass(frozen=True, kw_only=True)

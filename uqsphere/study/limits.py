@@ -1,0 +1,223 @@
+"""The limits of a study: what is held against which strength, by a quantity or by a criterion of fracture."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, PATHS, Criterion
+from uqsphere.quantities import OUTPUTS, Quantity, lookup
+from uqsphere.study.document import LimitTable
+from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.numbers import Reading, read_number
+from uqsphere.study.scene import Scene
+from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_sphere_tests
+from uqsphere.study.study import Limit
+from uqsphere.uq.law import Law
+
+__all__ = ["LimitReading", "known_quantity", "read_limits", "valid_name"]
+
+MOST_LIMITS: Final = 50
+#: pressures [Pa] that a strength is likely to be
+_STRONG: Final = (1e4, 1e12)
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+_FACTOR: Final = Quantity(
+    name="model_factor", symbol="f", dimension="number", meaning="the model factor", plausible=(0.5, 2.0)
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitReading:
+    """A limit with its parts as understood; None where a part is faulty."""
+
+    name: str
+    table: LimitTable
+    demand: Demand | None = None
+    strength: Reading | None = None
+    model_factor: Reading | None = None
+
+    @property
+    def quantity(self) -> str | None:
+        """The quantity that is held against the strength."""
+        return None if self.demand is None else self.demand.quantity
+
+    @property
+    def parts(self) -> dict[str, Reading | None]:
+        """The numbers that can be random, by the names they go by."""
+        return {
+            f"limits.{self.name}.strength": self.strength,
+            f"limits.{self.name}.model_factor": self.model_factor,
+        }
+
+    def limit(self) -> Limit | None:
+        """The noun, if every part is there."""
+        if self.demand is None or self.strength is None or self.model_factor is None:
+            return None
+        return Limit(
+            name=self.name,
+            criterion=self.demand.criterion,
+            parameters=self.demand.parameters,
+            quantity=self.demand.quantity,
+            strength=self.strength.value,
+            aim=self.table.aim,
+            model_factor=self.model_factor.value,
+            target=self.table.target,
+            fracture=self.table.fracture,
+        )
+
+
+def valid_name(name: str) -> bool:
+    """Whether a name of the user's can stand in tables, figures and file names."""
+    return _NAME.fullmatch(name) is not None
+
+
+def read_limits(
+    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, folder: Path, scene: Scene
+) -> list[LimitReading]:
+    """The limits; `outputs` are the names of a black box (None: those of the impact model)."""
+    if len(tables) > MOST_LIMITS:
+        findings.add(("limits",), f"found {len(tables)} limits, at most {MOST_LIMITS} are allowed")
+        return []
+    found: list[LimitReading] = []
+    for name, table in tables.items():
+        place: Place = ("limits", name)
+        if not valid_name(name):
+            findings.add(place, "a name takes up to 64 letters, digits, _ and -, and begins with a letter")
+            continue
+        if table.criterion is None:
+            demand = _plain_demand(table, place, outputs, findings)
+        else:
+            demand = _criterion_demand(table, name, outputs is not None, findings)
+        strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings, folder)
+        if demand is not None:
+            demand = _with_modulus_of(strength, demand, name, findings)
+        factor = None
+        if table.model_factor is not None:
+            factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder)
+        elif findings.clean((*place, "model_factor")):
+            factor = Reading(value=1.0)
+        quantity = None if demand is None else demand.quantity
+        if table.fracture and quantity is not None and table.criterion is None and quantity not in PATHS:
+            due = f"fracture = true is for a criterion or one of {one_of(sorted(PATHS))}"
+            findings.add((*place, "fracture"), f"exceeding {quantity} breaks no sphere: {due}")
+        found.append(LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor))
+    return found
+
+
+def _read_strength(
+    table: LimitTable,
+    place: Place,
+    demand: Demand | None,
+    black_box: bool,
+    scene: Scene,
+    findings: Findings,
+    folder: Path,
+) -> Reading | None:
+    if table.strength is None:
+        return None
+    if demand is None:
+        # Without its quantity the strength has no unit to be read in: neither right nor wrong.
+        findings.spoiled.add(place)
+        return None
+    if not black_box and is_sphere_tests(table.strength):
+        return read_sphere_tests(table.strength, place, demand, scene, findings, folder)
+    entry = lookup(demand.quantity)
+    plausible = _STRONG if entry.dimension == "pressure" else (0.0, math.inf)
+    due = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=plausible, closed=False)
+    return read_number(table.strength, place, due, findings, folder)
+
+
+def _plain_demand(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> Demand | None:
+    """The demand of a limit that names a quantity."""
+    for key in PARAMETERS:
+        if getattr(table, key) is not None:
+            findings.add((*place, key), f"{key} belongs to a criterion: add criterion = … (uqsphere list criteria)")
+    if table.quantity is None:
+        if findings.clean((*place, "quantity")):
+            findings.add((*place, "quantity"), f'quantity is missing: add quantity = "{(outputs or ["p_max"])[0]}"')
+        return None
+    known = known_quantity(table.quantity, (*place, "quantity"), outputs, findings)
+    return Demand(quantity=table.quantity) if known else None
+
+
+def known_quantity(name: str, place: Place, outputs: Sequence[str] | None, findings: Findings) -> bool:
+    """Whether the model answers a quantity; noted where it does not."""
+    known = list(OUTPUTS) if outputs is None else list(outputs)
+    if name in known:
+        return True
+    if known:
+        findings.add(place, f"unknown quantity {shown(name)}, known: {one_of(known[:40])}{suggestion(name, known)}")
+    return False
+
+
+# --- criteria ---------------------------------------------------------------------------------------
+
+
+def _criterion_demand(table: LimitTable, name: str, black_box: bool, findings: Findings) -> Demand | None:
+    """The demand of a limit that names a criterion; None, with the faults noted, where it cannot be understood."""
+    place: Place = ("limits", name)
+    key = table.criterion
+    if black_box:
+        findings.add((*place, "criterion"), "a criterion belongs to the impact model: name a quantity instead")
+        return None
+    if key not in CRITERIA:
+        near = suggestion(str(key), list(CRITERIA))
+        findings.add((*place, "criterion"), f"unknown criterion {shown(key)}, known: {one_of(list(CRITERIA))}{near}")
+        return None
+    if table.quantity is not None:
+        findings.add((*place, "quantity"), "quantity and criterion both say what is compared: leave one of them out")
+        return None
+    entry = CRITERIA[key]
+    parameters = _parameters(table, entry, place, findings)
+    if parameters is None:
+        return None
+    if not parameters and entry.quantity is not None:
+        return Demand(quantity=entry.quantity)
+    return Demand(quantity=f"{key}.{name}", criterion=key, parameters=parameters)
+
+
+def _parameters(table: LimitTable, entry: Criterion, place: Place, findings: Findings) -> dict[str, float] | None:
+    takes = (*entry.parameters, *entry.optional)
+    found: dict[str, float] = {}
+    clean = True
+    for key, part in PARAMETERS.items():
+        value = getattr(table, key)
+        if value is None:
+            clean &= findings.clean((*place, key))
+            # the modulus may stand in the strength, which is read later
+            if key in entry.parameters and key != "modulus" and findings.clean((*place, key)):
+                findings.add((*place, key), f"{key} is missing: the criterion {entry.name} needs the {part.meaning}")
+                clean = False
+        elif key not in takes:
+            allowed = one_of(takes) if takes else "none"
+            findings.add((*place, key), f"the criterion {entry.name} takes no {key} (it takes: {allowed})")
+            clean = False
+        else:
+            found[key] = value
+    return found if clean else None
+
+
+def _with_modulus_of(strength: Reading | None, demand: Demand, name: str, findings: Findings) -> Demand | None:
+    """The demand with the Weibull modulus of its strength, where it needs one; they must not contradict."""
+    if demand.criterion is None or "modulus" not in CRITERIA[demand.criterion].parameters:
+        return demand
+    law = strength.value if strength is not None else None
+    own = law.parameters.get("modulus") if isinstance(law, Law) and law.kind == "weibull" else None
+    given = demand.parameters.get("modulus")
+    place: Place = ("limits", name, "modulus")
+    if own is not None and given is not None and abs(own - given) > 1e-9 * given:
+        findings.add(place, f"found {given:g}, but the strength has the modulus {own:g}: leave modulus out")
+        return None
+    modulus = given if own is None else own
+    if modulus is None:
+        if findings.clean(place) and strength is not None:
+            findings.add(place, "modulus is missing: give it here or by a strength that is a Weibull law")
+        return None
+    if own is None and strength is not None:
+        said = "the strength of a weakest link is a Weibull law of its modulus; with another the probability is not"
+        findings.warn(("limits", name), f"{said} that of the flaws")
+    return replace(demand, parameters={"modulus": float(modulus), **demand.parameters})
