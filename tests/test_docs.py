@@ -25,7 +25,7 @@ from uqsphere.mechanics.contact import centre_tension
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES
-from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
+from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.runner import campaign as stopping
 from uqsphere.runner import evaluate as work
 from uqsphere.runner import fidelity as pilot
@@ -34,6 +34,7 @@ from uqsphere.runner.questions import indices as sensitivity
 from uqsphere.study import load_study
 from uqsphere.study.document import LimitTable, PulseTable, SphereTable, declared
 from uqsphere.study.reference import with_tables
+from uqsphere.units import UNITS, units_of
 from uqsphere.uq import indices
 from uqsphere.uq.families import LAWS
 

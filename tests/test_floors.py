@@ -16,10 +16,11 @@ ROOT = Path(uqsphere.__file__).parent
 FLOORS = {
     "uqsphere.errors": 0,
     "uqsphere.arrays": 0,
-    "uqsphere.quantities": 1,
+    "uqsphere.units": 1,
     "uqsphere.files": 1,
     "uqsphere.mechanics": 2,
     "uqsphere.uq": 2,
+    "uqsphere.quantities": 3,
     "uqsphere.materials": 3,
     "uqsphere.records": 3,
     "uqsphere.black_box": 3,

@@ -14,11 +14,12 @@ import uqsphere
 from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import loading_time
-from uqsphere.mechanics.criteria import CRITERIA, demand, path_of
-from uqsphere.mechanics.criteria import Path as LoadingPath
+from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.outputs import Path as LoadingPath
+from uqsphere.mechanics.outputs import path_of
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report

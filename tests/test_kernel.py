@@ -14,7 +14,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from uqsphere.mechanics.integrator import solve as dynamics
-from uqsphere.mechanics.integrator.solve import Answers, motion, solve
+from uqsphere.mechanics.integrator.solve import motion, solve
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import UNDECIDED, Scene, answered
 
 SOLVER = 5.0

@@ -17,7 +17,6 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.mechanics.bars import wave_speed
 from uqsphere.mechanics.closed_form import loading_time
-from uqsphere.mechanics.criteria import Path as LoadingPath
 from uqsphere.mechanics.design import (
     CONSTRAINTS,
     Rig,
@@ -29,6 +28,7 @@ from uqsphere.mechanics.design import (
     usages,
 )
 from uqsphere.mechanics.history import trace
+from uqsphere.mechanics.outputs import Path as LoadingPath
 from uqsphere.mechanics.scene import Scene
 from uqsphere.planning.window import Plan, judge_points, plan_test, request_of, subject_of
 from uqsphere.study import Study, load_study

@@ -16,9 +16,9 @@ from hypothesis.extra.numpy import arrays
 
 from uqsphere.errors import FolderError, StudyError
 from uqsphere.files import array_of
-from uqsphere.quantities import UNITS, UnitError, parse_value
 from uqsphere.store import csv_text, open_store, write_json
 from uqsphere.study import load_study
+from uqsphere.units import UNITS, UnitError, parse_value
 from uqsphere.uq.describe import describe
 from uqsphere.uq.law import LawError, cdf, isf, make_law, ppf, sf
 from uqsphere.uq.limit_state import reliability_index

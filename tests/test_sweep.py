@@ -21,7 +21,8 @@ from tests.campaigns.sweep import (
     table,
     take,
 )
-from uqsphere.mechanics.integrator.solve import Answers, solve
+from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
 
 #: what both integrators answer in milliseconds

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from uqsphere.console import plain, table
 from uqsphere.errors import UsageError
-from uqsphere.quantities import UnitError, format_value, parse_value
+from uqsphere.quantities import format_value
+from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.records.inverse import Faces, Inverse

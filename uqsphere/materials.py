@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
-from uqsphere.quantities import UnitError, parse_value
+from uqsphere.units import UnitError, parse_value
 
 __all__ = [
     "KINDS",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from uqsphere.mechanics.fidelity import Fallback
-    from uqsphere.mechanics.integrator.solve import Answers
+    from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = [

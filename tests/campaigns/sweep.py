@@ -19,7 +19,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.integrator.solve import Answers, solve
+from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
 

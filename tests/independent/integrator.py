@@ -588,7 +588,8 @@ def integrate_plain(
 
     threads is accepted and not used.
     """
-    from uqsphere.mechanics.integrator.solve import MODES, Scaled, scaled_arguments, wishes
+    from uqsphere.mechanics.integrator.solve import MODES, Scaled, scaled_arguments
+    from uqsphere.mechanics.outputs import wishes
 
     status = scene.status.copy()
     rows = np.flatnonzero(status == 0)

@@ -16,9 +16,10 @@ from uqsphere.console import print_document as _document
 from uqsphere.errors import AccessError, FolderError, UsageError
 from uqsphere.experiment import command_records as command_records
 from uqsphere.planning.command import command_plan as command_plan
-from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, UnitError, format_value, lookup, parse_value, reading_units
+from uqsphere.quantities import INPUTS, OUTPUTS, format_value, lookup, reading_units
 from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
+from uqsphere.units import UNITS, UnitError, parse_value
 
 #: exit code of a finished run that misses a target
 MISSED = 3

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics.integrator.solve import Answers, to_si
+from uqsphere.mechanics.outputs import Answers, answers_of
 from uqsphere.mechanics.scene import Scene
 
 __all__ = [
@@ -243,7 +243,7 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
         theta = np.where(good, scales.pulse_number, 1.0)
         horizon = np.where(good, scene.record_end / scales.time, 1.0)
     scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
-    return to_si(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), linear=False, quantities=quantities)
+    return answers_of(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
 
 
 def largest_approach(theta: Any) -> Array:
@@ -256,12 +256,12 @@ def largest_approach(theta: Any) -> Array:
 
 
 def scaled_answers(scene: Scene) -> Array:
-    """Scaled answers (n, 10) of `dynamics.to_si` for scenes inside the domain."""
+    """Scaled answers (n, 10) of `outputs.answers_of` for scenes inside the domain."""
     return _scaled_answers(scene.scales.pulse_number, scene.record_end / scene.scales.time)
 
 
 def _scaled_answers(theta: Array, horizon: Array) -> Array:
-    """Scaled answers (n, 10) of `dynamics.to_si`: approaches, force difference, energy, times."""
+    """Scaled answers (n, 10) of `outputs.answers_of`: approaches, force difference, energy, times."""
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * _TAIL_SHARE ** (2.0 / 3.0))

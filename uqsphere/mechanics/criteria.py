@@ -9,7 +9,7 @@ left; a demand is given there too, for an absent number would pass for a surviva
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
@@ -19,27 +19,22 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
+from uqsphere.units import Quantity
 
 __all__ = [
     "CRITERIA",
+    "DEMANDS",
     "DIAMETERS",
     "ENERGIES",
     "PARAMETERS",
-    "PATHS",
-    "QUANTITIES",
     "Criterion",
     "Parameter",
-    "Path",
-    "columns_behind",
     "demand",
     "dynamic_increase",
     "equivalent_tension",
-    "field_quantities",
-    "fineness_of",
     "fracture_energy",
     "hiramatsu_oka_tension",
     "in_range",
-    "path_of",
     "product_fineness",
     "ring_crack_force",
     "ring_crack_toughness",
@@ -81,19 +76,6 @@ def product_fineness(specific_energy: Any, A: Any, b: Any) -> Array:
     0.3029
     """
     return np.asarray(-np.asarray(A) * np.expm1(-np.asarray(b) * np.asarray(specific_energy)), dtype=float)
-
-
-def fineness_of(columns: Mapping[str, Any]) -> Array:
-    """t10 of n rows, from the columns `specific_energy`, `product.A` and `product.b`.
-
-    Raises
-    ------
-    ValueError
-        Where the scene has no A and b.
-    """
-    if "product.A" not in columns or "product.b" not in columns:
-        raise ValueError("t10 needs product.A and product.b: add a table [product] with A and b")
-    return product_fineness(columns["specific_energy"], columns["product.A"], columns["product.b"])
 
 
 Columns = Mapping[str, Any]
@@ -140,12 +122,16 @@ class Criterion:
     ----------
     name, meaning, formula, source, range_text : str
         `formula` gives the demand; `range_text` says in words what `ranges` says in numbers.
-    dimension : str
-        Of demand and strength, a key of `uqsphere.quantities.UNITS`.
+    dimension, symbol, display : str
+        Of demand and strength, as of a `uqsphere.units.Quantity`.
+    measures : str
+        What the demand is.
     strength : str
         What the demand is held against.
     quantity : str or None
         The quantity of interest that is this demand with no parameter given; None if there is none.
+    also : tuple of str
+        Quantities that are the same demand of another part of the record.
     needs : tuple of str
         Columns, by the names of the nomenclature.
     parameters, optional : tuple of str
@@ -154,6 +140,8 @@ class Criterion:
         The demand, (n,), without the effect of rate.
     ranges : mapping of str to (low, high)
         Closed ranges of columns, of "a/r", and of parameters.
+    follows, place : str
+        See `uqsphere.units.Quantity`.
     """
 
     name: str
@@ -162,13 +150,23 @@ class Criterion:
     source: str
     range_text: str
     dimension: str
+    symbol: str
+    display: str
+    measures: str
     strength: str
     needs: tuple[str, ...]
     formula_of: Callable[[Columns, Parameters], Array]
     quantity: str | None = None
+    also: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    follows: str = "force"
+    place: str = ""
+
+    def needs_with(self, parameters: Parameters) -> tuple[str, ...]:
+        """Columns that the demand is made from with these parameters."""
+        return (*self.needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ()))
 
 
 def demand(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Array:
@@ -199,27 +197,6 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
     found = np.atleast_1d(np.asarray(criterion.formula_of(columns, parameters), dtype=float))
     if "rate_0" in parameters:
         found = found / dynamic_increase(strain_rate(columns), parameters["rate_0"])
-    return found
-
-
-def field_quantities(columns: Columns, names: Collection[str] | None, demands: Demands) -> dict[str, Array]:
-    """Those of the `QUANTITIES`, of further demands and t10 that are named, or all that there are; (n,) each."""
-    every: dict[str, tuple[str, Parameters]] = {name: (key, {}) for name, key in QUANTITIES.items()}
-    fineness = "product.A" in columns if names is None else "t10" in names
-    product = {"t10": fineness_of(columns)} if fineness else {}
-    return product | {
-        name: demand(CRITERIA[key], columns, parameters)
-        for name, (key, parameters) in (every | dict(demands)).items()
-        if names is None or name in names
-    }
-
-
-def columns_behind(demands: Demands, names: Collection[str]) -> set[str]:
-    """Columns that the named ones of further demands are made from."""
-    found: set[str] = {"specific_energy"} if "t10" in names else set()
-    for name, (key, parameters) in demands.items():
-        if name in names:
-            found |= {*CRITERIA[key].needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ())}
     return found
 
 
@@ -380,6 +357,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
     for entry in (
         Criterion(
             name="contact_pressure", quantity="p_max",
+            symbol="p_max", display="GPa", measures="largest contact pressure at either face",
+            place="contact", also=("first_peak",),
             meaning="largest contact pressure", formula="p_max", dimension="pressure",
             strength="contact strength, near 0.5 to 1 times the hardness (not the uniaxial strength)",
             source="Johnson, Contact Mechanics, 1985, section 6.2", range_text="a/r <= 0.3",
@@ -387,6 +366,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=lambda columns, parameters: np.asarray(columns["p_max"], dtype=float)),
         Criterion(
             name="edge_tension", quantity="edge_tension",
+            symbol="sigma_e", display="GPa", measures="largest radial tension at the rim of the contact", place="rim",
             meaning="radial tension at the rim of the contact",
             formula="(1 - 2 nu)/3 p_max", dimension="pressure", strength="tensile strength of the surface",
             source="Johnson, Contact Mechanics, 1985, section 3.4; half space",
@@ -396,6 +376,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
                 contact.edge_tension(np.asarray(columns["p_max"]), np.asarray(columns["sphere.nu"])))),
         Criterion(
             name="ring_crack", quantity="ring_crack_toughness",
+            symbol="K_ring", display="MPa.sqrt(m)",
+            measures="fracture toughness at which a ring crack just grows into a cone", place="rim",
             meaning="ring crack that grows into a cone, by fracture mechanics",
             formula="sqrt(P_max E/(8600 r))", dimension="toughness", strength="fracture toughness K_Ic",
             source="Lawn, J. Am. Ceram. Soc. 81 (1998) 1977, from memory; Auerbach's law",
@@ -405,11 +387,15 @@ CRITERIA: Final[dict[str, Criterion]] = {
                 columns["P_max"], columns["sphere.radius"], columns["sphere.E"])),
         Criterion(
             name="core_tension", quantity="core_tension",
+            symbol="sigma_core", display="MPa", measures="largest hoop tension on the axis inside the sphere",
+            place="core",
             meaning="largest hoop tension on the axis",
             formula="p_max f(a/r, nu)", dimension="pressure", strength="tensile strength", source=_SERIES,
             range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_core),
         Criterion(
             name="centre_tension", quantity="centre_tension",
+            symbol="sigma_c", display="MPa", measures="tension at the centre of the sphere at the largest force",
+            place="core",
             meaning="tension at the centre, point loads",
             formula="21 P_max/(pi (7 + 5 nu) D²)", dimension="pressure", strength="tensile strength",
             source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2", needs=("P_max", *_FIELD),
@@ -419,11 +405,15 @@ CRITERIA: Final[dict[str, Criterion]] = {
                 np.asarray(columns["sphere.nu"])))),
         Criterion(
             name="equatorial_tension", quantity="equatorial_tension",
+            symbol="sigma_eq", display="MPa",
+            measures="hoop tension on the sphere's surface half-way between the contacts", place="core",
             meaning="hoop tension on the surface at the equator",
             formula="p_max (a/r)² f(a/r, nu)", dimension="pressure", strength="tensile strength of the surface",
             source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, optional=_RATE, ranges=_TABLE, formula_of=_equator),
         Criterion(
             name="hiramatsu_oka", quantity="hiramatsu_oka_tension",
+            symbol="sigma_HO", display="MPa",
+            measures="tensile stress 0.9 P/D² that lumps of rock are credited with in practice", place="core",
             meaning="tensile stress as used in practice for lumps of rock",
             formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
             source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
@@ -431,6 +421,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=lambda columns, parameters: hiramatsu_oka_tension(columns["P_max"], columns["sphere.radius"])),
         Criterion(
             name="weakest_link_volume", meaning="flaws in the volume opened by the hoop tension",
+            symbol="sigma_V", display="MPa",
+            measures="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere",
+            place="core",
             formula="(∫ max(sigma_phi, 0)^m dV/V_0)^(1/m)", dimension="pressure",
             strength="Weibull strength of modulus m of the reference volume",
             source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
@@ -438,6 +431,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=_weakest("volume")),
         Criterion(
             name="weakest_link_surface", meaning="flaws in the surface opened by the hoop tension",
+            symbol="sigma_S", display="MPa",
+            measures="uniform tension in the reference area that is as dangerous as that in the sphere's surface",
+            place="core",
             formula="(∫ max(sigma_phi, 0)^m dS/S_0)^(1/m)", dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
             source=f"Weibull 1939; {_SERIES}", range_text=_WEIBULL_TEXT, needs=_FIELD,
@@ -445,6 +441,9 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=_weakest("surface")),
         Criterion(
             name="weakest_link_rim", meaning="flaws in the surface around both contacts opened by the radial tension",
+            symbol="sigma_rim", display="MPa",
+            measures="uniform tension in the reference area that is as dangerous as that around the contacts",
+            place="rim",
             formula="(∫ max(sigma_t, 0)^m dS/S_0)^(1/m), sigma_t the largest so far", dimension="pressure",
             strength="Weibull strength of modulus m of the reference area",
             source=f"Oh and Finnie, J. Mech. Phys. Solids 15 (1967) 401, from memory; {_SERIES}",
@@ -453,6 +452,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula_of=_weakest_rim),
         Criterion(
             name="specific_energy", quantity="specific_energy",
+            symbol="E'", display="J/kg",
+            measures="specific energy, stretched so that a bounded fracture energy becomes lognormal", follows="energy",
             meaning="energy stored in both contacts per mass",
             formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
             strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
@@ -461,67 +462,21 @@ CRITERIA: Final[dict[str, Criterion]] = {
             needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
         Criterion(
             name="subsurface_shear", quantity="subsurface_shear",
+            symbol="tau_max", display="MPa", measures="largest shear stress on the axis, below the contact",
+            place="below",
             meaning="largest shear stress on the axis",
             formula="p_max f(a/r, nu)", dimension="pressure", strength="shear strength (yield, crushing below contact)",
             source=_SERIES, range_text=_TABLE_TEXT, needs=_FIELD, ranges=_TABLE, formula_of=_tabulated("shear")),
     )
 }  # fmt: skip
 
-#: quantities of interest that only a criterion answers, and that criterion
-QUANTITIES: Final[dict[str, str]] = {
-    entry.quantity: name
+#: Demands of criteria by the criterion; a study adds the limit's name, ``weakest_link_volume.NAME``.
+DEMANDS: Final[dict[str, Quantity]] = {
+    name: Quantity(
+        name=name, symbol=entry.symbol, dimension=entry.dimension, display=entry.display, follows=entry.follows,
+        fracture=True, place=entry.place, needs=entry.needs,
+        meaning=f"{entry.measures} over the increase of strength by its rate"
+        if entry.optional == _RATE and entry.quantity is not None else entry.measures,
+    )
     for name, entry in CRITERIA.items()
-    if entry.quantity in ("core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear",
-                          "ring_crack_toughness")
 }  # fmt: skip
-
-
-# --- How the quantities that a sphere can break by follow its loading: with the force or with the energy so far.
-
-
-@dataclass(frozen=True, kw_only=True)
-class Path:
-    """How a quantity follows the loading.
-
-    Attributes
-    ----------
-    over : str
-        `force` or `energy`: the quantity rises with the largest one so far.
-    criterion : str or None
-        Key of `CRITERIA` whose formula it is; None for the force or energy itself.
-    parameters : mapping of str to float
-        Those of the criterion without `rate_0`, whose factor is one number per sample.
-    early : bool
-        Only what comes before the first reflected wave counts.
-    """
-
-    over: str
-    criterion: str | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    early: bool = False
-
-
-#: quantities of interest whose exceedance can mean fracture
-PATHS: Final[dict[str, Path]] = {
-    "P_max": Path(over="force"),
-    "first_peak": Path(over="force", criterion="contact_pressure", early=True),
-    "energy": Path(over="energy"),
-    **{
-        entry.quantity: Path(over="energy" if name == "specific_energy" else "force", criterion=name)
-        for name, entry in CRITERIA.items()
-        if entry.quantity is not None
-    },
-}
-
-
-def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> Path | None:
-    """How a quantity or the demand of a criterion follows the loading; None where its exceedance is no fracture.
-
-    >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_time")
-    ('force', 'energy', None)
-    """
-    if quantity not in demands:
-        return PATHS.get(quantity)
-    name, parameters = demands[quantity]
-    kept = {key: value for key, value in parameters.items() if key != "rate_0"}
-    return Path(over="energy" if name == "specific_energy" else "force", criterion=name, parameters=kept)

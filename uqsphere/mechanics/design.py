@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import Demands, Path
+from uqsphere.mechanics.criteria import Demands
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.outputs import Path
 from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.validity import RULES

@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, Path, demand
+from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator.solve import MODES, march_rows, scaled_arguments, thread_count
 from uqsphere.mechanics.integrator.tracked import ANSWER_END, WANT_ENERGY, empty_answers
+from uqsphere.mechanics.outputs import Columns, Path, columns_of
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Fractures", "first_fractures"]
@@ -145,15 +145,7 @@ def _demands(scene: Scene, rows: Index, path: Path, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
         return value
-    columns: dict[str, Any] = {name: column[rows] for name, column in scene.columns.items()}
-    scales = scene.scales
-    if path.over == "energy":
-        columns["specific_energy"] = value / scales.mass[rows]
-    else:
-        radius = scales.effective_radius[rows]
-        columns["P_max"] = value
-        columns["p_max"] = contact.pressure_at_force(value, scales.modulus[rows], radius)
-        columns["a_max"] = contact.contact_radius(contact.approach_at_force(value, scales.hertz_constant[rows]), radius)
+    columns = Columns({**columns_of(scene, rows), "energy" if path.over == "energy" else "P_max": value})
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 

@@ -1,7 +1,11 @@
-"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that follow from them."""
+"""A batch of scenes: sphere, bars, striker and pulse in columns of n rows, and the scales that follow from them.
+
+`INPUTS` declares every number that a scene can have.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,13 +15,88 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.pulses import PARAMETERS, SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
-from uqsphere.quantities import INPUTS
+from uqsphere.mechanics.pulses import (
+    PARAMETERS,
+    SHAPES,
+    STRIKER_SHAPES,
+    MeasuredPulse,
+    Pulse,
+    build_pulse,
+    noise_names,
+)
+from uqsphere.units import Quantity
 
-__all__ = ["STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
+__all__ = ["INPUTS", "STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
 
 Array = npt.NDArray[np.float64]
 Codes = npt.NDArray[np.int64]
+
+#: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
+INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
+    Quantity(name="sphere.E", symbol="E", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
+             meaning="Young's modulus of the sphere"),
+    Quantity(name="sphere.nu", symbol="nu", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
+             meaning="Poisson ratio of the sphere"),
+    Quantity(name="sphere.radius", symbol="r", dimension="length", display="mm", plausible=(1e-4, 0.1),
+             meaning="radius of the sphere"),
+    Quantity(name="sphere.density", symbol="rho", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
+             meaning="density of the sphere"),
+    Quantity(name="bars.E", symbol="E_b", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
+             meaning="Young's modulus of the bars"),
+    Quantity(name="bars.nu", symbol="nu_b", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
+             meaning="Poisson ratio of the bars"),
+    Quantity(name="bars.density", symbol="rho_b", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
+             meaning="density of the bars"),
+    Quantity(name="bars.diameter", symbol="d_b", dimension="length", display="mm", plausible=(1e-3, 0.2),
+             meaning="diameter of both bars"),
+    Quantity(name="bars.incident_length", symbol="l_1", dimension="length", display="m", plausible=(0.05, 30.0),
+             meaning="length of the incident bar"),
+    Quantity(name="bars.receiving_length", symbol="l_3", dimension="length", display="m", plausible=(0.05, 30.0),
+             meaning="length of the receiving bar"),
+    Quantity(name="bars.incident_end", symbol="R_1", dimension="number", lower=-1.0, upper=1.0, closed=True,
+             plausible=(-1.0, 1.0), meaning="velocity reflection coefficient of the incident bar's far end"),
+    Quantity(name="bars.receiving_end", symbol="R_3", dimension="number", lower=-1.0, upper=1.0, closed=True,
+             plausible=(-1.0, 1.0), meaning="velocity reflection coefficient of the receiving bar's far end"),
+    Quantity(name="bars.end_radius", symbol="r_end", dimension="length", display="mm", plausible=(1e-3, 1e3),
+             meaning="radius of rounded bar ends (flat ends: absent)"),
+    Quantity(name="bars.yield_strength", symbol="Y_b", dimension="pressure", display="MPa", plausible=(1e7, 5e9),
+             meaning="yield strength of the bars"),
+    Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
+             meaning="speed of the striker"),
+    Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),
+             meaning="length of the striker"),
+    Quantity(name="striker.E", symbol="E_s", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
+             meaning="Young's modulus of the striker (absent: that of the bars)"),
+    Quantity(name="striker.density", symbol="rho_s", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
+             meaning="density of the striker (absent: that of the bars)"),
+    Quantity(name="striker.diameter", symbol="d_s", dimension="length", display="mm", plausible=(1e-3, 0.2),
+             meaning="diameter of the striker (absent: that of the bars)"),
+    Quantity(name="pulse.duration", symbol="t_i", dimension="time", display="us", plausible=(1e-6, 1e-2),
+             meaning="duration of the pulse (at half height for a trapezoid)"),
+    Quantity(name="pulse.rise", symbol="t_rise", dimension="time", display="us", closed=True, plausible=(0.0, 1e-3),
+             meaning="rise of a trapezoidal pulse"),
+    Quantity(name="pulse.fall", symbol="t_fall", dimension="time", display="us", closed=True, plausible=(0.0, 1e-3),
+             meaning="fall of a trapezoidal pulse"),
+    Quantity(name="pulse.t1", symbol="t_1", dimension="time", display="us", plausible=(1e-6, 1e-2),
+             meaning="time of the first peak of a two-peak pulse"),
+    Quantity(name="pulse.level1", symbol="g_1", dimension="number", plausible=(0.1, 2.0),
+             meaning="level of the first peak over v_0/2"),
+    Quantity(name="pulse.t2", symbol="t_2", dimension="time", display="us", plausible=(1e-6, 1e-2),
+             meaning="time of the second peak of a two-peak pulse"),
+    Quantity(name="pulse.level2", symbol="g_2", dimension="number", plausible=(0.1, 2.0),
+             meaning="level of the second peak over v_0/2"),
+    Quantity(name="pulse.valley", symbol="g_v", dimension="number", plausible=(0.0, 2.0), closed=True,
+             meaning="level half-way between the peaks of a two-peak pulse"),
+    Quantity(name="pulse.gain", symbol="G", dimension="number", plausible=(0.5, 2.0),
+             meaning="true strain over that of a measured pulse"),
+    Quantity(name="product.A", symbol="A", dimension="share", display="%", lower=1e-3, upper=1.0, closed=True,
+             plausible=(0.2, 1.0), meaning="largest product fineness t10"),
+    Quantity(name="product.b", symbol="b", dimension="mass_per_energy", display="t/kWh",
+             plausible=(0.1 / 3600.0, 10.0 / 3600.0), meaning="how fast the product fineness rises with the energy"),
+    *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
+               meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
+      for j, name in enumerate(noise_names(), start=1)),
+)}  # fmt: skip
 
 #: what the status of a row means; only rows of 0 and of 7 have numbers
 STATUS: dict[int, str] = {
@@ -87,7 +166,7 @@ class Scene:
     Attributes
     ----------
     columns : mapping of str to (n,) array
-        Numbers by their dotted path in `uqsphere.quantities.INPUTS`, SI.
+        Numbers by their dotted path in `INPUTS`, SI.
     shape : str
         Shape of the incident pulse, one of `uqsphere.mechanics.pulses.SHAPES`.
     infinite : bool

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range
-from uqsphere.mechanics.integrator.solve import Answers
+from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
 
 __all__ = [

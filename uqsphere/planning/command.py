@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.console import plain, print_document, table
 from uqsphere.errors import UsageError
-from uqsphere.quantities import UnitError, format_value, parse_value
+from uqsphere.quantities import format_value
+from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.planning.window import Chart, Plan, Window

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.bars import wave_speed
-from uqsphere.mechanics.criteria import Path, path_of
 from uqsphere.mechanics.design import (
     CONSTRAINTS,
     Breaks,
@@ -29,6 +28,7 @@ from uqsphere.mechanics.design import (
     shortest_striker,
     usages,
 )
+from uqsphere.mechanics.outputs import Path, path_of
 from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.model import scene_of
 from uqsphere.study import Limit, Study

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.quantities import UNITS
+from uqsphere.units import UNITS
 
 __all__ = [
     "LARGEST_RECORD",

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.mechanics.validity import RULES
-from uqsphere.quantities import OUTPUTS
+from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.report.blocks import Block, Table, cell
 from uqsphere.report.contents import Contents, law_of
 from uqsphere.report.phrases import (
@@ -72,17 +72,11 @@ _FOUND: Final = {
     "before_reflection": "reflected waves are back before the record ends",
 }
 #: demands of the contact itself, which fall where its circle widens
-_PRESSURES: Final = frozenset({"p_max", "first_peak", "edge_tension", "ring_crack_toughness"})
+_PRESSURES: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place in ("contact", "rim"))
 #: demands that rise with the force
-_LOADS: Final = _PRESSURES | {
-    "P_max", "energy", "specific_energy", "centre_tension", "core_tension", "equatorial_tension",
-    "hiramatsu_oka_tension", "subsurface_shear", "alpha_max", "a_max",
-}  # fmt: skip
+_LOADS: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.follows)
 #: what is read off the forces of both faces, each for itself
-_EITHER_FACE: Final = _PRESSURES | {
-    "P_max", "alpha_max", "a_max", "contact_time", "pulse_width", "rise_time", "loading_rate", "energy",
-    "specific_energy", "force_imbalance",
-}  # fmt: skip
+_EITHER_FACE: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place not in ("core", "below"))
 #: check -> demands that are lower in truth than computed, and why
 _LOWER: Final = {
     "bar_yield_contact": (_PRESSURES, "a dent widens the contact, so that the true pressure is lower than computed"),
@@ -190,9 +184,6 @@ _FOUND_REACH = {
     "force_balance": "the two contact forces differ",
     "quasi_static_sphere": "waves cross the sphere too few times while the force rises",
 }
-#: demands at the rim of a contact, and inside the sphere
-_RIM = frozenset({"edge_tension", "ring_crack_toughness"})
-_CORE = frozenset({"core_tension", "centre_tension", "equatorial_tension", "hiramatsu_oka_tension"})
 
 
 def yields_at(entry: Mapping[str, Any], p: str) -> float | None:
@@ -347,9 +338,10 @@ def judged_cautions(contents: Contents) -> list[str]:
         dict.fromkeys(contents.results["limits"][n]["quantity"] for n in contents.results["fracture"]["limits"])
     )
     names = listed([f"the {call(n)}" if n in OUTPUTS else n for n in judged])
+    places = {lookup(name).place for name in judged}
     others = [
-        *(() if set(judged) & _RIM else ("chips at the rim of a contact",)),
-        *(() if set(judged) & _CORE else ("splits from its core",)),
+        *(() if "rim" in places else ("chips at the rim of a contact",)),
+        *(() if "core" in places else ("splits from its core",)),
     ]
     if not others:
         return []

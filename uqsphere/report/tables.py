@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from uqsphere.quantities import OUTPUTS, lookup, told_apart
+from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.report.assumptions import answer_checks, cases_text, check_name, yields_at
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
 from uqsphere.report.contents import Contents
@@ -32,6 +32,7 @@ from uqsphere.report.phrases import (
     value_text,
 )
 from uqsphere.results import ModelEntry
+from uqsphere.units import told_apart
 
 __all__ = [
     "Table",
@@ -53,9 +54,6 @@ __all__ = [
     "repeat_rows",
 ]
 
-#: quantities that the end of the record can cut short
-_RECORDED = frozenset({"contact_time", "pulse_width"})
-
 
 def quantity_table(contents: Contents, quantity: str) -> Table:
     """Mean, standard deviation, quantiles and censored share with their intervals."""
@@ -67,7 +65,7 @@ def quantity_table(contents: Contents, quantity: str) -> Table:
     rows = [("mean", cell(entry["mean"], quantity)), ("standard deviation", spread)]
     if spread != "none seen" or entry["censored_share"]["value"]:
         rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry["quantiles"].items()]
-    if entry["censored_share"]["value"] or quantity in _RECORDED:
+    if entry["censored_share"]["value"] or lookup(quantity).censored:
         rows.append(("share that outlasts the record", cell(entry["censored_share"], probability=True)))
     return Table(
         caption=f"{symbol(quantity)}: values with 95 % intervals",

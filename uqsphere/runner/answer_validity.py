@@ -24,7 +24,7 @@ from uqsphere.runner.moved import axis_of
 from uqsphere.study import Limit
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.integrator.solve import Answers
+    from uqsphere.mechanics.outputs import Answers
 
 __all__ = ["judge_answers"]
 

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Protocol
 
-from uqsphere.quantities import told_apart
 from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
+from uqsphere.units import told_apart
 
 __all__ = [
     "INDEX_KIND",

@@ -28,7 +28,7 @@ from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.fracture import Fractures
-    from uqsphere.mechanics.integrator.solve import Answers
+    from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = [
@@ -427,7 +427,7 @@ def _packed(answers: Answers) -> Table:
 
 
 def _unpacked(table: Table) -> Answers | None:
-    from uqsphere.mechanics.integrator.solve import Answers
+    from uqsphere.mechanics.outputs import Answers
 
     names = table.dtype.names or ()
     if not {"status", "record", "steps"} <= set(names):

@@ -16,7 +16,7 @@ from uqsphere.runner.evaluate import Work, draw, sub_inputs
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.integrator.solve import Answers
+    from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look", "pilot_points"]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final
 
+from uqsphere.quantities import lookup
 from uqsphere.study import Study
 from uqsphere.uq.law import Law
 
@@ -20,10 +21,6 @@ __all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast", "rough_qu
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
 #: evaluations that sampling begins with; its stages double
 FIRST_SAMPLE: Final = 2_048
-#: quantities that jump where a contact is lost one oscillation earlier, and one that surrogates tell nothing of:
-#: base points that their indices take for 1 %
-ROUGH: Final = {"contact_time": 24_000, "pulse_width": 16_000, "rise_time": 16_000, "loading_rate": 16_000,
-                "force_imbalance": 50_000}  # fmt: skip
 #: Student's t of sixteen replicates
 _T: Final = 2.13
 #: factor that the first sample's quasi-random points save of quantiles: of the impact model, and of a black box, of
@@ -128,7 +125,7 @@ def _sampling(study: Study, budget: int | None) -> Part:
 def rough_quantities(study: Study) -> tuple[str, ...]:
     """Quantities whose indices may take several times what is likely: how rough they are shows with the first rows."""
     sampled = study.random and not study.black_box and {"auto", "sobol"} & set(study.analysis.methods)
-    return tuple(name for name in study.analysis.quantities if name in ROUGH) if sampled else ()
+    return tuple(name for name in study.analysis.quantities if lookup(name).rough) if sampled else ()
 
 
 def _sensitivity(study: Study) -> tuple[float, float]:
@@ -138,7 +135,7 @@ def _sensitivity(study: Study) -> tuple[float, float]:
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
     most = max(_FIRST_BASE, _ROUGHEST * finer**2)
-    rough = max((ROUGH[name] for name in rough_quantities(study)), default=0)
+    rough = max((lookup(name).rough for name in rough_quantities(study)), default=0)
     if rough:
         return blocks * max(float(_FIRST_BASE), rough * finer**2), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)
@@ -193,7 +190,7 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
 
 def _fracture(study: Study, budget: float) -> tuple[float, float]:
     """Evaluations for the moment of fracture, the first loading, and the curve of all limits that break the sphere."""
-    from uqsphere.mechanics.criteria import path_of
+    from uqsphere.mechanics.outputs import path_of
 
     limits = [limit for limit in study.limits if limit.fracture is not False]
     limits = [limit for limit in limits if path_of(limit.quantity, study.demands) is not None]

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.quantities import told_apart
 from uqsphere.runner.campaign import Missed
 from uqsphere.runner.evaluate import Work
 from uqsphere.study import Limit
+from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.joint import conditional_normal, normal_scores, strength_tie

@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.quantities import told_apart
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.campaign import rounded
 from uqsphere.runner.curves import shortage
@@ -19,6 +18,7 @@ from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import at_strength, axis_of, evaluate_at
 from uqsphere.study import Limit
+from uqsphere.units import told_apart
 from uqsphere.uq.margins import METHOD
 from uqsphere.uq.whatif import probability
 

@@ -12,9 +12,9 @@ from typing import Any, Final, TypeAlias
 
 from uqsphere.errors import AccessError, UsageError
 from uqsphere.files import is_device_name
-from uqsphere.quantities import UNITS, Quantity, units_of
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.text import read_bytes
+from uqsphere.units import UNITS, Quantity, units_of
 
 __all__ = [
     "LARGEST_CSV",

@@ -20,9 +20,9 @@ from pydantic_core import core_schema
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS
-from uqsphere.quantities import UNITS, Quantity, bare_number
 from uqsphere.study.faults import Findings, Place, nearest, one_of, shown, suggestion
 from uqsphere.study.numbers import fixed_value
+from uqsphere.units import UNITS, Quantity, bare_number
 from uqsphere.uq.elliptical import COPULAS, LEAST_DOF, MOST_DOF
 
 __all__ = [

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from uqsphere.errors import Problem
-from uqsphere.quantities import bare_number
+from uqsphere.units import bare_number
 
 __all__ = ["MOST_PROBLEMS", "Findings", "Place", "nearest", "one_of", "render_place", "shown", "suggestion"]
 

@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, PATHS, Criterion
-from uqsphere.quantities import OUTPUTS, Quantity, lookup
+from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
+from uqsphere.mechanics.outputs import PATHS
+from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.study.document import LimitTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.scene import Scene
 from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_sphere_tests
 from uqsphere.study.study import Limit
+from uqsphere.units import Quantity
 from uqsphere.uq.law import Law
 
 __all__ = ["LimitReading", "known_quantity", "read_limits", "valid_name"]

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from uqsphere.quantities import Quantity, lookup
+from uqsphere.quantities import lookup
 from uqsphere.study.axis import ENERGY, SPEED, law_with_mean, make_axis
 from uqsphere.study.document import MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import Family, Margins, Study
+from uqsphere.units import Quantity
 from uqsphere.uq.law import LawError
 
 __all__ = ["check_moved_mean", "read_margins"]

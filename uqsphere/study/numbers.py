@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from uqsphere.quantities import INPUTS, UNITS, Quantity, UnitError, format_value, parse_value
+from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.units import UNITS, Quantity, UnitError, parse_value
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests
 from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
 

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 
 from uqsphere.materials import material_names
 from uqsphere.mechanics.pulses import noise_names
-from uqsphere.quantities import INPUTS, OUTPUTS, UNITS, units_of
+from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study.document import (
     SCENE,
     Analysis,
@@ -34,6 +34,7 @@ from uqsphere.study.document import (
     declared,
 )
 from uqsphere.study.numbers import BAR_ENDS
+from uqsphere.units import UNITS, units_of
 from uqsphere.uq.law import LAWS
 
 __all__ = ["TABLES", "build_schema", "key_table", "with_tables"]

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.criteria import demand as demand_of
-from uqsphere.quantities import UNITS, Quantity, UnitError, parse_value
+from uqsphere.mechanics.outputs import at_force, follows_force
 from uqsphere.study.columns import Rows, column_values, open_table, read_flags, unit_factor
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
+from uqsphere.units import UNITS, Quantity, UnitError, parse_value
 from uqsphere.uq.law import Law, LawError, make_law
 
 if TYPE_CHECKING:
@@ -40,8 +41,6 @@ _COLUMNS: Final = {
     "diameter": Quantity(name="diameter", symbol="D", dimension="length", meaning="the diameter"),
     "rate": Quantity(name="rate", symbol="dP/dt", dimension="loading_rate", meaning="the loading rate"),
 }
-#: quantities of interest that a force at failure has a value of, beside those of the criteria
-_PLAIN: Final = ("p_max", "first_peak", "P_max", "energy", "specific_energy", "edge_tension", "alpha_max", "a_max")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +103,7 @@ def read_sphere_tests(
 
 
 def _convertible(demand: Demand) -> bool:
-    plain = (*_PLAIN, *(entry.quantity for entry in CRITERIA.values()))
-    return demand.criterion is not None or demand.quantity in plain
+    return demand.criterion is not None or follows_force(demand.quantity)
 
 
 def _columns(
@@ -207,7 +205,7 @@ def _law(
 
 def _at_failure(
     columns: Mapping[str, tuple[float, ...]], sphere: Mapping[str, float], platens: tuple[float, float]
-) -> dict[str, Any]:
+) -> Mapping[str, Any]:
     """What the criteria read, (n,) each, at the force of every test."""
     import numpy as np
 
@@ -215,19 +213,13 @@ def _at_failure(
 
     force, radius = np.array(columns["force"]), 0.5 * np.array(columns["diameter"])
     modulus = contact.reduced_modulus(sphere["E"], sphere["nu"], platens[0], platens[1])
-    beta = contact.hertz_constant(modulus, radius)
-    approach = contact.approach_at_force(force, beta)
-    pressure = contact.pressure_at_force(force, modulus, radius)
-    energy = 2.0 * contact.contact_energy(approach, beta)
-    return {
-        "P_max": force, "p_max": pressure, "first_peak": pressure, "alpha_max": approach,
-        "a_max": contact.contact_radius(approach, radius), "energy": energy,
-        "specific_energy": energy / contact.sphere_mass(radius, sphere["density"]),
-        "edge_tension": contact.edge_tension(pressure, sphere["nu"]),
+    return at_force(force, {
+        "modulus": modulus, "effective_radius": radius, "hertz_constant": contact.hertz_constant(modulus, radius),
+        "mass": contact.sphere_mass(radius, sphere["density"]),
         "loading_rate": np.array(columns.get("rate", (0.0,) * force.size)),
         "sphere.radius": radius, "sphere.E": np.full(force.size, sphere["E"]),
         "sphere.nu": np.full(force.size, sphere["nu"]),
-    }  # fmt: skip
+    })  # fmt: skip
 
 
 def _strengths(state: Mapping[str, Any], of: Demand, parameters: Mapping[str, float]) -> Array:
@@ -236,7 +228,4 @@ def _strengths(state: Mapping[str, Any], of: Demand, parameters: Mapping[str, fl
 
     if of.criterion is not None:
         return demand_of(CRITERIA[of.criterion], state, parameters)
-    if of.quantity in _PLAIN:
-        return np.asarray(state[of.quantity], dtype=float)
-    entry = next(entry for entry in CRITERIA.values() if entry.quantity == of.quantity)
-    return demand_of(entry, state)
+    return np.asarray(state[of.quantity], dtype=float)

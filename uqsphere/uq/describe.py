@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.quantities import told_apart
+from uqsphere.units import told_apart
 from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, from_replicates, share, student
 
 __all__ = [

@@ -11,15 +11,15 @@ towards the sphere, theory (4) and (5).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.mechanics import bars, contact, criteria
+from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
     ANSWER_DEPTH,
@@ -30,14 +30,16 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_WIDTH,
     ANSWER_WIDTHS,
     ANSWER_X_MAX,
+    FULL,
+    NOT_FINITE,
+    WANT_ALL,
 )
+from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_of, wishes
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
-from uqsphere.quantities import OUTPUTS
 
 __all__ = [
     "CLOSEST",
     "MODES",
-    "Answers",
     "Motion",
     "Scaled",
     "doubtful",
@@ -49,7 +51,6 @@ __all__ = [
     "settle",
     "solve",
     "thread_count",
-    "wishes",
 ]
 
 # --- Answers that deserve a second look: which rows are integrated again more closely, and which have two answers.
@@ -203,51 +204,9 @@ MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
 _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
-_FULL, _NOT_FINITE = 5, 6
-#: what the kernel has to follow beside the largest approaches and the contact time, as it numbers it
-_WANTED: Final[dict[str, int]] = {
-    "rise_time": 1,
-    "loading_rate": 1,
-    "force_imbalance": 2,
-    "energy": 4,
-    "specific_energy": 4,
-    "pulse_width": 8,
-    "contact_time": 16,
-}
-_WANTED_ALL: Final = 31
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
 #: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answers:
-    """Quantities of interest of n rows.
-
-    Attributes
-    ----------
-    values : mapping of str to (n,) array
-        The quantities asked for, all of `uqsphere.quantities.OUTPUTS` by default, SI; NaN where `status` is
-        not 0.
-    censored : mapping of str to (n,) array of bool
-        For contact_time and pulse_width: the record ended first, the value is a lower bound.
-    status : (n,) array of int
-        0, or a code of `uqsphere.mechanics.scene.STATUS`; rows of 0 and of 7 have values.
-    record : (n,) array
-        End of the record [s], or the time after which nothing that was asked for could change.
-    steps : (n,) array of int
-        Steps of the integrator.
-    others : mapping of str to (n,) array
-        Where the status is 7, the quantities if contact is decided the other way; NaN elsewhere, empty if no
-        row is undecided.
-    """
-
-    values: Mapping[str, Array]
-    censored: Mapping[str, npt.NDArray[np.bool_]]
-    status: npt.NDArray[np.int64]
-    record: Array
-    steps: npt.NDArray[np.int64]
-    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,14 +323,6 @@ def thread_count(threads: int | None = None) -> int:
     return max(1, os.cpu_count() or 1)
 
 
-def wishes(quantities: Collection[str] | None) -> int:
-    """What an integrator has to follow for these quantities, or for all: sum of layout.WANT_*."""
-    wanted = 0
-    for name in _WANTED if quantities is None else quantities:
-        wanted |= _WANTED.get(name, 0)
-    return wanted
-
-
 def scaled_arguments(scene: Scene, rows: npt.NDArray[np.int64]) -> dict[str, Any]:
     """What the kernel needs of `rows`, in scaled variables."""
     time = scene.scales.time[rows]
@@ -404,7 +355,7 @@ def march_rows(
     status: npt.NDArray[np.int64],
     steps: npt.NDArray[np.int64],
     keep: int = 0,
-    wanted: int = _WANTED_ALL,
+    wanted: int = WANT_ALL,
     asked: float = 0.0,
 ) -> tuple[Array, Array, Array] | None:
     """Run the kernel on rows `order`, with more room for those that run out of it.
@@ -450,7 +401,7 @@ def march_rows(
         if keep:
             taken = int(steps[order[-1]])
             kept_steps = kept[0][:taken], kept[1][:taken], kept[2][:taken]
-        order = order[status[order] == _FULL]
+        order = order[status[order] == FULL]
         if len(order) == 0:
             break
     return kept_steps
@@ -486,7 +437,7 @@ def integrate(
     steps = np.zeros(len(scene), dtype=np.int64)
     if len(rows) == 0:
         return Scaled(answers=answers, others=others, status=status, steps=steps)
-    wanted = wishes(quantities)
+    wanted = wishes(quantities, scene.demands)
     arguments = scaled_arguments(scene, rows)
     inner, inner_others = empty_answers(len(rows)), empty_answers(len(rows))
     inner_status = np.zeros(len(rows), dtype=np.int64)
@@ -581,7 +532,7 @@ def solve(
     threads : int, optional
         Threads; all processors of this process if None.  The answers do not depend on it.
     quantities : collection of str, optional
-        Names of `uqsphere.quantities.OUTPUTS`; all if None.  What is not asked for is not computed.
+        Names of `uqsphere.mechanics.outputs.OUTPUTS`; all if None.  What is not asked for is not computed.
 
     Returns
     -------
@@ -591,67 +542,15 @@ def solve(
     _check_request(fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
-    followed = None if quantities is None else {*quantities, *criteria.columns_behind(scene.demands, quantities)}
-    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
+    found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     linear = fidelity == "linear"
-    solved = to_si(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
+    solved = answers_of(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
     if not (found.status == UNDECIDED).any():
         return solved
-    other = to_si(scene, found.others, found.status, found.steps, linear=linear, quantities=quantities)
+    other = answers_of(scene, found.others, found.status, found.steps, linear=linear, quantities=quantities)
     undecided = (solved.status == UNDECIDED) & (other.status == UNDECIDED)
     # one of the two answers alone is no answer
-    status = np.where((solved.status == UNDECIDED) & ~undecided, _NOT_FINITE, solved.status)
+    status = np.where((solved.status == UNDECIDED) & ~undecided, NOT_FINITE, solved.status)
     values = {name: np.where(answered(status), value, np.nan) for name, value in solved.values.items()}
     others = {name: np.where(undecided, value, np.nan) for name, value in other.values.items()}
     return replace(solved, values=values, others=others, status=status)
-
-
-def to_si(
-    scene: Scene,
-    scaled: Array,
-    status: npt.NDArray[np.int64],
-    steps: npt.NDArray[np.int64],
-    *,
-    linear: bool,
-    quantities: Collection[str] | None = None,
-) -> Answers:
-    """Answers in SI from scaled ones; `linear`: force is proportional to the approach, pressure follows by Hertz.
-
-    Only the named `quantities`, or all, are answered; a row one of them is not finite in has failed.
-    """
-    scales = scene.scales
-    (x_max, x_first, difference, energy, contact_time, contact_censored, width, width_censored, rise, ended) = scaled.T[
-        :10
-    ]
-    power = 1.0 if linear else 1.5
-    with np.errstate(all="ignore"):
-        force = scales.force * x_max**power
-        first_force = scales.force * x_first**power
-        pressure = contact.pressure_at_force(force, scales.modulus, scales.effective_radius)
-        hertz_approach = contact.approach_at_force(force, scales.hertz_constant)
-        values = {
-            "p_max": pressure,
-            "P_max": force,
-            "alpha_max": scales.approach * x_max,
-            "a_max": contact.contact_radius(hertz_approach, scales.effective_radius),
-            "contact_time": scales.time * contact_time,
-            "pulse_width": scales.time * width,
-            "rise_time": scales.time * rise,
-            "loading_rate": 0.8 * force / (scales.time * rise),
-            "first_peak": contact.pressure_at_force(first_force, scales.modulus, scales.effective_radius),
-            "force_imbalance": difference / x_max**power,
-            "energy": scales.force * scales.approach * energy,
-            "specific_energy": scales.force * scales.approach * energy / scales.mass,
-            "edge_tension": contact.edge_tension(pressure, scene.columns["sphere.nu"]),
-            "centre_tension": contact.centre_tension(force, scene.columns["sphere.radius"], scene.columns["sphere.nu"]),
-        }
-        values |= criteria.field_quantities({**scene.columns, **values}, quantities, scene.demands)
-        if quantities is not None:
-            values = {name: value for name, value in values.items() if name in quantities}
-        finite = np.logical_and.reduce([np.isfinite(value) for value in (x_max, *values.values())])
-    status = np.where(answered(status) & ~finite, _NOT_FINITE, status)
-    bad = ~answered(status)
-    values = {name: np.where(bad, np.nan, value) for name, value in values.items()}
-    flags = {"contact_time": contact_censored, "pulse_width": width_censored}
-    censored = {name: (flag > 0.0) & ~bad for name, flag in flags.items() if name in values}
-    return Answers(values=values, censored=censored, status=status, record=scales.time * ended, steps=steps)

@@ -30,6 +30,19 @@ TRACKS = 12
 # width and rise with their thresholds a little lower, then a little higher
 ANSWER_WIDTHS, ANSWER_RISES = 13, 15
 ANSWERS = 17
+#: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
+SCALED = {
+    "x_max": (ANSWER_X_MAX, 0),
+    "x_first": (ANSWER_X_FIRST, 0),
+    "difference": (ANSWER_DIFFERENCE, WANT_DIFFERENCE),
+    "stored": (ANSWER_ENERGY, WANT_ENERGY),
+    "contact": (ANSWER_CONTACT, WANT_CONTACT),
+    "contact_censored": (ANSWER_CONTACT_CENSORED, WANT_CONTACT),
+    "width": (ANSWER_WIDTH, WANT_WIDTH),
+    "width_censored": (ANSWER_WIDTH_CENSORED, WANT_WIDTH),
+    "rise": (ANSWER_RISE, WANT_RISE),
+    "ended": (ANSWER_END, 0),
+}
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01

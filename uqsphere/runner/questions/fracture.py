@@ -67,7 +67,7 @@ NEGLIGIBLE: Final = 1e-6
 
 def fracture_limits(study: Study) -> tuple[Limit, ...]:
     """The limits of a study whose exceedance breaks the sphere."""
-    from uqsphere.mechanics.criteria import path_of
+    from uqsphere.mechanics.outputs import path_of
 
     if study.black_box:
         return ()
@@ -309,8 +309,8 @@ def _moments(work: Work, sampled: Sampled, limits: Sequence[Limit], factor: Arra
 
 def _at_fracture(pool: _Pool, limits: Sequence[Limit], drawn: Breaking) -> dict[str, Any]:
     """Shares, order and quantiles over the specimens drawn."""
-    from uqsphere.mechanics.criteria import path_of
     from uqsphere.mechanics.fracture import first_fractures
+    from uqsphere.mechanics.outputs import path_of
     from uqsphere.mechanics.validity import check_at_fracture
 
     work, shape = pool.work, drawn.rows.shape

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
-from uqsphere.quantities import told_apart
 from uqsphere.runner.campaign import (
     INDEX_KIND,
     Accuracy,
@@ -26,6 +25,7 @@ from uqsphere.runner.campaign import (
 from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, SpeedRow, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, Why, absent
 from uqsphere.uq.heavy_tails import (
     FEW_CARRIERS,

@@ -1,0 +1,191 @@
+"""The closed table of units, what one number is called, and the parsing of values with their unit.
+
+Inside the code every value is in SI.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+__all__ = ["UNITS", "Quantity", "UnitError", "bare_number", "parse_value", "told_apart", "units_of"]
+
+
+class UnitError(ValueError):
+    """A text is not a number with a unit of the dimension that is due."""
+
+
+#: dimension -> unit -> factor to SI.  The first unit of each dimension is the SI unit itself.
+UNITS: Final[dict[str, dict[str, float]]] = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "in": 0.0254},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "km/h": 1.0 / 3.6},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "TPa": 1e12, "psi": 6894.757293168361},
+    "density": {"kg/m3": 1.0, "kg/m^3": 1.0, "kg/m³": 1.0, "g/cm3": 1e3, "g/cm^3": 1e3, "g/cm³": 1e3},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "MN": 1e6},
+    "energy": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6, "kJ": 1e3},
+    "specific_energy": {"J/kg": 1.0, "mJ/kg": 1e-3, "kJ/kg": 1e3, "kWh/t": 3600.0},
+    "mass_per_energy": {"kg/J": 1.0, "kg/kJ": 1e-3, "t/kWh": 1.0 / 3600.0},
+    "share": {"1": 1.0, "%": 0.01},
+    "loading_rate": {"N/s": 1.0, "kN/s": 1e3, "MN/s": 1e6, "GN/s": 1e9, "kN/ms": 1e6, "N/us": 1e6},
+    "toughness": {"Pa.sqrt(m)": 1.0, "kPa.sqrt(m)": 1e3, "MPa.sqrt(m)": 1e6, "MPa·√m": 1e6},
+    "volume": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
+    "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
+    "strain_rate": {"1/s": 1.0},
+    "number": {"": 1.0},
+}
+
+#: single underscores between digits, as TOML has them
+_NUMBER = re.compile(r"[+-]?(?:\d(?:_?\d)*\.?(?:\d(?:_?\d)*)?|\.\d(?:_?\d)*)(?:[eE][+-]?\d+)?", re.ASCII)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One number by its name: an entry of the nomenclature, with all that is known of a quantity of interest.
+
+    Attributes
+    ----------
+    name, symbol, meaning : str
+    dimension : str
+        A key of `UNITS`.
+    display : str
+        The unit that people read, all values inside the code being SI.
+    lower, upper : float
+        What has a meaning at all; the bounds themselves are refused unless `closed`.
+    plausible : (low, high)
+        The range outside which a value is worth a second look.
+    follows : str
+        `force` or `energy` if a quantity of interest rises with the largest one so far; else empty.
+    fracture : bool
+        Its exceedance can mean that the sphere breaks.
+    early : bool
+        Only what comes before the first reflected wave counts.
+    place : str
+        What of the sphere it is a load of: `contact`, the circle's `rim`, the `core` of the sphere, the place `below` a
+        contact; else empty.  Loads of contact and rim fall where the bars yield, since the circle widens; those of the
+        core and below a contact are computed for equal forces at both faces.
+    censored : str
+        Column that says where the record ended before it was decided; empty if it always is.
+    rough : int
+        Base points that its Sobol' indices take for 1 %, where it jumps or a surrogate tells nothing of it: measured
+        on the shipped studies.  0 where it is smooth.
+    needs : tuple of str
+        Columns that `formula` reads.
+    formula : function of columns, optional
+        The quantity, (n,), from columns of the scene, of the scales, of the integrator and other quantities.
+    """
+
+    name: str
+    symbol: str
+    dimension: str
+    meaning: str
+    display: str = ""
+    lower: float = 0.0
+    upper: float = math.inf
+    plausible: tuple[float, float] = (0.0, math.inf)
+    closed: bool = False
+    follows: str = ""
+    fracture: bool = False
+    early: bool = False
+    place: str = ""
+    censored: str = ""
+    rough: int = 0
+    needs: tuple[str, ...] = ()
+    formula: Callable[[Mapping[str, Any]], Any] | None = None
+
+    @property
+    def unit(self) -> str:
+        """The SI unit of the quantity."""
+        return next(iter(UNITS[self.dimension]))
+
+    @property
+    def label(self) -> str:
+        """Axis label in the display unit, without the meaning: ``p_max [GPa]``."""
+        return f"{self.symbol} [{self.display}]" if self.display else self.symbol
+
+    def allows(self, value: float) -> bool:
+        """Whether `value` (SI) lies inside the bounds of meaning."""
+        if self.closed:
+            return self.lower <= value <= self.upper
+        return self.lower < value < self.upper
+
+
+def units_of(dimension: str) -> list[str]:
+    """The units that are understood for a dimension, SI first."""
+    return list(UNITS[dimension])
+
+
+def parse_value(text: object, dimension: str, example: str = "") -> float:
+    """Number with unit → SI value.
+
+    A dimensional value must be a string such as ``"25 mm"``; a plain number is taken for a dimensionless quantity
+    only.  No expression is evaluated.  A message shows the unit `example`, SI without one.
+
+    Raises
+    ------
+    UnitError
+        With what was found, what is allowed, and the fix.
+
+    >>> parse_value("25 mm", "length")
+    0.025
+    >>> parse_value(25, "length", "mm")
+    Traceback (most recent call last):
+    ...
+    uqsphere.units.UnitError: 25 has no unit: write it as a string, such as "25 mm" (units: m, cm, mm, um, in)
+    """
+    table = UNITS[dimension]
+    example = example or next(iter(table))
+    allowed = ", ".join(unit for unit in table if unit.isascii() and "^" not in unit)
+    if isinstance(text, bool) or not isinstance(text, (int, float, str)):
+        names: dict[type, str] = {bool: "a boolean", list: "an array", dict: "a table", type(None): "nothing"}
+        kind = names.get(type(text), f"a {type(text).__name__}")
+        raise UnitError(f"expected a number{'' if dimension == 'number' else ' with a unit'}, found {kind}")
+    if isinstance(text, (int, float)):
+        if dimension != "number":
+            bare = bare_number(text)
+            raise UnitError(f'{bare} has no unit: write it as a string, such as "{bare} {example}" (units: {allowed})')
+        return _finite(text, repr(text))
+    stripped = text.strip()
+    match = _NUMBER.match(stripped)
+    if match is None:
+        such = "0.25" if dimension == "number" else f'"1.5 {example}"'
+        raise UnitError(f"{text!r} is not a number{'' if dimension == 'number' else ' with a unit'}, such as {such}")
+    number, unit = match.group(), stripped[match.end() :].strip()
+    if dimension == "number":
+        if unit:
+            raise UnitError(f"{text!r}: a plain number is due here, without a unit (found {unit!r})")
+        return _finite(float(number), text)
+    if unit not in table:
+        if not unit:
+            raise UnitError(f'{text!r} has no unit: write "{number} {example}" (units: {allowed})')
+        raise UnitError(f"unknown unit {unit!r} for a {dimension.replace('_', ' ')} (units: {allowed})")
+    return _finite(float(number) * table[unit], text)
+
+
+def bare_number(value: float) -> str:
+    """A number as people type it.
+
+    >>> bare_number(52000000000.0), bare_number(0.5), bare_number(40)
+    ('52e9', '0.5', '40')
+    """
+    power = next((p for p in (12, 9, 6) if isinstance(value, float) and 10.0**p <= abs(value) < 1e15), 0)
+    text = f"{value / 10.0**power:.15g}e{power}" if power else ""
+    return text if text and float(text) == value else repr(value).removesuffix(".0")
+
+
+def _finite(value: float, text: str) -> float:
+    try:
+        value = float(value)
+    except OverflowError:
+        raise UnitError(f"{text} is too large for a floating-point number") from None
+    if not math.isfinite(value):
+        raise UnitError(f"{text} is not a finite number")
+    return value
+
+
+def told_apart(value: float, bound: float) -> str:
+    """`value` to two significant digits, or to as many as tell it from `bound` as that is written."""
+    return next((t for n in range(2, 18) if float(t := f"{value:.{n}g}") != float(f"{bound:g}")), f"{value:.2g}")
