@@ -11,17 +11,10 @@ import pytest
 from conftest import SUM
 
 import uqsphere
-from uqsphere.runner import fidelity as pilot
-from uqsphere.runner import forecast as forecasts
-from uqsphere.runner import multifidelity
 from uqsphere.runner.account import FACTOR
 from uqsphere.runner.band import ASKED, KIND, Band, Stage, stage_of
-from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.runner.forecast import CHEAPER, forecast
 from uqsphere.runner.plan import plan_run, plan_text
-from uqsphere.runner.questions import fracture
-from uqsphere.runner.questions import fracture as union
-from uqsphere.runner.questions import probabilities as rare
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"
@@ -121,17 +114,6 @@ def test_likely_numbers_are_within_a_factor_of_two_of_the_shipped_studies(name: 
         assert taken <= planned[part].most, part
         if (name, part) != ROUGH:
             assert taken / FACTOR <= likely <= FACTOR * taken, part
-
-
-def test_what_the_forecast_repeats_is_what_the_runner_has() -> None:
-    assert forecasts._DESIGN == rare.FOR_DESIGN
-    assert (forecasts._RARE_MOST, forecasts._RARE_SHARE) == (rare.MOST, rare.SHARE)
-    assert forecasts._SPECIMENS == REPLICATES * fracture.SPECIMENS
-    assert forecasts._EARLY == REPLICATES * fracture.POOL
-    assert (forecasts._FRACTURE_SHARE, forecasts._FRACTURE_LEAST) == (fracture.PART, REPLICATES * fracture.FEWEST)
-    assert forecasts._ANY_CURVE == REPLICATES * union.CURVE_POINTS * union.CURVE_VALUES
-    assert (forecasts._PILOT, forecasts._PART, forecasts._COMPARED) == (pilot.POINTS, pilot.PART, pilot.WORTH_COMPARING)
-    assert forecasts._CONTROL == multifidelity.MOST_RATIO
 
 
 def test_a_finer_quantile_takes_more_and_the_most_is_no_less_than_likely(study_from: Callable[..., Study]) -> None:

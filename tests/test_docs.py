@@ -27,9 +27,7 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import RULES
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.runner import campaign as stopping
-from uqsphere.runner import evaluate as work
-from uqsphere.runner import fidelity as pilot
-from uqsphere.runner.questions import distributions as sampling
+from uqsphere.runner import schedule
 from uqsphere.runner.questions import indices as sensitivity
 from uqsphere.study import load_study
 from uqsphere.study.document import LimitTable, PulseTable, SphereTable, declared
@@ -326,13 +324,13 @@ def test_what_section_5_is_cited_for_stands_there() -> None:
 def test_sizes_in_the_text_are_those_of_the_code() -> None:
     flat = re.sub(r"\s+", " ", THEORY)
     for text in (
-        f"pilot sample of {pilot.POINTS} rows",
-        f"first {pilot.POINTS // 2} with the cheaper ones",
-        f"`R = {work.REPLICATES}` independent",
-        f"at most {sampling.SHARE:.0%} of".replace("%", " %"),
-        f"more than {stopping.CAUTION:g} times what",
+        f"pilot sample of {schedule.PILOT.first} rows",
+        f"first {schedule.PILOT.first // 2} with the cheaper ones",
+        f"`R = {schedule.REPLICATES}` independent",
+        f"at most {schedule.SAMPLING.share:.0%} of".replace("%", " %"),
+        f"more than {schedule.CAUTION:g} times what",
         f"at least {stopping.SLOWEST:g}, at most {stopping.FASTEST:g}",
-        f"from {sampling.JUDGED} points of each scrambling (indices: {sensitivity.JUDGED} base points)",
+        f"from {schedule.SAMPLING.judged} points of each scrambling (indices: {schedule.INDICES.judged} base points)",
         f"total index (28) puts above {indices.LARGE:g} are taken from (29)",
         f"half-width is above {indices.WORTHLESS:g} is withheld",
         f"up to {sensitivity.FIT_POINTS} points of each of {sensitivity.FITS} scramblings",

@@ -18,6 +18,7 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.model import ROUTE_ASKED, ROUTE_BOTH, ROUTE_FULL, answer, is_answered, scene_of
 from uqsphere.runner import fidelity as pilot
 from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_points
+from uqsphere.runner.schedule import PILOT
 from uqsphere.study import Study
 
 Build = Callable[..., Study]
@@ -225,7 +226,7 @@ def test_a_record_that_one_model_outlasts_alone_is_an_error(study_from: Build) -
     study = study_from(*WIDE, 'analysis.quantities=["contact_time"]', 'striker.length="0.02 m"',
                        'sphere.density={dist="loguniform", lower="100 kg/m3", upper="20000 kg/m3"}')  # fmt: skip
     massless = next(c for c in pilot.first_look(work_of(study)).candidates if c.fidelity == "massless")
-    names, rows = tuple(study.random), rows_of(study, pilot.POINTS // 2, task="pilot")
+    names, rows = tuple(study.random), rows_of(study, PILOT.first // 2, task="pilot")
     full = answer(study, names, rows, ("contact_time",), tolerance=1e-6, threads=1)
     let_go = ~full.censored[:, 0]
     assert let_go.any()

@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from uqsphere.runner.campaign import CAUTION, evaluations_needed, out_of_reach
+from uqsphere.runner.campaign import evaluations_needed, out_of_reach
+from uqsphere.runner.schedule import CAUTION
 
 
 @pytest.mark.parametrize("rate", [0.5, 0.7, 1.0, 1.2])

@@ -15,10 +15,11 @@ import numpy.typing as npt
 from uqsphere.runner.api import check_range
 from uqsphere.runner.curve_rows import CurveRows, half_width
 from uqsphere.runner.curves import find_rows
-from uqsphere.runner.evaluate import REPLICATES, Ledger, Work
+from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.margins import limit_values
 from uqsphere.runner.moved import evaluate_at
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability

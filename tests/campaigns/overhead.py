@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.campaigns.coverage import CoverageModel, coverage_models
 from uqsphere.arrays import Array
-from uqsphere.runner.evaluate import REPLICATES
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
 
 if TYPE_CHECKING:

@@ -103,7 +103,7 @@ def _truth(study: Study, count: int) -> tuple[dict[str, tuple[float, float]], Ar
     """Answers with their half-widths from `count` base points in each of 16 replicates, and the times (n,)."""
     from scipy.special import ndtri
 
-    from uqsphere.runner.evaluate import REPLICATES
+    from uqsphere.runner.schedule import REPLICATES
     from uqsphere.uq.describe import describe
     from uqsphere.uq.estimate import Estimate, from_replicates
     from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves

@@ -14,8 +14,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from uqsphere.model import answer
-from uqsphere.runner.evaluate import CHUNK, REPLICATES, Ledger, Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import CHUNK, Ledger, Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import first_look
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import open_store
 from uqsphere.study import Study, load_study
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Protocol
 
 from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
+from uqsphere.runner.schedule import CAUTION
 from uqsphere.units import told_apart
 
 __all__ = [
@@ -40,8 +41,6 @@ __all__ = [
 SLOWEST, FASTEST = 0.5, 1.2
 #: a fall that was followed over less than this factor of points says little: the usual one is taken if it is faster
 LONG, USUAL = 4.0, 0.75
-#: how far a forecast must lie beyond the budget before it is acted on
-CAUTION = 1.5
 #: evaluations beyond which a forecast names no number: nobody makes so many
 MOST_NAMED = 1e12
 #: how errors are called in the speed-error table; what two of them are over follows

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.curve_rows import CurveRows, Judge, judge_of
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget
+from uqsphere.runner.evaluate import OutOfBudget
 from uqsphere.runner.moved import evaluate_at
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate, student
 from uqsphere.uq.law import Law

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from uqsphere.runner.band import Band, Stage, stage_of
 from uqsphere.runner.curve_rows import CurveRows, half_width, half_widths
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.moved import axis_of, evaluate_at, limit_state
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.whatif import laws_of
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced

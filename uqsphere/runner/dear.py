@@ -15,19 +15,14 @@ from uqsphere.runner.dear_answers import Answers, answers_of
 from uqsphere.runner.dear_course import BEFORE, UNEXPLAINED, Course, needed
 from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
 from uqsphere.runner.dear_fits import fit_design
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, none_answered
+from uqsphere.runner.evaluate import OutOfBudget, Work, none_answered
 from uqsphere.runner.learning import reserve
-from uqsphere.runner.price import FIRST_RUNS, Priced, enlarge
+from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.questions.indices import CHAOS
-from uqsphere.runner.ways import FIRST_SAMPLE
+from uqsphere.runner.schedule import CAUTION, FIRST_SAMPLE, REPLICATES, SURROGATE
 from uqsphere.uq.augmented import MOST, Trusted
 
-__all__ = ["LEAST_RUNS", "MOST_RUNS", "answer_dear"]
-
-#: fewest and most runs of a design
-LEAST_RUNS, MOST_RUNS = 8, 1024
-#: runs from which on a forecast is believed, and how far beyond what is affordable it must lie to end the run
-JUDGED, CAUTION = 128, 1.5
+__all__ = ["answer_dear"]
 
 
 def answer_dear(work: Work, priced: Priced) -> Dear:
@@ -44,11 +39,11 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
     """
     from uqsphere.errors import UsageError
 
-    most = min(priced.way.affordable, MOST_RUNS)
-    if most < LEAST_RUNS and priced.design is None:
+    most = min(priced.way.affordable, SURROGATE.most)
+    if most < SURROGATE.least and priced.design is None:
         raise UsageError(
             f"the budget has room for {priced.way.affordable} evaluations, and the smallest design takes "
-            f"{LEAST_RUNS}: raise analysis.budget"
+            f"{SURROGATE.least}: raise analysis.budget"
         )
     design = priced.design
     course = Course()
@@ -89,7 +84,7 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
             _hopeless([course.errors(quantity, UNEXPLAINED) for quantity in rough], MOST, most),
             _hopeless([course.worst[name] for name in found.excess], 1.0, most),
         ]
-        if count >= JUDGED and not work.study.analysis.budget.exhaust and hopeless == waiting:
+        if count >= SURROGATE.judged and not work.study.analysis.budget.exhaust and hopeless == waiting:
             stopped = "out of reach"
             break
     assert design is not None
@@ -110,14 +105,14 @@ def answer_dear(work: Work, priced: Priced) -> Dear:
 def _sizes(most: int, have: int) -> list[int]:
     """Sizes of the design: doubled from the first, the last what is affordable in whole blocks."""
     sizes = []
-    size = FIRST_RUNS
+    size = SURROGATE.first
     while size <= most:
         sizes.append(size)
         size *= 2
     if not sizes:
         return [max(2 * (most // 2), have)]
     last = REPLICATES * (most // REPLICATES)
-    return sizes + ([last] if last >= 1.25 * sizes[-1] and sizes[-1] < MOST_RUNS else [])
+    return sizes + ([last] if last >= 1.25 * sizes[-1] and sizes[-1] < SURROGATE.most else [])
 
 
 def _hopeless(courses: Sequence[Sequence[tuple[int, float]]], wanted: float, most: int) -> bool:

@@ -12,13 +12,14 @@ from uqsphere.runner.dear_course import Course
 from uqsphere.runner.dear_fits import fit_design, simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.dear_tails import dear_tails
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
 from uqsphere.uq.describe import describe

@@ -6,8 +6,8 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.price import FIRST_RUNS
 from uqsphere.runner.questions.indices import dependent_names
+from uqsphere.runner.schedule import SURROGATE
 from uqsphere.uq.augmented import MOST, Trusted, trust
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ def fit_design(
 
     d, germs = len(work.scene_names), work.germs
     whole = ~design.failed[0]
-    if design.count < FIRST_RUNS or (not whole.all() and work.study.analysis.on_failure != "drop"):
+    if design.count < SURROGATE.first or (not whole.all() and work.study.analysis.on_failure != "drop"):
         return {}, {}
     points = germ_points(design.scores[0, :, :d], germs)[whole]
     outputs = design.answers[0][whole]
-    if len(outputs) < FIRST_RUNS // 2:
+    if len(outputs) < SURROGATE.first // 2:
         return {}, {}
     if not before:
         half = len(outputs) // 2

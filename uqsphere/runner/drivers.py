@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.evaluate import REPLICATES, Work, sub_inputs
+from uqsphere.runner.evaluate import Work, sub_inputs
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity, Shared
 from uqsphere.runner.questions.shapley import TASK, orders_at
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates

@@ -24,6 +24,7 @@ from uqsphere.model import (
 )
 from uqsphere.runner.chunks import CHUNK, chosen_columns, collect
 from uqsphere.runner.remote import Task
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine, Executor
 from uqsphere.store import Store
 from uqsphere.study import Study
@@ -34,7 +35,6 @@ from uqsphere.uq.sample import Sample
 
 __all__ = [
     "CHUNK",
-    "REPLICATES",
     "Executor",
     "Ledger",
     "OutOfBudget",
@@ -51,8 +51,6 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-#: independent randomisations of every design: intervals rest on their spread
-REPLICATES = 16
 #: share of failed rows above which `on_failure = "drop"` gives up
 MOST_DROPPED = 0.01
 #: rows from which on that share is taken as it is, and the probability below which fewer do not hold it by chance

@@ -13,21 +13,18 @@ from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw, sub_inputs
+from uqsphere.runner.schedule import PILOT, pilot_points
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look", "pilot_points"]
+__all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-#: points of the pilot; the comparison with other fidelities and tolerances uses the first half of them
-POINTS = 512
-#: of so many evaluations of the budget one may be a point of the pilot; points from which on fidelities are compared
-PART, WORTH_COMPARING = 8, 64
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for
 SHARE = 0.2
 #: cost of a row in steps of the integrator: what a row takes before its first step, and what one in closed form takes
@@ -224,15 +221,6 @@ def _choose(candidates: tuple[Candidate, ...], bound: float) -> Candidate | None
     return min(served, key=lambda c: c.mixed_cost) if served else None
 
 
-def pilot_points(budget: int) -> int:
-    """Points of the pilot: fewer where the budget is small, so that the pilot takes no more than a third of it.
-
-    >>> [pilot_points(budget) for budget in (100, 1000, 4096, 2_000_000)]
-    [8, 64, 512, 512]
-    """
-    return int(min(POINTS, 1 << max(3, (budget // PART).bit_length() - 1)))
-
-
 def first_look(work: Work) -> Pilot:
     """Evaluate a pilot sample with the full model, compare what is cheaper, and choose.
 
@@ -267,7 +255,7 @@ def first_look(work: Work) -> Pilot:
     asked, bound = study.model.fidelity, allowed_error(study)
     candidates = []
     for fidelity in FIDELITIES[:-1]:
-        if (asked == fidelity and count > 1) or (asked == "auto" and count >= WORTH_COMPARING):
+        if (asked == fidelity and count > 1) or (asked == "auto" and count >= PILOT.least):
             cheap = solve(few, fidelity, tolerance, work.quantities)
             cost = row_cost(cheap) / row_cost(full)
             candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, cost))

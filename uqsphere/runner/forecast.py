@@ -12,15 +12,29 @@ from statistics import NormalDist
 from typing import Final
 
 from uqsphere.quantities import lookup
+from uqsphere.runner.schedule import (
+    CAUTION,
+    DESIGN_POINT,
+    FIRST_SAMPLE,
+    FRACTURE,
+    FRACTURE_CURVE,
+    INDICES,
+    MOST_CHEAPER,
+    PILOT,
+    RARE,
+    REPLICATES,
+    SAMPLING,
+    SPECIMENS,
+    SURROGATE,
+    pilot_points,
+)
 from uqsphere.study import Study
 from uqsphere.uq.law import Law
 
-__all__ = ["CHEAPER", "FIRST_SAMPLE", "Part", "base_rows", "forecast", "rough_quantities"]
+__all__ = ["CHEAPER", "Part", "base_rows", "forecast", "rough_quantities"]
 
 #: parts that evaluate a cheaper model, by the part that it may help
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
-#: evaluations that sampling begins with; its stages double
-FIRST_SAMPLE: Final = 2_048
 #: Student's t of sixteen replicates
 _T: Final = 2.13
 #: factor that the first sample's quasi-random points save of quantiles: of the impact model, and of a black box, of
@@ -28,30 +42,17 @@ _T: Final = 2.13
 _GAIN: Final = (2.0, 0.5)
 #: probability that a limit of fixed strength is taken to have, where it has no target above it
 _CHANCE: Final = 0.05
-#: share of the budget that sampling may take, and from where on an accuracy beyond it is given up
-_SHARE, _JUDGED, _CAUTION = 0.7, 8_192, 1.5
-#: points of the first look at the impact model, one in how many of the budget they may be, the fewest that cheaper
-#: models are compared on; runs timed of a black box
-_PILOT, _PART, _COMPARED, _TIMED = 512, 8, 64, 32
-#: base points of the indices: of the first stage in all replicates; the most for outputs that jump
-_FIRST_BASE, _ROUGHEST = 1_024, 200_000
-#: cheaper models that a control variate evaluates for each full one, at the most
-_CONTROL: Final = 16
+#: base points of the indices for outputs that jump, at the most
+_ROUGHEST: Final = 200_000
 #: curves: the look and what its rows are likely to be, the same where a strength is fixed, of which a row tells on
 #: which side it lies alone; the rows of each value asked for; the share of the budget that curves may take
 _CURVE, _CURVE_FIXED, _VALUE, _VALUE_FIXED, _CURVES = 4_272, 18_000, 512, 6_144, 0.1
 _VALUE_FIRST: Final = 256
 _CURVE_MOST: Final = 288 + 3 * 2_560
-#: a rare limit: its search, and the most; the design points of any limit, which take all that they may
-_RARE, _RARE_MOST, _DESIGN = 6_000, 100_000, 1_000
-#: share of what is left that the limits may take for it together
-_RARE_SHARE: Final = 0.5
-#: fracture: specimens whose loading is followed, samples whose first loading is, those of the curve of all limits
-_SPECIMENS, _EARLY, _ANY_CURVE = 16 * 64, 16 * 512, 16 * 64 * 17
-#: share of what is left that the first two may take each, and the fewest that are worth it
-_FRACTURE_SHARE, _FRACTURE_LEAST = 0.05, 16 * 8
-#: runs that a surrogate of a smooth model is content with: for up to five inputs, and beyond; the most
-_RUNS, _RUNS_MANY, RUNS_MOST = 64, 256, 1_024
+#: the search of a rare limit
+_RARE: Final = 6_000
+#: runs that a surrogate of a smooth model is content with: for up to five inputs, and beyond
+_RUNS, _RUNS_MANY = 64, 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,10 +116,10 @@ def _sampling(study: Study, budget: int | None) -> Part:
     likely, plain = _points(study)
     if budget is None:
         return Part(name="sampling", likely=_stage(likely, math.inf), most=_stage(2.0 * plain, math.inf))
-    room = _SHARE * budget
-    if likely > _CAUTION * room and not study.analysis.budget.exhaust:
+    room = SAMPLING.share * budget
+    if likely > CAUTION * room and not study.analysis.budget.exhaust:
         # the accuracy is given up as soon as it is seen to be out of reach
-        return Part(name="sampling", likely=_stage(_JUDGED, room), most=_stage(room, room))
+        return Part(name="sampling", likely=_stage(REPLICATES * SAMPLING.judged, room), most=_stage(room, room))
     return Part(name="sampling", likely=_stage(likely, room), most=_stage(2.0 * plain, room))
 
 
@@ -130,18 +131,18 @@ def rough_quantities(study: Study) -> tuple[str, ...]:
 
 def _sensitivity(study: Study) -> tuple[float, float]:
     """Evaluations of the indices, likely and most: with a surrogate as control variate their first stage is enough."""
-    analysis, blocks = study.analysis, base_rows(study)
+    analysis, blocks, first = study.analysis, base_rows(study), REPLICATES * INDICES.first
     if not {"auto", "sobol"} & set(analysis.methods):
         return 0.0, 0.0
     finer = _finer(analysis.accuracy.sobol)
-    most = max(_FIRST_BASE, _ROUGHEST * finer**2)
+    most = max(first, _ROUGHEST * finer**2)
     rough = max((lookup(name).rough for name in rough_quantities(study)), default=0)
     if rough:
-        return blocks * max(float(_FIRST_BASE), rough * finer**2), blocks * most
+        return blocks * max(float(first), rough * finer**2), blocks * most
     helped = {"auto", "pce"} & set(analysis.methods)
     # the first stage has been enough for half a per cent
-    base = _FIRST_BASE * max(1.0, 0.5 * finer) ** 1.2 if helped else 4 * _FIRST_BASE * finer**1.2
-    return blocks * max(float(_FIRST_BASE), base), blocks * most
+    base = first * max(1.0, 0.5 * finer) ** 1.2 if helped else 4 * first * finer**1.2
+    return blocks * max(float(first), base), blocks * most
 
 
 def _margins(study: Study, budget: float) -> tuple[float, float]:
@@ -167,12 +168,12 @@ def _margins(study: Study, budget: float) -> tuple[float, float]:
 
 def _pilot(study: Study, budget: float) -> tuple[int, int]:
     """Evaluations of the first look: the full model on all its points, what it is compared with on half of them."""
-    points = 1 if not study.random else int(min(_PILOT, 1 << max(3, int(min(budget, 1e9)) // _PART).bit_length() - 1))
+    points = 1 if not study.random else pilot_points(int(min(budget, 1e9)))
     if points == 1:
         return 1, 1
     half, asked = points // 2, study.model.fidelity
     # both cheaper models, and the full one at a closer tolerance where neither is taken
-    others = (3 if points >= _COMPARED else 1) if asked == "auto" else 1
+    others = (3 if points >= PILOT.least else 1) if asked == "auto" else 1
     return points + others * half, points + others * half
 
 
@@ -182,10 +183,10 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
     searched = {"auto", "form", "importance", "subset"} & set(study.analysis.methods)
     if not (limits and study.random and searched):
         return 0.0, 0.0
-    share = _RARE_SHARE * budget / len(limits)
+    share = RARE.share * budget / len(limits)
     rare = sum(limit.target is not None and limit.target < 1e-4 for limit in limits)
-    design = _DESIGN if share >= _DESIGN else 0
-    return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(_RARE_MOST, share)
+    design = DESIGN_POINT if share >= DESIGN_POINT else 0
+    return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(RARE.most, share)
 
 
 def _fracture(study: Study, budget: float) -> tuple[float, float]:
@@ -196,8 +197,9 @@ def _fracture(study: Study, budget: float) -> tuple[float, float]:
     limits = [limit for limit in limits if path_of(limit.quantity, study.demands) is not None]
     if study.black_box or not limits:
         return 0.0, 0.0
-    room = _FRACTURE_SHARE * budget
-    specimens, early = ((min(n, room) if room >= _FRACTURE_LEAST else 0.0) for n in (_SPECIMENS, _EARLY))
+    room, worth = FRACTURE.share * budget, FRACTURE.share * budget >= REPLICATES * FRACTURE.least
+    specimens, early = ((min(REPLICATES * n, room) if worth else 0.0) for n in (SPECIMENS, FRACTURE.first))
+    along = REPLICATES * FRACTURE_CURVE.first * FRACTURE_CURVE.most
     ends = [study.at_means().get(f"bars.{bar}_end", 0.0) for bar in ("incident", "receiving")]
     echoes = any(ends) or any(f"bars.{bar}_end" in study.random for bar in ("incident", "receiving"))
     returning = echoes and not study.options["bars.infinite"] and not study.model.first_loading_only
@@ -205,9 +207,9 @@ def _fracture(study: Study, budget: float) -> tuple[float, float]:
     most = likely + (early if study.model.fidelity != "full" else 0.0)
     if len(limits) > 1:
         curve = study.margins is not None and study.margins.axis.moves_rows
-        likely += _ANY_CURVE if curve else 0
+        likely += along if curve else 0
         # that any of them is exceeded may itself be rare
-        most += (_ANY_CURVE if curve else 0) + min(_RARE_MOST, _RARE_SHARE * budget)
+        most += (along if curve else 0) + min(RARE.most, RARE.share * budget)
     return likely, most
 
 
@@ -238,19 +240,19 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
     if not study.black_box:
         add("pilot", *_pilot(study, end))
     elif "auto" in analysis.methods and analysis.cost is None:
-        add("pilot", _TIMED, _TIMED)
+        add("pilot", SURROGATE.first, SURROGATE.first)
     if surrogate:
         runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
         # the runs that are timed are the first of its design
         first = sum(part.likely for part in found)
         wide = study.margins is not None and study.margins.axis.moves_rows
-        add("surrogate", (2 * runs if wide else runs) - first, RUNS_MOST + (256 if wide else 0))
+        add("surrogate", (2 * runs if wide else runs) - first, SURROGATE.most + (256 if wide else 0))
     else:
         sampling = _sampling(study, budget)
         add("sampling", sampling.likely, sampling.most)
         cheaper = not study.black_box and study.model.fidelity in ("auto", "full")
         if cheaper:
-            add(CHEAPER[0], 0, _CONTROL * sampling.most)
+            add(CHEAPER[0], 0, MOST_CHEAPER * sampling.most)
         add("rare events", *_rare(study, end))
     if analysis.tolerance_intervals:
         add("tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs)
@@ -261,5 +263,5 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
             likely, most = _sensitivity(study)
             add("sensitivity", likely, most)
             if cheaper:
-                add(CHEAPER[1], 0, _CONTROL * most)
+                add(CHEAPER[1], 0, MOST_CHEAPER * most)
     return tuple(found)

@@ -30,8 +30,8 @@ from uqsphere.uq.limit_state import (
 from uqsphere.uq.sample import Sample
 
 __all__ = [
-    "RARE",
     "SEEN",
+    "SMALL",
     "LimitAnswer",
     "carriers",
     "judge_limits",
@@ -46,7 +46,7 @@ __all__ = [
 #: a probability below this is not chased for its relative accuracy by plain sampling
 NEGLIGIBLE = 1e-12
 #: a probability below this is left to the methods for rare events where sampling is not accurate
-RARE = 0.01
+SMALL = 0.01
 #: runs that a probability has to rest on
 SEEN = 1.0
 #: runs that have to carry a smaller one for the spread of replicates to tell how well it is known, by Kish's count:
@@ -114,7 +114,7 @@ def takes_over(work: Work, answer: LimitAnswer) -> bool:
     """
     if work.all_inputs.groups:
         return False
-    small = answer.miss.value is None or answer.miss.value < RARE
+    small = answer.miss.value is None or answer.miss.value < SMALL
     return small and "auto" in work.study.analysis.methods and bool(work.drawn.names)
 
 

@@ -16,9 +16,10 @@ from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, SpeedRow, Work
+from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
 from uqsphere.runner.moved import axis_of
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.stepwise import Coarse, stepwise_curves
 from uqsphere.study import Limit
 from uqsphere.study.axis import with_number

@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.evaluate import REPLICATES, Work, evaluate_points, with_answered
+from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Axis, Limit
 from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.limit_state import LimitState

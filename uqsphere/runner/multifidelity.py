@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.evaluate import REPLICATES, Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import Candidate, Pilot
 from uqsphere.runner.limits import LimitAnswer, state_of
+from uqsphere.runner.schedule import MOST_CHEAPER, REPLICATES
 from uqsphere.study import Limit
 from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
 from uqsphere.uq.describe import Description
@@ -32,8 +33,8 @@ HOPEFUL = 0.5
 TRIED = 256
 #: fall of the half-widths of quantiles and probabilities with the points, in the shipped studies 0.6 to 0.8
 RATE = 0.75
-#: most evaluations of the cheap model for each of the full one, and most they may cost together over that one
-MOST_RATIO, MOST_COST = 16, 0.7
+#: most that the evaluations of the cheap model for each of the full one may cost together over that one
+MOST_COST = 0.7
 #: the forecast cost with the control over that without, from which on it is not used
 WORTHWHILE = 0.8
 
@@ -105,7 +106,7 @@ def propose(pilot: Pilot) -> Control:
             f"{100.0 * cost:.0f} % of the cost would be left",
         )
     rho = min(abs(r) for r in candidate.correlation.values() if r is not None)
-    wanted = min(best_ratio(rho, candidate.cost), MOST_COST / candidate.cost, MOST_RATIO)
+    wanted = min(best_ratio(rho, candidate.cost), MOST_COST / candidate.cost, MOST_CHEAPER)
     ratio = 2 ** max(1, math.floor(math.log2(wanted)))
     return Control(plan=Plan(candidate=candidate, ratio=ratio), text="")
 

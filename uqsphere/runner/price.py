@@ -13,15 +13,16 @@ import numpy.typing as npt
 
 from uqsphere.model import BlackBox
 from uqsphere.runner.evaluate import Work, draw, evaluate_sample
+from uqsphere.runner.schedule import SURROGATE
 from uqsphere.runner.ways import Way, choose_way
 from uqsphere.uq.sample import Sample
 
-__all__ = ["COST", "FIRST_RUNS", "Priced", "enlarge", "price"]
+__all__ = ["COST", "Priced", "enlarge", "price"]
 
 Array = npt.NDArray[np.float64]
 
-#: runs of the first stage of the surrogate way, all of which are timed, and those that are timed by themselves
-FIRST_RUNS, FEW = 32, 8
+#: runs that are timed by themselves
+FEW = 8
 TASK = "dear"
 #: the chunk that holds what an evaluation costs [s]: a time, which never comes out the same
 COST = "cost"
@@ -88,18 +89,18 @@ def price(work: Work) -> Priced:
     budget = study.analysis.budget
     way = choose_way(study, seconds=work.seconds)
     undecided = study.black_box and study.random and "auto" in study.analysis.methods
-    if not undecided or study.analysis.cost is not None or budget.evaluations < FIRST_RUNS:
+    if not undecided or study.analysis.cost is not None or budget.evaluations < SURROGATE.first:
         return Priced(way=way, cost=study.analysis.cost)
     kept = work.store.load(COST) if work.store is not None else None
     design, first = _timed(work, None, FEW)
     if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
         cost = float(kept[0])
-        if FIRST_RUNS * cost <= work.seconds:
-            design = enlarge(work, design, FIRST_RUNS)
+        if SURROGATE.first * cost <= work.seconds:
+            design = enlarge(work, design, SURROGATE.first)
     else:
         cost = first if first is not None else math.inf
-        if first is None or FIRST_RUNS * first <= work.seconds:
-            design, second = _timed(work, design, FIRST_RUNS)
+        if first is None or SURROGATE.first * first <= work.seconds:
+            design, second = _timed(work, design, SURROGATE.first)
             cost = min(cost, math.inf if second is None else second)
         if not math.isfinite(cost):
             # an earlier run was cut off between its runs and their time

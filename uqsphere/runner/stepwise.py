@@ -14,9 +14,10 @@ import numpy.typing as npt
 from uqsphere.runner.band import Band, stage_of
 from uqsphere.runner.campaign import rounded
 from uqsphere.runner.curves import shortage
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work
+from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.moved import at_strength, axis_of, evaluate_at
+from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit
 from uqsphere.units import told_apart
 from uqsphere.uq.margins import METHOD

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from uqsphere.runner.forecast import FIRST_SAMPLE, forecast
+from uqsphere.runner.forecast import forecast
+from uqsphere.runner.schedule import FIRST_SAMPLE
 from uqsphere.study import Study
 
-__all__ = ["CHEAP", "FIRST_SAMPLE", "FITS", "OVERHEAD", "Way", "choose_way"]
+__all__ = ["CHEAP", "FITS", "OVERHEAD", "Way", "choose_way"]
 
 #: seconds that a surrogate takes besides the runs of the model: at all, and for the fits of each quantity
 OVERHEAD, FITS = 5.0, 5.0

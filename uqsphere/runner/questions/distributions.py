@@ -18,9 +18,10 @@ from uqsphere.runner.campaign import (
     campaign,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, SpeedRow, Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, draw, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
+from uqsphere.runner.schedule import REPLICATES, SAMPLING
 from uqsphere.uq.describe import Description, describe, lacking
 from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.heavy_tails import describe_heavy
@@ -29,16 +30,8 @@ from uqsphere.uq.sample import Sample
 __all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
 
 METHOD = "randomised quasi-Monte Carlo"
-#: points of the first stage in each replicate
-FIRST = 128
-#: the fewest
-LEAST = 2
-#: points of each replicate from which on an accuracy may be given up
-JUDGED = 512
 #: what is said of an accuracy that failed rows prevent
 FOR_FAILED = Cost(" (the failed evaluations leave that open, and no further ones would narrow it)")
-#: share of the budget that sampling may take where sensitivities and margins are still to come
-SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +191,7 @@ class Distributions:
     sample: Sample | None = None
     descriptions: dict[str, Description] = field(default_factory=dict)
     limits: dict[str, LimitAnswer] = field(default_factory=dict)
-    judged: int = JUDGED * REPLICATES
+    judged: int = SAMPLING.judged * REPLICATES
 
     @property
     def size(self) -> int:
@@ -223,12 +216,12 @@ class Distributions:
         Raises UsageError where it has room for no replicates at all.
         """
         room = self.work.study.analysis.budget.evaluations - self.work.ledger.total
-        if not self.work.scene_names or room >= REPLICATES * FIRST:
-            return FIRST
-        if room < REPLICATES * LEAST:
+        if not self.work.scene_names or room >= REPLICATES * SAMPLING.first:
+            return SAMPLING.first
+        if room < REPLICATES * SAMPLING.least:
             raise UsageError(
                 f"the budget has room for {max(room, 0)} evaluations after the pilot, and the smallest sample takes "
-                f"{REPLICATES * LEAST}: raise analysis.budget.evaluations"
+                f"{REPLICATES * SAMPLING.least}: raise analysis.budget.evaluations"
             )
         return int(2 ** ((room // REPLICATES).bit_length() - 1))
 
@@ -277,5 +270,5 @@ class Distributions:
 def sample_distributions(work: Work, *, more_to_come: bool, control: Control | None = None) -> Sampled:
     """Sample until the accuracy is reached, or the budget ends it; a study without scatter is evaluated once."""
     control = control or Control(plan=None, text="", used=False)
-    question = Distributions(work=work, control=control, share=SHARE if more_to_come else 1.0)
+    question = Distributions(work=work, control=control, share=SAMPLING.share if more_to_come else 1.0)
     return question.answer(campaign(work, question, question.share))

@@ -19,12 +19,13 @@ import numpy.typing as npt
 
 from uqsphere.model import scene_of
 from uqsphere.runner.chunks import remembered_fractures
-from uqsphere.runner.evaluate import REPLICATES, OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered
-from uqsphere.runner.limits import RARE, state_of
+from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered
+from uqsphere.runner.limits import SMALL, state_of
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.questions.distributions import Sampled
-from uqsphere.runner.questions.probabilities import DOUBTFUL, LEAST, MOST, SHARE, narrower
+from uqsphere.runner.questions.probabilities import DOUBTFUL, narrower
+from uqsphere.runner.schedule import FRACTURE, FRACTURE_CURVE, RARE, REPLICATES, SPECIMENS
 from uqsphere.study import Limit, Study
 from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.joint import physical_from_normal
@@ -58,9 +59,6 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-#: points of each replicate at one value of the free scalar, and values at most
-CURVE_POINTS: Final = 64
-CURVE_VALUES: Final = 17
 #: a probability of fracture this close to 0 or 1 needs no more points of the curve
 NEGLIGIBLE: Final = 1e-6
 
@@ -117,12 +115,12 @@ def union_estimate(work: Work, sampled: Sampled, limits: Sequence[Limit], factor
         return sampled.limits[limits[0].name].exceedance
     plain = exceedance(union_state(union_at(work, limits, factor, sampled.sample)))
     asked = work.study.analysis.accuracy.probability
-    small = plain.value is None or plain.value < RARE
+    small = plain.value is None or plain.value < SMALL
     known = plain.value is not None and plain.value >= DOUBTFUL and plain.half_width <= asked * plain.value
-    left = int(min(MOST, SHARE * (work.study.analysis.budget.evaluations - work.ledger.total)))
+    left = int(min(RARE.most, RARE.share * (work.study.analysis.budget.evaluations - work.ledger.total)))
     independent = not np.any(factor - np.diag(np.diag(factor)))
     possible = "auto" in work.study.analysis.methods and not work.all_inputs.groups and bool(work.drawn.names)
-    if not small or known or left < LEAST or not independent or not possible:
+    if not small or known or left < RARE.least or not independent or not possible:
         return plain
     from uqsphere.uq.rare.auto import find_probability
     from uqsphere.uq.rare.problem import LimitFunction
@@ -181,18 +179,18 @@ def union_curve(
     grid = _grid([margins[limit.name].curve for limit in limits if limit.name in margins])
     if asked is None or len(grid) < 2 or len(limits) < 2 or not asked.axis.moves_rows:
         return {}
-    if len(grid) > CURVE_VALUES:
-        grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, CURVE_VALUES).round().astype(int))]
+    if len(grid) > FRACTURE_CURVE.most:
+        grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, FRACTURE_CURVE.most).round().astype(int))]
     left = work.study.analysis.budget.evaluations - work.ledger.total
-    if len(grid) * CURVE_POINTS * REPLICATES > left:
+    if len(grid) * FRACTURE_CURVE.first * REPLICATES > left:
         return {}
     table = np.array([_at_value(work, value, limits, factor) for value in grid])
     usable = np.isfinite(table).all(axis=1)
     if usable.sum() < 2:
         return {}
     found = fragility(
-        np.array(grid)[usable], table[usable], asked.for_probability, samples=CURVE_POINTS,
-        evaluations=len(grid) * CURVE_POINTS * REPLICATES,
+        np.array(grid)[usable], table[usable], asked.for_probability, samples=FRACTURE_CURVE.first,
+        evaluations=len(grid) * FRACTURE_CURVE.first * REPLICATES,
     )  # fmt: skip
     return {
         "solve": asked.axis.path,
@@ -214,18 +212,12 @@ def _grid(curves: Sequence[list[list[float]]]) -> list[float]:
 def _at_value(work: Work, value: float, limits: Sequence[Limit], factor: Array) -> Array:
     """Probability of the union in every replicate (R,), the same random numbers at every value."""
     moved = replace(work, study=axis_of(work).move(work.study, value))
-    sample = evaluate_at(work, value, start=0, count=CURVE_POINTS)
+    sample = evaluate_at(work, value, start=0, count=FRACTURE_CURVE.first)
     state = union_state(union_at(moved, limits, factor, sample))
     found = [exceedance(pick_replicates(state, [r, r])).value for r in range(REPLICATES)]
     return np.array([np.nan if p is None else p for p in found])
 
 
-#: samples of each replicate whose strengths are drawn from, and specimens drawn from them
-POOL: Final = 512
-SPECIMENS: Final = 64
-#: share of what is left of the budget that each of the steps may take, and the fewest samples that are worth it
-PART: Final = 0.05
-FEWEST: Final = 8
 #: orders that are listed
 ORDERS: Final = 8
 #: share of specimens whose loading could not be followed, above which nothing is said
@@ -275,16 +267,16 @@ class _Pool:
 def _affordable(work: Work, most: int) -> int:
     """Rows of each replicate that one step may take; 0 where it is not worth it."""
     left = work.study.analysis.budget.evaluations - work.ledger.total
-    found = min(most, int(PART * left / REPLICATES))
-    return found if found >= FEWEST else 0
+    found = min(most, int(FRACTURE.share * left / REPLICATES))
+    return found if found >= FRACTURE.least else 0
 
 
 def _pool(work: Work, sampled: Sampled) -> _Pool | None:
     full = replace(work, fidelity="full", fallback=None, spare=True)
     if work.fidelity == "full":
-        count = min(POOL, sampled.sample.count)
+        count = min(FRACTURE.first, sampled.sample.count)
         return _Pool(sample=sampled.sample.head(count), work=full)
-    count = _affordable(work, min(POOL, sampled.sample.count))
+    count = _affordable(work, min(FRACTURE.first, sampled.sample.count))
     if count == 0:
         return None
     return _Pool(sample=evaluate_sample(full, "fracture.full", sampled.sample.head(count)), work=full)

@@ -22,9 +22,10 @@ from uqsphere.runner.campaign import (
     indices_missed,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import MOST_DROPPED, REPLICATES, OutOfBudget, SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, SpeedRow, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.schedule import INDICES, REPLICATES
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, Why, absent
 from uqsphere.uq.heavy_tails import (
@@ -223,10 +224,6 @@ def lost_designs(failed: Flags) -> str:
     )
 
 
-#: base points of each replicate to begin with, and where the budget has no room for these
-FIRST, FEWER = 64, 32
-#: base points of each replicate from which on an accuracy may be given up
-JUDGED = 128
 #: points of each replicate that the expansion is fitted to, and replicates that are fitted
 FIT_POINTS = 256
 FITS = 8
@@ -382,7 +379,7 @@ def _more(start: int, widths: list[float], asked: float) -> int:
     The width of rough outputs falls with the root of the number of points, that of smooth ones faster.
     """
     if start == 0:
-        return FIRST
+        return INDICES.first
     wanted: float = start * ((max(widths, default=asked) / asked) ** 1.8 - 1.0)
     return 64 * max(1, math.ceil(min(max(wanted, 0.25 * start), 3.0 * start) / 64.0 - 0.5))
 
@@ -427,7 +424,7 @@ class Indices:
     found: dict[str, dict[str, list[Estimate]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.judged = JUDGED * REPLICATES * self.blocks.count
+        self.judged = INDICES.judged * REPLICATES * self.blocks.count
         self.found = {q: {} for q in self.work.quantities}
 
     @property
@@ -445,7 +442,7 @@ class Indices:
         start = 0 if self.pairs is None else self.pairs.failed.shape[1]
         count = _more(start, [ratio * self.asked for ratio in self.lacking().values()], self.asked)
         if not start and self._cost(count) > room:
-            count = FEWER
+            count = INDICES.least
         if self._cost(count) > room:
             return False
         values, failed = pick_and_freeze(self.work, f"sensitivity.{start}", start, count, self.blocks)

@@ -19,6 +19,7 @@ from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of, speed_row
 from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
@@ -43,12 +44,6 @@ __all__ = [
 ]
 
 METHOD: Final = "importance sampling"
-#: evaluations that one limit may take at most, the share of what is left that all limits may take, and the least
-MOST: Final = 100_000
-SHARE: Final = 0.5
-LEAST: Final = 3000
-#: evaluations for the design points of a limit whose probability is known
-FOR_DESIGN: Final = 1000
 #: probability below which sampling's own interval is not believed
 DOUBTFUL: Final = 1e-4
 #: plain sampling falls short of a doubtful probability by so much without contradicting it: its terms are skewed
@@ -83,16 +78,16 @@ def refine_limits(work: Work, sampled: Sampled) -> Sampled:
             continue
         space = limit_space(replace(work, spare=True), limit, at)
         left = work.study.analysis.budget.evaluations - work.ledger.total
-        budget = int(min(MOST, SHARE * left / (len(limits) - at)))
+        budget = int(min(RARE.most, RARE.share * left / (len(limits) - at)))
         try:
             if _goes_on(work, answer, budget):
                 asked = work.study.analysis.accuracy.probability
                 rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
                 found[limit.name] = _joined(work, limit, answer, rare, space)
                 work.tell(_errors(limit.name, rare))
-            elif budget >= FOR_DESIGN:
+            elif budget >= DESIGN_POINT:
                 design = find_design_points(
-                    Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=FOR_DESIGN
+                    Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=DESIGN_POINT
                 )
                 found[limit.name] = with_design(work, answer, design, space)
         except OutOfBudget:
@@ -120,7 +115,7 @@ def _asked(work: Work, *names: str) -> bool:
 def _goes_on(work: Work, answer: LimitAnswer, budget: int) -> bool:
     """Whether a limit needs more than sampling gave, and can be paid for."""
     methods = work.study.analysis.methods
-    if budget < LEAST:
+    if budget < RARE.least:
         return False
     if "importance" in methods or "subset" in methods:
         return True
@@ -309,11 +304,11 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
         return "nothing but the strength is random"
     if tied_strength(work, limit):
         return "the strength depends on an input by a copula that is not Gaussian"
-    if work.study.analysis.budget.evaluations - work.ledger.total < FOR_DESIGN:
-        return f"no design point was searched for: the budget has no room for {FOR_DESIGN:,} evaluations more"
+    if work.study.analysis.budget.evaluations - work.ledger.total < DESIGN_POINT:
+        return f"no design point was searched for: the budget has no room for {DESIGN_POINT:,} evaluations more"
     space = limit_space(replace(work, spare=True), limit, 0)
     found = find_design_points(
-        Evaluator(limit=space.function, budget=FOR_DESIGN), seed=work.study.seed, most=FOR_DESIGN
+        Evaluator(limit=space.function, budget=DESIGN_POINT), seed=work.study.seed, most=DESIGN_POINT
     )
     known = [point for point in found.points if point.converged]
     if not known:

@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from uqsphere.model import is_answered
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
-from uqsphere.runner.evaluate import REPLICATES, SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points, sub_inputs
 from uqsphere.runner.index_control import IndexControl
 from uqsphere.runner.multifidelity import Plan
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Pairs, Sensitivity, Shared, dependent_names, find_sensitivity, share_heavy
+from uqsphere.runner.schedule import REPLICATES, SHAPLEY
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.shapley import (
     MOST_EXACT,
@@ -28,11 +29,6 @@ __all__ = ["TASK", "orders_at", "share_variance"]
 
 TASK = "shapley"
 METHOD = "pairs of runs"
-#: base points of each replicate in the first stage, or fewer where the budget calls for it
-FIRST = 64
-LEAST = 16
-#: base points from which on an accuracy may be given up
-JUDGED = 128
 
 
 def _design(work: Work) -> SubsetDesign:
@@ -41,7 +37,7 @@ def _design(work: Work) -> SubsetDesign:
     left = work.study.analysis.budget.evaluations - work.ledger.total
     if d <= MOST_EXACT:
         design = subset_design(d, exact=True)
-        if REPLICATES * FIRST * design.rows <= 0.5 * left:
+        if REPLICATES * SHAPLEY.first * design.rows <= 0.5 * left:
             return design
     return subset_design(d, exact=False)
 
@@ -93,7 +89,7 @@ class ShapleyEffects:
     @property
     def judged(self) -> int:
         """Evaluations from which on an accuracy may be given up."""
-        return JUDGED * REPLICATES * self.design.rows
+        return SHAPLEY.judged * REPLICATES * self.design.rows
 
     @property
     def asked(self) -> float:
@@ -105,8 +101,8 @@ class ShapleyEffects:
         work, start = self.work, 0 if self.pairs is None else self.pairs.failed.shape[1]
         affordable = int(room // (REPLICATES * self.design.rows))
         width = max((_widest(rows) for rows in self.found.values()), default=self.asked)
-        count = _more(start, width, self.asked, LEAST * (affordable // LEAST))
-        if count < LEAST or count < 0.25 * start:
+        count = _more(start, width, self.asked, SHAPLEY.least * (affordable // SHAPLEY.least))
+        if count < SHAPLEY.least or count < 0.25 * start:
             return False
         more = _evaluate(work, self.design, start, count)
         self.pairs = more if self.pairs is None else self.pairs.join(more)
@@ -168,7 +164,7 @@ def _more(start: int, width: float, asked: float, affordable: int) -> int:
     Quasi-random points are worth most at powers of two: half as many again can be worse than none more.
     """
     if start == 0:
-        return min(FIRST, affordable)
+        return min(SHAPLEY.first, affordable)
     wanted = start if width <= 2.0 * asked else 3 * start
     return wanted if wanted <= affordable else min(start, affordable)
 
@@ -176,7 +172,7 @@ def _more(start: int, width: float, asked: float, affordable: int) -> int:
 def _least(design: SubsetDesign) -> str:
     """What is said where not even the first stage could be paid."""
     text = "not enough of the budget was left for Shapley effects"
-    return f"{text} (about {REPLICATES * LEAST * design.rows:,} evaluations would give the first)"
+    return f"{text} (about {REPLICATES * SHAPLEY.least * design.rows:,} evaluations would give the first)"
 
 
 def _estimates(work: Work, design: SubsetDesign, pairs: Pairs) -> dict[str, dict[str, list[Estimate]]]:

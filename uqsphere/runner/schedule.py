@@ -1,0 +1,86 @@
+"""How the questions of a run spend its budget: stages, shares, and when an accuracy is given up.
+
+Questions work by these numbers, and the forecast and the plan read them: nothing heavy is loaded here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = [
+    "CAUTION",
+    "DESIGN_POINT",
+    "FIRST_SAMPLE",
+    "FRACTURE",
+    "FRACTURE_CURVE",
+    "INDICES",
+    "MOST_CHEAPER",
+    "PILOT",
+    "RARE",
+    "REPLICATES",
+    "SAMPLING",
+    "SHAPLEY",
+    "SPECIMENS",
+    "SURROGATE",
+    "Schedule",
+    "pilot_points",
+]
+
+#: independent randomisations of every design: intervals rest on their spread, with the t of 15 degrees of freedom
+REPLICATES: Final = 16
+#: how far a forecast must lie beyond the budget before it is acted on: half-widths are uncertain by a fifth
+CAUTION: Final = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """The stages of a question, in rows of each replicate where not said otherwise.
+
+    Attributes
+    ----------
+    first, least : rows of the first stage, and where the budget has no room for them; fewer are not worth it
+    judged : rows from which on the course of an error tells what an accuracy would take
+    most : the most
+    share : of the budget, or of what is left of it, that the question may take
+    """
+
+    first: int = 0
+    least: int = 0
+    judged: int = 0
+    most: int = 0
+    share: float = 1.0
+
+
+#: the first look at the impact model, rows in all: one of so many evaluations of the budget (`share`) is one of it at
+#: the most, and cheaper models are compared on no fewer than `least`
+PILOT: Final = Schedule(first=512, least=64, share=1 / 8)
+#: distributions and probabilities; the share where indices are still to come
+SAMPLING: Final = Schedule(first=128, least=2, judged=512, share=0.7)
+#: evaluations that sampling begins with; its stages double
+FIRST_SAMPLE: Final = REPLICATES * SAMPLING.first
+#: base points of Sobol' indices, and of Shapley effects
+INDICES: Final = Schedule(first=64, least=32, judged=128)
+SHAPLEY: Final = Schedule(first=64, least=16, judged=128)
+#: evaluations of a cheaper model for each of the full one, as a control variate, at the most
+MOST_CHEAPER: Final = 16
+#: evaluations of a limit that sampling leaves open, and the share of what is left that all limits may take
+RARE: Final = Schedule(least=3000, most=100_000, share=0.5)
+#: evaluations for the design points of a limit whose probability is known
+DESIGN_POINT: Final = 1000
+#: rows that are followed to their fracture: those whose first loading is, specimens drawn from them, and values and
+#: rows of the curve of all limits together
+FRACTURE: Final = Schedule(first=512, least=8, share=0.05)
+SPECIMENS: Final = 64
+FRACTURE_CURVE: Final = Schedule(first=64, most=17)
+#: runs of the one design of an expensive model: those that are timed, the fewest, the most
+SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)
+
+
+def pilot_points(budget: int) -> int:
+    """Points of the pilot: fewer where the budget is small, so that the pilot takes no more than a third of it.
+
+    >>> [pilot_points(budget) for budget in (100, 1000, 4096, 2_000_000)]
+    [8, 64, 512, 512]
+    """
+    return min(PILOT.first, 1 << max(3, int(budget * PILOT.share).bit_length() - 1))
