@@ -8,6 +8,8 @@ With y the logarithm of the strength both laws are a location and a scale, z = (
 is concave in 1/s and mu/s (R. J. Olsen, Econometrica 46, 1978, 1211), so that Newton's method finds its one maximum.
 Modulus of the Weibull law m = 1/s, its scale exp(mu); log_sd of the lognormal law s, its median exp(mu).
 
+What sets the two apart stands in the `Strength` of their families.
+
 The modulus of few tests comes out too large.  What it is on average too large by is found by simulating the same number
 of failures and stops with known parameters, progressively censored (N. Balakrishnan, R. A. Sandhu, Am. Stat. 49, 1995,
 229): the distribution of (mu* - mu)/s* and s*/s depends on neither, exactly so without stopped tests and with tests
@@ -24,10 +26,12 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.families.family import Strength
 
 __all__ = [
-    "KINDS",
     "LEAST_FAILURES",
+    "STRENGTHS",
     "StrengthFit",
     "StrengthTests",
     "fit_strength",
@@ -41,7 +45,8 @@ __all__ = [
 
 
 #: laws that can be fitted with stopped tests among them
-KINDS: Final = ("weibull", "lognormal")
+STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
+_WEIBULL: Final = STRENGTHS["weibull"]
 #: fewer failures than this say nothing of scatter
 LEAST_FAILURES: Final = 2
 #: half of the 95 % quantile of chi-squared with one degree of freedom
@@ -98,39 +103,22 @@ def make_tests(values: object, stopped: object = None) -> StrengthTests:
 # --- the likelihood ------------------------------------------------------------------------------------
 
 
-def _terms(kind: str, z: Array, failed: Flags) -> tuple[Array, Array, Array]:
-    """Log-likelihood of every test at its z without ln(1/s), and its first and second derivative by z."""
-    from scipy.special import log_ndtr
-
-    if kind == "weibull":
-        with np.errstate(over="ignore"):
-            power = np.exp(np.minimum(z, 700.0))
-        return np.where(failed, z, 0.0) - power, failed - power, -power
-    log_above = log_ndtr(-z)
-    # phi(z)/S(z), which far out is z itself
-    near = np.clip(z, -40.0, 1e3)
-    hazard = np.exp(-0.5 * near * near - 0.5 * math.log(2.0 * math.pi) - log_ndtr(-near))
-    hazard = np.where(z > 1e3, z, hazard)
-    value = np.where(failed, -0.5 * z * z - 0.5 * math.log(2.0 * math.pi), log_above)
-    return value, np.where(failed, -z, -hazard), np.where(failed, -1.0, -hazard * (hazard - z))
-
-
-def _log_likelihood(kind: str, y: Array, failed: Flags, h: Array, g: Array) -> Array:
+def _log_likelihood(law: Strength, y: Array, failed: Flags, h: Array, g: Array) -> Array:
     """(rows,) at h = 1/s and g = mu/s, of the logarithms y (rows, n)."""
-    value = _terms(kind, h[:, None] * y - g[:, None], failed)[0].sum(axis=1)
+    value = law.terms(h[:, None] * y - g[:, None], failed)[0].sum(axis=1)
     return np.asarray(value + failed.sum(axis=-1) * np.log(h))
 
 
-def _maximum(kind: str, logarithms: Array, failed: Flags) -> tuple[Array, Array]:
+def _maximum(law: Strength, logarithms: Array, failed: Flags) -> tuple[Array, Array]:
     """Location and scale (rows,) of the largest likelihood of logarithms (rows, n); `failed` (n,) for all rows."""
     centre = logarithms[:, failed].mean(axis=1, keepdims=True)
     spread = logarithms[:, failed].std(axis=1, keepdims=True)
     y = (logarithms - centre) / spread
     count = float(failed.sum())
     h, g = np.ones(len(y)), np.zeros(len(y))
-    best = _log_likelihood(kind, y, failed, h, g)
+    best = _log_likelihood(law, y, failed, h, g)
     for _ in range(100):
-        _, first, second = _terms(kind, h[:, None] * y - g[:, None], failed)
+        _, first, second = law.terms(h[:, None] * y - g[:, None], failed)
         slope_h, slope_g = (first * y).sum(axis=1) + count / h, -first.sum(axis=1)
         hh, hg = (second * y * y).sum(axis=1) - count / h**2, -(second * y).sum(axis=1)
         gg = second.sum(axis=1)
@@ -140,7 +128,7 @@ def _maximum(kind: str, logarithms: Array, failed: Flags) -> tuple[Array, Array]
         # a step that leaves h > 0, or does not climb, is halved
         size = np.where(step_h < -0.9 * h, -0.9 * h / np.where(step_h < 0.0, step_h, -1.0), 1.0)
         for _ in range(40):
-            following = _log_likelihood(kind, y, failed, h + size * step_h, g + size * step_g)
+            following = _log_likelihood(law, y, failed, h + size * step_h, g + size * step_g)
             worse = ~(following >= best - 1e-12 * np.abs(best))
             if not worse.any():
                 break
@@ -151,7 +139,7 @@ def _maximum(kind: str, logarithms: Array, failed: Flags) -> tuple[Array, Array]
     return g / h * spread[:, 0] + centre[:, 0], spread[:, 0] / h
 
 
-def _profiles(kind: str, y: Array, failed: Flags) -> tuple[Callable[[float], float], Callable[[float], float]]:
+def _profiles(law: Strength, y: Array, failed: Flags) -> tuple[Callable[[float], float], Callable[[float], float]]:
     """Largest log-likelihood of y (n,) at a given logarithm of the scale s, and at a given location mu."""
     from scipy.optimize import brentq
 
@@ -159,13 +147,13 @@ def _profiles(kind: str, y: Array, failed: Flags) -> tuple[Callable[[float], flo
     reach = 30.0
 
     def likelihood(h: float, g: float) -> float:
-        return float(_log_likelihood(kind, rows, failed, np.array([h]), np.array([g]))[0])
+        return float(_log_likelihood(law, rows, failed, np.array([h]), np.array([g]))[0])
 
     def at_scale(log_scale: float) -> float:
         h = math.exp(-log_scale)
 
         def slope(mu: float) -> float:
-            return -float(_terms(kind, h * (y - mu), failed)[1].sum())
+            return -float(law.terms(h * (y - mu), failed)[1].sum())
 
         low, high = float(y.min()) - reach / h, float(y.max()) + reach / h
         mu = brentq(lambda m: -slope(m), low, high, xtol=1e-12)
@@ -174,7 +162,7 @@ def _profiles(kind: str, y: Array, failed: Flags) -> tuple[Callable[[float], flo
     def at_location(mu: float) -> float:
         def slope(log_h: float) -> float:
             h = math.exp(log_h)
-            return float((_terms(kind, h * (y - mu), failed)[1] * (y - mu)).sum()) * h + float(failed.sum())
+            return float((law.terms(h * (y - mu), failed)[1] * (y - mu)).sum()) * h + float(failed.sum())
 
         log_h = float(brentq(slope, -reach, reach, xtol=1e-12))
         h = math.exp(log_h)
@@ -199,49 +187,42 @@ def _ends(profile: Callable[[float], float], best: float, at: float, step: float
 # --- simulated series ----------------------------------------------------------------------------------
 
 
-def _simulated(kind: str, failed: Flags, count: int, generator: np.random.Generator) -> Array:
+def _simulated(law: Strength, failed: Flags, count: int, generator: np.random.Generator) -> Array:
     """Standard variables (count, n) in rising order with stops where the tests have theirs.
 
     A specimen that is stopped leaves at the failure before it; those stopped before the first failure tell nothing
     and are left out by the caller.
     """
-    from scipy.special import ndtri
-
     n = failed.size
     at_risk = n - np.flatnonzero(failed)
     steps = generator.standard_exponential((count, at_risk.size)) / at_risk
     hazards = np.cumsum(steps, axis=1)[:, np.cumsum(failed) - 1]
-    return np.asarray(np.log(hazards) if kind == "weibull" else -ndtri(np.exp(-hazards)))
+    return law.from_hazard(hazards)
 
 
-def pivots(kind: str, failed: Flags, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
+def pivots(law: Strength, failed: Flags, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
     """(mu*/s*, 1/s*) (count,) of the largest likelihood of simulated series of the standard law.
 
     `failed` (n,): which of the tests, in rising order, ended with a failure.
     """
     told = failed[int(np.argmax(failed)) :]
-    location, scale = _maximum(kind, _simulated(kind, told, count, generator), told)
+    location, scale = _maximum(law, _simulated(law, told, count, generator), told)
     return location / scale, 1.0 / scale
 
 
-def unbiasing(kind: str, failed: Flags, draws: tuple[Array, Array] | None = None) -> float:
+def unbiasing(law: Strength, failed: Flags, draws: tuple[Array, Array] | None = None) -> float:
     """Factor that takes the bias out of the modulus of a Weibull law, or of log_sd of a lognormal law.
 
     Of the modulus: 1/E[m*/m] (D. R. Thoman, L. J. Bain, C. E. Antle, Technometrics 11, 1969, 445, table it for complete
     series).  Of log_sd: it makes the variance right on average, sqrt(n/(n - 1)) for complete series.
 
-    >>> round(unbiasing("weibull", np.ones(20, dtype=bool)), 2)
+    >>> round(unbiasing(STRENGTHS["weibull"], np.ones(20, dtype=bool)), 2)
     0.93
     """
-    n = failed.size
-    if kind == "lognormal" and failed.all():
-        return math.sqrt(n / (n - 1.0))
-    _, inverse = draws or pivots(kind, failed, DRAWS, np.random.default_rng(_SEED))
-    # E[m*/m] has no bound for two failures; there the median takes its place
-    if kind == "weibull":
-        middle = float(np.mean(inverse)) if failed.sum() > 3 else float(np.median(inverse))
-        return 1.0 / middle
-    return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
+    if law.complete is not None and failed.all():
+        return law.complete(failed.size)
+    _, inverse = draws or pivots(law, failed, DRAWS, np.random.default_rng(_SEED))
+    return law.unbiased(inverse, int(failed.sum()))
 
 
 # --- the fit -------------------------------------------------------------------------------------------
@@ -253,7 +234,7 @@ class StrengthFit:
 
     Attributes
     ----------
-    kind : weibull or lognormal
+    law : the family as strengths follow it
     tests, failures : int
     shape, scale : float
         Of the largest likelihood: modulus and scale (63.2 %), or log_sd and median.
@@ -269,7 +250,7 @@ class StrengthFit:
         law were right.
     """
 
-    kind: str
+    law: Strength
     tests: int
     failures: int
     shape: float
@@ -285,46 +266,35 @@ class StrengthFit:
 
     def parameters(self, *, unbiased: bool = False) -> dict[str, float]:
         """Canonical parameters of the law."""
-        shape = self.unbiased if unbiased else self.shape
-        if self.kind == "weibull":
-            return {"modulus": shape, "scale": self.scale, "threshold": 0.0}
-        return {"log_mean": math.log(self.scale), "log_sd": shape}
+        return self.law.parameters(math.log(self.scale), self.unbiased if unbiased else self.shape)
 
 
-def fit_strength(tests: StrengthTests, kind: str = "weibull", *, draws: int = DRAWS) -> StrengthFit:
+def fit_strength(tests: StrengthTests, law: Strength = _WEIBULL, *, draws: int = DRAWS) -> StrengthFit:
     """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated series.
-
-    Raises
-    ------
-    ValueError
-        For a kind that is not one of `KINDS`.
 
     >>> found = fit_strength(make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1]))
     >>> round(found.shape, 2), round(found.scale, 3), found.failures
     (4.66, 1.108, 6)
     """
-    if kind not in KINDS:
-        raise ValueError(f"unknown law {kind!r}: {' or '.join(KINDS)} can be fitted to strength tests")
     y, failed = np.log(tests.values), tests.failed
-    location, spread = (float(part[0]) for part in _maximum(kind, y[None, :], failed))
-    best = float(_log_likelihood(kind, y[None, :], failed, np.array([1.0 / spread]), np.array([location / spread]))[0])
-    at_scale, at_location = _profiles(kind, y, failed)
+    location, spread = (float(part[0]) for part in _maximum(law, y[None, :], failed))
+    best = float(_log_likelihood(law, y[None, :], failed, np.array([1.0 / spread]), np.array([location / spread]))[0])
+    at_scale, at_location = _profiles(law, y, failed)
     step = 1.0 / math.sqrt(tests.failures)
     scales = _ends(at_scale, best, math.log(spread), step)
     places = _ends(at_location, best, location, step * spread)
-    simulation = pivots(kind, failed, draws, np.random.default_rng(_SEED))
+    simulation = pivots(law, failed, draws, np.random.default_rng(_SEED))
     centre, inverse = simulation
     # s = s* inverse and mu = mu* - s* centre are what the tests allow
     allowed_scale = np.quantile(spread * inverse, [0.025, 0.975])
     allowed_place = np.exp(np.quantile(location - spread * centre, [0.025, 0.975]))
-    turned = kind == "weibull"
-    ends = [math.exp(-scales[1]), math.exp(-scales[0])] if turned else [math.exp(scales[0]), math.exp(scales[1])]
-    drawn = 1.0 / allowed_scale[::-1] if turned else allowed_scale
-    shape = 1.0 / spread if turned else spread
-    distance, p_value = _closeness(kind, tests, location, spread)
+    ends = sorted(math.exp(-end if law.inverse else end) for end in scales)
+    drawn = 1.0 / allowed_scale[::-1] if law.inverse else allowed_scale
+    shape = law.shape(spread)
+    distance, p_value = _closeness(law, tests, location, spread)
     return StrengthFit(
-        kind=kind, tests=y.size, failures=tests.failures, shape=shape, scale=math.exp(location),
-        unbiased=shape * unbiasing(kind, failed, simulation),
+        law=law, tests=y.size, failures=tests.failures, shape=shape, scale=math.exp(location),
+        unbiased=shape * unbiasing(law, failed, simulation),
         shape_likelihood=(ends[0], ends[1]), scale_likelihood=(math.exp(places[0]), math.exp(places[1])),
         shape_interval=(float(drawn[0]), float(drawn[1])),
         scale_interval=(float(allowed_place[0]), float(allowed_place[1])),
@@ -332,14 +302,12 @@ def fit_strength(tests: StrengthTests, kind: str = "weibull", *, draws: int = DR
     )  # fmt: skip
 
 
-def fitted_parameters(tests: StrengthTests, kind: str, *, unbiased: bool = False) -> dict[str, float]:
+def fitted_parameters(tests: StrengthTests, law: Strength, *, unbiased: bool = False) -> dict[str, float]:
     """Canonical parameters alone, without the price of the intervals."""
     y, failed = np.log(tests.values), tests.failed
-    location, spread = (float(part[0]) for part in _maximum(kind, y[None, :], failed))
-    factor = unbiasing(kind, failed) if unbiased else 1.0
-    if kind == "weibull":
-        return {"modulus": factor / spread, "scale": math.exp(location), "threshold": 0.0}
-    return {"log_mean": location, "log_sd": factor * spread}
+    location, spread = (float(part[0]) for part in _maximum(law, y[None, :], failed))
+    factor = unbiasing(law, failed) if unbiased else 1.0
+    return law.parameters(location, factor / spread if law.inverse else factor * spread)
 
 
 # --- how well it fits ----------------------------------------------------------------------------------
@@ -367,23 +335,21 @@ def plotting_positions(failed: Flags) -> Array:
     return np.asarray(0.5 * (after + np.concatenate([[0.0], after[:-1]])))
 
 
-def _distances(kind: str, z: Array, failed: Flags) -> Array:
+def _distances(law: Strength, z: Array, failed: Flags) -> Array:
     """Largest difference (rows,) between the law at the failures' z (rows, failures) and the Kaplan-Meier steps."""
-    from scipy.special import ndtr
-
-    below = -np.expm1(-np.exp(np.minimum(z, 700.0))) if kind == "weibull" else ndtr(z)
+    below = law.below(z)
     after = kaplan_meier(failed)
     before = np.concatenate([[0.0], after[:-1]])
     return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
 
 
-def _closeness(kind: str, tests: StrengthTests, location: float, spread: float) -> tuple[float, float]:
+def _closeness(law: Strength, tests: StrengthTests, location: float, spread: float) -> tuple[float, float]:
     """Distance from the Kaplan-Meier estimate, and its p-value from series fitted in the same way."""
     failed = tests.failed
     z = (np.log(tests.values[failed]) - location) / spread
-    distance = float(_distances(kind, z[None, :], failed)[0])
+    distance = float(_distances(law, z[None, :], failed)[0])
     told = failed[int(np.argmax(failed)) :]
-    drawn = _simulated(kind, told, 999, np.random.default_rng(_SEED + 1))
-    places, scales = _maximum(kind, drawn, told)
-    others = _distances(kind, ((drawn - places[:, None]) / scales[:, None])[:, told], failed)
+    drawn = _simulated(law, told, 999, np.random.default_rng(_SEED + 1))
+    places, scales = _maximum(law, drawn, told)
+    others = _distances(law, ((drawn - places[:, None]) / scales[:, None])[:, told], failed)
     return distance, float((1 + (others >= distance).sum()) / 1000)

@@ -1,4 +1,4 @@
-"""Laws from the user's own tests: a Gaussian kernel density, the step function, or a fitted family.
+"""Laws that are the user's own observations: a Gaussian kernel density, or the step function.
 
 The kernel density is inverted through its normal score z(x) = ndtri(F(x)), which is smooth and almost a
 straight line in both tails: a table of z and dz/dx with cubic interpolation gives F and its inverse to
@@ -8,50 +8,32 @@ straight line in both tails: a table of z and dz/dx with cubic interpolation giv
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Places
+from uqsphere.uq.families.family import Family
 
 __all__ = [
-    "FITTED",
+    "FAMILIES",
     "bandwidth",
-    "fit_family",
     "kernel_density",
     "kernel_from_score",
     "kernel_score",
-    "kolmogorov_p_value",
     "steps_ppf",
     "steps_share_below",
 ]
 
 #: Beyond this many observations a kernel density has nothing to add to the step function.
 MOST_KERNELS = 5000
-#: Families that `fit_family` knows; those with bounds take them from the study.
-FITTED = (
-    "normal",
-    "lognormal",
-    "uniform",
-    "loguniform",
-    "triangular",
-    "beta",
-    "gamma",
-    "weibull",
-    "gumbel",
-    "frechet",
-    "exponential",
-    "student_t",
-)
 _REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability
 
 
-def bandwidth(data: Array, rule: str = "silverman") -> float:
-    """Width of the Gaussian kernel: 0.9 min(sd, IQR/1.34) n^(-1/5) (Silverman 1986), or 1.06 sd n^(-1/5)."""
+def bandwidth(data: Array) -> float:
+    """Width of the Gaussian kernel: 0.9 min(sd, IQR/1.34) n^(-1/5) (Silverman 1986)."""
     sd = float(np.std(data, ddof=1))
-    if rule == "scott":
-        return float(1.06 * sd * data.size**-0.2)
     quartiles = np.quantile(data, [0.25, 0.75])
     spread = float(quartiles[1] - quartiles[0]) / 1.34
     return float(0.9 * (min(sd, spread) if spread > 0.0 else sd) * data.size**-0.2)
@@ -169,73 +151,50 @@ def steps_ppf(data: Array, p: Array) -> Array:
     return np.asarray(data[np.clip(rank, 0, data.size - 1)])
 
 
-def fit_family(family: str, data: Array, lower: float, upper: float) -> Mapping[str, float]:
-    """Canonical parameters of the family by maximum likelihood; bounded families need finite bounds.
-
-    Raises ValueError with the reason where the observations cannot come from the family.
-    """
-    if family in ("lognormal", "loguniform", "gamma", "weibull", "frechet", "exponential") and data[0] <= 0.0:
-        raise ValueError(f"{family} needs positive observations, the smallest is {data[0]:g}")
-    if family == "normal":
-        return {"mean": float(np.mean(data)), "sd": float(np.std(data))}
-    if family == "lognormal":
-        logs = np.log(data)
-        return {"log_mean": float(np.mean(logs)), "log_sd": float(np.std(logs))}
-    if family == "exponential":
-        return {"rate": 1.0 / float(np.mean(data))}
-    if family in ("uniform", "loguniform"):
-        return {}
-    if family == "triangular":
-        return {"mode": _triangular_mode(data, lower, upper)}
-    return _fit_with_scipy(family, data, lower, upper)
+# --- the family: shapes are the bandwidth and the observations ------------------------------------------
 
 
-def _triangular_mode(data: Array, lower: float, upper: float) -> float:
-    """The most likely mode of a triangle on known bounds is one of the observations (Oliver 1972)."""
-    _inside(data, lower, upper)
-    rising, falling = np.log(data - lower), np.log(upper - data)
-    n = data.size
-    rank = np.arange(n)
-    below = np.concatenate([[0.0], np.cumsum(rising)[:-1]]) - rank * rising
-    above = np.concatenate([np.cumsum(falling[::-1])[::-1][1:], [0.0]]) - (n - 1 - rank) * falling
-    return float(data[np.argmax(below + above)])
+def _both(y: Array, shapes: tuple[float, ...]) -> tuple[Array, Array]:
+    from scipy.special import ndtr
+
+    score = kernel_score(shapes[1:], shapes[0], y)
+    return np.asarray(ndtr(score)), np.asarray(ndtr(-score))
 
 
-def _inside(data: Array, lower: float, upper: float) -> None:
-    if not (lower < data[0] and data[-1] < upper):
-        found, allowed = f"{data[0]:g} to {data[-1]:g}", f"{lower:g} to {upper:g}"
-        raise ValueError(f"the observations ({found}) must lie between the bounds ({allowed})")
+def _ppf(p: Array, shapes: tuple[float, ...]) -> Array:
+    from scipy.special import ndtri
+
+    return kernel_from_score(shapes[1:], shapes[0], np.asarray(ndtri(p)))
 
 
-def _fit_with_scipy(family: str, data: Array, lower: float, upper: float) -> Mapping[str, float]:
-    from scipy import stats
+def _isf(q: Array, shapes: tuple[float, ...]) -> Array:
+    from scipy.special import ndtri
 
-    if family == "beta":
-        _inside(data, lower, upper)
-        alpha, beta, _, _ = stats.beta.fit(data, floc=lower, fscale=upper - lower)
-        return {"alpha": float(alpha), "beta": float(beta)}
-    # Fitted in units of their own size, so that pascals and micrometres meet the same optimiser.
-    size = float(np.mean(np.abs(data)))
-    scaled = data / size
-    if family == "gamma":
-        shape, _, scale = stats.gamma.fit(scaled, floc=0.0)
-        return {"shape": float(shape), "scale": float(scale) * size}
-    if family == "weibull":
-        modulus, _, scale = stats.weibull_min.fit(scaled, floc=0.0)
-        return {"modulus": float(modulus), "scale": float(scale) * size, "threshold": 0.0}
-    if family == "frechet":
-        # 1/X of a Fréchet variable is Weibull with the same shape: the better behaved likelihood.
-        shape, _, inverse_scale = stats.weibull_min.fit(1.0 / scaled, floc=0.0)
-        return {"shape": float(shape), "scale": size / float(inverse_scale), "location": 0.0}
-    if family == "gumbel":
-        location, scale = stats.gumbel_r.fit(scaled)
-        return {"location": float(location) * size, "scale": float(scale) * size}
-    dof, location, scale = stats.t.fit(scaled)
-    return {"dof": float(dof), "location": float(location) * size, "scale": float(scale) * size}
+    return kernel_from_score(shapes[1:], shapes[0], -np.asarray(ndtri(q)))
 
 
-def kolmogorov_p_value(distance: float, observations: int) -> float:
-    """Probability that n observations of the law itself lie at least this far from it (exact in n)."""
-    from scipy import stats
+def _not_fitted(*given: object) -> dict[str, float]:
+    raise ValueError("an empirical law is its observations, and has no parameters to be given or fitted")
 
-    return float(stats.kstwo.sf(distance, observations))
+
+EMPIRICAL = Family(
+    name="empirical",
+    label="empirical",
+    alternatives=((),),
+    dimensional=frozenset({"lower", "upper"}),
+    observed=True,
+    canonical=_not_fitted,
+    resolve=lambda own, lower, upper: (0.0, 1.0, (own["bandwidth"],)),
+    cdf=lambda y, shapes: _both(y, shapes)[0],
+    sf=lambda y, shapes: _both(y, shapes)[1],
+    both=_both,
+    ppf=_ppf,
+    isf=_isf,
+    pdf=lambda y, shapes: kernel_density(shapes[1:], shapes[0], y),
+    mean=lambda shapes: math.fsum(shapes[1:]) / (len(shapes) - 1),
+    sd=lambda shapes: math.nan,
+    fit=_not_fitted,
+)
+
+
+FAMILIES: Final = (EMPIRICAL,)

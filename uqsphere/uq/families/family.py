@@ -1,0 +1,254 @@
+"""What a family of laws is: its table in a study, its standard form in both tails, and what observations tell of it.
+
+A family is known by functions of y = (x - location)/scale and of its shape parameters.  The lower and the upper tail
+have functions of their own, so that neither is a difference from one: each keeps its relative accuracy however small it
+is.  Families with `logarithmic` hold for ln x instead of x.
+
+Whatever depends on the distribution is asked of its `Family`: the keys that a study may give, the JSON schema, labels,
+fits to observations, the laws that few tests leave open.  A new distribution is one `Family` in its file and a line in
+docs/study-file.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from uqsphere.arrays import Array, Flags
+
+__all__ = ["Distances", "Family", "LawError", "Posterior", "Strength", "between", "positive_mean"]
+
+Shapes: TypeAlias = tuple[float, ...]
+Standard: TypeAlias = Callable[[Array, Shapes], Array]
+Parameters: TypeAlias = Mapping[str, float]
+Columns: TypeAlias = dict[str, Array]
+
+
+class LawError(ValueError):
+    """A law cannot be made, or a dependence cannot hold; `key` is the offending key ("" for the table)."""
+
+    def __init__(self, message: str, key: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.key = key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posterior:
+    """Parameters of a family that observations tell by their likelihood, in the order of `keys`.
+
+    `positive` are those that enter by their logarithm; `ranges` gives the lowest and highest values, of logarithms
+    where they are positive, from the bounds of the law: infinite, or between which any value is as likely.
+    """
+
+    keys: tuple[str, ...]
+    positive: tuple[bool, ...]
+    ranges: Callable[[float, float], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strength:
+    """How a family is fitted to tests some of which were stopped before the specimen failed.
+
+    The logarithm of the strength has a location and a scale s, z = (ln x - location)/s.
+
+    Attributes
+    ----------
+    terms : (z, failed) -> log-likelihood of every test without ln(1/s), and its first and second derivative by z
+    from_hazard : cumulative hazards -> z
+    below : z -> P(Z <= z)
+    height : share that has failed -> z, the ordinate of the probability paper
+    parameters : (location, shape) -> canonical parameters
+    inverse : the shape is 1/s (a modulus), else s itself
+    moved : (parameters, location*/s*, 1/s*) -> parameters that the tests allow, by pivots
+    unbiased : (1/s* of simulated series, failures) -> factor that takes the bias out of the shape
+    complete : tests -> the same in closed form, where every test ended with a failure
+    shape_words, scale_words : what shape and exp(location) are called
+    """
+
+    terms: Callable[[Array, Flags], tuple[Array, Array, Array]]
+    from_hazard: Callable[[Array], Array]
+    below: Callable[[Array], Array]
+    height: Callable[[Array], Array]
+    parameters: Callable[[float, float], dict[str, float]]
+    inverse: bool
+    moved: Callable[[Parameters, Array, Array], Columns]
+    unbiased: Callable[[Array, int], float]
+    complete: Callable[[int], float] | None = None
+    shape_words: str
+    scale_words: str
+
+    def shape(self, s: float) -> float:
+        """Shape of the law with the scale s of the logarithm, and the other way round."""
+        return 1.0 / s if self.inverse else s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distances:
+    """How a family is tried on observations beside others: fitted parameters, and how far off a fit to its own is.
+
+    Attributes
+    ----------
+    fit : values (n,) in rising order -> parameters of the largest likelihood, with `lower` and `upper` if they are told
+    below : (samples, n, shape, generator) -> P(X <= x) (samples, n) at ordered samples of the family, each fitted to
+    count : parameters that are fitted
+    shape : parameters -> the shape that `below` depends on; those of a location and scale depend on none
+    evidence : values (n,) in rising order -> logarithm of the Bayes factor against the normal law, for a family whose
+        likelihood is not regular
+    drawn : (parameters, values, count, generator) -> parameters (count,) that the observations allow, where they are
+        not those of `possible_laws`
+    """
+
+    fit: Callable[[Array], Parameters]
+    below: Callable[[int, int, float, np.random.Generator], Array]
+    count: int = 2
+    shape: Callable[[Parameters], float] = lambda parameters: 1.0
+    evidence: Callable[[Array], float] | None = None
+    drawn: Callable[[Parameters, Array, int, np.random.Generator], Columns] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family:
+    """A family of laws.
+
+    Attributes
+    ----------
+    name, label : its name in a study, and within a sentence
+    alternatives : key sets of a study's table, of which exactly one must be given
+    optional : further keys with their defaults
+    dimensional : keys in the unit of the quantity; the others are plain numbers (log_mean is the logarithm of the SI
+        value, rate is per SI unit)
+    bounded : `lower` and `upper` are required, and are the law's own bounds; those of other laws truncate
+    spanned : its bounds are the smallest and the largest observation where none are given
+    observed : it is made from a column of observations
+    canonical : (keys given with sd for cov and with the optional ones, lower, upper) -> parameters; raises LawError
+    resolve : (parameters, lower, upper) -> (location, scale, shapes)
+    cdf, sf, ppf, isf, pdf : the standard form, of y and shapes; `both` gives cdf and sf at the price of one
+    mean, sd : of the standard form, by shapes; nan or inf where they do not exist or are not in closed form
+    heavy_lower, heavy_upper : order from which on moments do not exist, on account of a power-law tail
+    logarithmic : the standard form is that of ln x
+    gaussian : the standard form is the normal law
+    whole_mean, whole_sd : of x by (parameters, lower, upper), where they are not location + scale times those of y
+    least : (parameters, lower, upper) -> a bound below which there is nothing to speak of
+    variation : parameters -> standard deviation over mean of a law of positive numbers, 0 where it is not told
+    sound : (parameters, lower, upper, centre) -> whether closed forms show that the law has mass and scatter
+    fit : (observations (n,) in rising order, lower, upper) -> parameters of the largest likelihood; raises ValueError
+    positive : only positive observations can come from it
+    pivots : (parameters, n, count, generator) -> parameters (count,) that n observations allow
+    posterior : in place of pivots, how the likelihood tells the parameters
+    strength : how it is fitted with stopped tests among the others; None where it cannot be
+    tried : how it is tried on observations beside others; None where it is not
+    kin : family with the same mean and scatter that is held against it
+    """
+
+    name: str
+    label: str
+    alternatives: tuple[tuple[str, ...], ...]
+    optional: Parameters = field(default_factory=dict)
+    dimensional: frozenset[str]
+    bounded: bool = False
+    spanned: bool = False
+    observed: bool = False
+    canonical: Callable[[dict[str, float], float, float], dict[str, float]]
+
+    resolve: Callable[[Parameters, float, float], tuple[float, float, Shapes]]
+    cdf: Standard
+    sf: Standard
+    ppf: Standard
+    isf: Standard
+    pdf: Standard
+    both: Callable[[Array, Shapes], tuple[Array, Array]] | None = None
+    mean: Callable[[Shapes], float]
+    sd: Callable[[Shapes], float]
+    heavy_lower: Callable[[Shapes], float] = lambda shapes: math.inf
+    heavy_upper: Callable[[Shapes], float] = lambda shapes: math.inf
+    logarithmic: bool = False
+    gaussian: bool = False
+    whole_mean: Callable[[Parameters, float, float], float] | None = None
+    whole_sd: Callable[[Parameters, float, float], float] | None = None
+
+    least: Callable[[Parameters, float, float], float] = lambda parameters, lower, upper: -math.inf
+    variation: Callable[[Parameters], float] = lambda parameters: 0.0
+    sound: Callable[[Parameters, float, float, float], bool] = lambda parameters, lower, upper, centre: False
+
+    fit: Callable[[Array, float, float], Parameters]
+    positive: bool = False
+    pivots: Callable[[Parameters, int, int, np.random.Generator], Columns] | None = None
+    posterior: Posterior | None = None
+    strength: Strength | None = None
+    tried: Distances | None = None
+    kin: str = ""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Every key of the parameters, without lower and upper, in the order of the alternatives."""
+        seen = dict.fromkeys(key for keys in self.alternatives for key in keys)
+        return tuple(seen | dict.fromkeys(self.optional))
+
+    @property
+    def germ(self) -> str:
+        """What an expansion is in: "uniform" (Legendre polynomials) between bounds, else "normal" (Hermite)."""
+        return "uniform" if self.bounded else "normal"
+
+    def allowed(self) -> str:
+        """The alternatives in words."""
+        sets = " or ".join("(" + ", ".join(keys) + ")" for keys in self.alternatives if keys)
+        extra = ", ".join(f"{key} = {value:g}" for key, value in self.optional.items())
+        bounds = "lower, upper" if self.bounded else ""
+        return "; ".join(part for part in (sets, extra, bounds) if part)
+
+    def parameters(self, given: Parameters, lower: float, upper: float) -> dict[str, float]:
+        """Canonical parameters from one of the alternative key sets; raises LawError."""
+        for key, value in given.items():
+            if key not in self.keys:
+                raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
+            if not math.isfinite(value):
+                raise LawError(f"{key} must be a finite number, found {value}", key)
+        if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
+            missing = "lower" if math.isinf(lower) else "upper"
+            raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
+        own = {key: float(value) for key, value in given.items() if key not in self.optional}
+        if not any(set(keys) == set(own) for keys in self.alternatives):
+            found = ", ".join(own) or "none of them"
+            raise LawError(f"{self.name} takes {self.allowed()}; found {found}", self._offending(own))
+        for key in _POSITIVE:
+            if key in own and own[key] <= 0.0:
+                hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
+                raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
+        if "cov" in own:
+            if own["mean"] == 0.0:
+                raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
+            own["sd"] = own.pop("cov") * abs(own["mean"])
+        optional = {key: given.get(key, default) for key, default in self.optional.items()}
+        try:
+            resolved = self.canonical({**own, **optional}, lower, upper)
+        except (OverflowError, ZeroDivisionError):
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "") from None
+        if not all(math.isfinite(value) for value in resolved.values()):
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
+        return resolved
+
+    def _offending(self, own: Parameters) -> str:
+        """The key to point at: one that goes with none of the best matching alternatives, else the table."""
+        best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
+        return next((key for key in own if key not in best), "")
+
+
+#: keys that must be above zero in every family that has them
+_POSITIVE = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
+
+
+def positive_mean(name: str, given: Parameters) -> float:
+    """The mean that was given; raises LawError where it is not above zero."""
+    if given["mean"] <= 0.0:
+        raise LawError(f"mean of a {name} law must be positive, found {given['mean']:g}", "mean")
+    return given["mean"]
+
+
+def between(key: str, value: float, lower: float, upper: float) -> str:
+    """That a number must lie between the bounds."""
+    return f"{key} ({value:g}) must lie between lower ({lower:g}) and upper ({upper:g})"
