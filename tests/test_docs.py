@@ -34,7 +34,7 @@ from uqsphere.study.document import LimitTable, PulseTable, SphereTable, declare
 from uqsphere.study.reference import with_tables
 from uqsphere.units import UNITS, units_of
 from uqsphere.uq import indices
-from uqsphere.uq.families import LAWS
+from uqsphere.uq.families import FAMILIES
 
 ROOT = Path(__file__).parent.parent
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
@@ -152,8 +152,8 @@ def test_every_distribution_is_told_with_its_parameters() -> None:
         for name in ticked(names):
             told[name] = {word.split(" ")[0] for word in ticked(parameters)}
             bounded |= {name} if "required" in bounds else set()
-    assert told.keys() == LAWS.keys()
-    for name, law in LAWS.items():
+    assert told.keys() == FAMILIES.keys()
+    for name, law in FAMILIES.items():
         expected = {"file", "column", "unit", "fit"} if name == "empirical" else set(law.keys) - {"cov"}
         assert told[name] == expected - {"lower", "upper"}, name
         assert (name in bounded) == law.bounded, name

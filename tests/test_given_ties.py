@@ -24,7 +24,7 @@ def test_laws_of_inputs_that_depend_on_each_other_are_left_open_together() -> No
     rng = np.random.default_rng(7)
     x = rng.multivariate_normal([0.0, 0.0], [[1.0, 0.9], [0.9, 1.0]], 100)
     laws = [make_law("normal", {"mean": float(v.mean()), "sd": float(v.std())}) for v in x.T]
-    others = [plausible_laws([f for f in fit_marginal(v) if f.law.kind == "normal"], 400, rng) for v in x.T]
+    others = [plausible_laws([f for f in fit_marginal(v) if f.law.family.name == "normal"], 400, rng) for v in x.T]
     ties = [replace(tie, weights={"gaussian": 1.0}) for tie in ties_of(x, {(0, 1): 0.89})]
     inputs = with_ties(("a", "b"), laws, ties, ("a", "b"))
     found = left_open(inputs, others, ties, ("a", "b"), x, 100, rng)

@@ -27,7 +27,7 @@ from uqsphere.uq.heavy_tails import (
     widened_share,
     without_moments,
 )
-from uqsphere.uq.law import Law, make_law, ppf
+from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.released import stretched
 
@@ -60,7 +60,7 @@ def test_only_what_the_growth_rules_out_is_said_not_to_exist(
 def squares(law: Law, rows: int, shift: float) -> HeavyTail:
     """The tail of (shift + x/2)^2, which comes back to its median far below that of x."""
     rng = np.random.default_rng(7)
-    x = ppf(law, (rng.permutation(rows) + rng.uniform(size=rows)) / rows)
+    x = law.ppf((rng.permutation(rows) + rng.uniform(size=rows)) / rows)
     found = heavy_tail({"a": law}, x[:, None], (shift + 0.5 * x) ** 2 + rng.uniform(size=rows))
     assert found is not None
     return found

@@ -11,8 +11,15 @@ from scipy import stats
 
 from uqsphere.runner.api import run
 from uqsphere.study import load_study
-from uqsphere.uq.fitting import LEAST_TESTS, possible_densities, possible_laws, possible_tails, weibull_estimates
-from uqsphere.uq.law import LawError, cdf, make_law, pdf, sf
+from uqsphere.uq.families.location_scale import weibull_estimates
+from uqsphere.uq.fitting import (
+    LEAST_TESTS,
+    fitted_law,
+    possible_densities,
+    possible_laws,
+    possible_tails,
+)
+from uqsphere.uq.law import LawError
 
 TRUTHS = {
     "normal": stats.norm(5.0, 1.0),
@@ -31,8 +38,8 @@ def test_ranges_cover_a_small_probability_as_often_as_they_promise(kind: str) ->
     at, repetitions = np.array([truth.ppf(0.01)]), 300
     covered = 0
     for _ in range(repetitions):
-        law = make_law("empirical", {}, data=truth.rvs(5, random_state=rng), fit=kind)
-        found = [float(cdf(one, at)[0]) for one in possible_laws(law, 200, rng)]
+        law = fitted_law(truth.rvs(5, random_state=rng), kind)
+        found = [float(one.cdf(at)[0]) for one in possible_laws(law, 200, rng)]
         low, high = np.quantile(found, [0.025, 0.975])
         covered += bool(low <= 0.01 <= high)
     # four standard errors of the count, and 200 draws leave 0.01 of their own
@@ -51,8 +58,8 @@ def test_posteriors_cover_nearly_so(
     at = np.array([truth.ppf(0.05)])
     covered = 0
     for _ in range(repetitions):
-        law = make_law("empirical", {}, *bounds, data=truth.rvs(12, random_state=rng), fit=kind)
-        found = [float(cdf(one, at)[0]) for one in possible_laws(law, 100, rng)]
+        law = fitted_law(truth.rvs(12, random_state=rng), kind, *bounds)
+        found = [float(one.cdf(at)[0]) for one in possible_laws(law, 100, rng)]
         low, high = np.quantile(found, [0.025, 0.975])
         covered += bool(low <= 0.05 <= high)
     assert covered >= 20
@@ -74,7 +81,7 @@ def test_many_tests_leave_little_open(fit: str) -> None:
     rng = np.random.default_rng(2)
     spreads = []
     for n in (10, 1000):
-        law = make_law("empirical", {}, data=rng.normal(5.0, 1.0, n), fit=fit)
+        law = fitted_law(rng.normal(5.0, 1.0, n), fit)
         spreads.append(float(np.std(possible_tails(law, np.array([4.0]), 200, rng)[0])))
     assert spreads[1] < 0.25 * spreads[0]
 
@@ -83,7 +90,7 @@ def test_many_tests_leave_little_open(fit: str) -> None:
 def test_kernel_densities_are_those_of_the_laws_made_again(bounds: tuple[float | None, float | None]) -> None:
     """Without drawing anything twice: every observation once gives the law itself."""
     data = np.random.default_rng(4).normal(5.0, 1.0, 30)
-    law = make_law("empirical", {}, *bounds, data=data, fit="kde")
+    law = fitted_law(data, "kde", *bounds)
     x = np.linspace(4.0, 5.9, 7)
 
     class Once:
@@ -91,19 +98,19 @@ def test_kernel_densities_are_those_of_the_laws_made_again(bounds: tuple[float |
             return np.ones((size, n), dtype=np.int64)
 
     below, above = possible_tails(law, x, 2, Once())
-    assert below[1] == pytest.approx(cdf(law, x), rel=1e-8)
-    assert above[1] == pytest.approx(sf(law, x), rel=1e-8)
+    assert below[1] == pytest.approx(law.cdf(x), rel=1e-8)
+    assert above[1] == pytest.approx(law.sf(x), rel=1e-8)
     drawn, others = possible_densities(law, x, 2, Once())
-    assert drawn == pytest.approx(pdf(law, x), rel=1e-6)
+    assert drawn == pytest.approx(law.pdf(x), rel=1e-6)
     assert others[1] == pytest.approx(drawn, rel=1e-12)
 
 
 def test_too_few_tests_and_known_bounds_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(LawError, match=str(LEAST_TESTS)):
-        possible_laws(make_law("empirical", {}, data=[1.0, 2.0], fit="normal"), 5, rng)
+        possible_laws(fitted_law([1.0, 2.0], "normal"), 5, rng)
     with pytest.raises(LawError, match="bounds"):
-        possible_laws(make_law("empirical", {}, data=[1.0, 2.0, 3.0], fit="uniform"), 5, rng)
+        possible_laws(fitted_law([1.0, 2.0, 3.0], "uniform"), 5, rng)
 
 
 STUDY = """
@@ -155,7 +162,7 @@ def test_the_range_is_that_of_the_laws_that_the_tests_allow(tmp_path: Path) -> N
     found = results_of(tmp_path, load=KNOWN, strength=fitted_to("strengths"))
     opened = found["limits"]["breaking"]["ignorance"]
     tests = stats.norm(13.0, 1.0).ppf((np.arange(12) + 0.5) / 12)
-    law = make_law("empirical", {}, data=tests, fit="normal")
+    law = fitted_law(tests, "normal")
     laws = possible_laws(law, 4000, np.random.default_rng(1))
     exact = [stats.norm.cdf((10.0 - o.parameters["mean"]) / math.hypot(1.0, o.parameters["sd"])) for o in laws]
     low, high = np.quantile(exact, [0.025, 0.975])

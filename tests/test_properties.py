@@ -20,7 +20,7 @@ from uqsphere.store import csv_text, open_store, write_json
 from uqsphere.study import load_study
 from uqsphere.units import UNITS, UnitError, parse_value
 from uqsphere.uq.describe import describe
-from uqsphere.uq.law import LawError, cdf, isf, make_law, ppf, sf
+from uqsphere.uq.law import LawError, make_law
 from uqsphere.uq.limit_state import reliability_index
 from uqsphere.uq.tolerance import attained_confidence, least_runs
 
@@ -277,12 +277,12 @@ def test_a_law_and_its_inverse(kind: str, first: float, second: float, p: float)
         law = make_law(kind, dict(zip(PARAMETERS[kind], (first, second), strict=False)), None, None)
     except LawError:
         return
-    x = ppf(law, np.array([p]))
-    assert cdf(law, x)[0] == pytest.approx(p, rel=1e-6)
-    y = isf(law, np.array([p]))
-    assert sf(law, y)[0] == pytest.approx(p, rel=1e-6)
+    x = law.ppf(np.array([p]))
+    assert law.cdf(x)[0] == pytest.approx(p, rel=1e-6)
+    y = law.isf(np.array([p]))
+    assert law.sf(y)[0] == pytest.approx(p, rel=1e-6)
     assert x[0] <= y[0]
-    assert cdf(law, x)[0] + sf(law, x)[0] == pytest.approx(1.0, abs=1e-12)
+    assert law.cdf(x)[0] + law.sf(x)[0] == pytest.approx(1.0, abs=1e-12)
 
 
 @QUIET

@@ -10,7 +10,8 @@ from scipy import stats
 from scipy.special import ndtri
 
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.law import cdf, make_law
+from uqsphere.uq.fitting import fitted_law
+from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import LimitState, exceedance, margin_quantiles, miss, reliability_index, target_met
 from uqsphere.uq.points import sobol_points
 
@@ -106,10 +107,10 @@ def test_strength_that_depends_on_the_inputs() -> None:
 
 
 def test_step_strength_is_exceeded_only_above_an_observation() -> None:
-    strength = make_law("empirical", {}, data=[1.0, 2.0, 3.0, 4.0], fit="steps")
+    strength = fitted_law([1.0, 2.0, 3.0, 4.0], "steps")
     state = LimitState(demands=np.full((4, 8), 2.0), strength=strength)
     assert exceedance(state).value == 0.25
-    assert float(cdf(strength, np.array([2.0]))[0]) == 0.5
+    assert float(strength.cdf(np.array([2.0]))[0]) == 0.5
 
 
 def test_failed_rows_count_on_both_sides_or_not_at_all() -> None:

@@ -48,7 +48,7 @@ def load(tmp_path: Path) -> Load:
 
 def test_forces_become_pressures_by_hertz(load: Load) -> None:
     law = load().limits[0].strength
-    assert law.kind == "weibull"
+    assert law.family.name == "weibull"
     modulus = reduced_modulus(60e9, 0.25, 205e9, 0.29)
     study = load()
     modulus = reduced_modulus(60e9, 0.25, study.fixed["bars.E"], study.fixed["bars.nu"])
@@ -67,7 +67,10 @@ def test_every_kind_of_demand(load: Load) -> None:
     flaws = load(quantity='criterion = "weakest_link_volume"\nreference_volume = "1 cm3"').limits[0]
     # the modulus that makes the demand is the one that the tests give
     assert flaws.parameters["modulus"] == flaws.strength.parameters["modulus"]
-    assert load(TESTS.replace(" }", ', fit = "lognormal", unbiased = true }')).limits[0].strength.kind == "lognormal"
+    assert (
+        load(TESTS.replace(" }", ', fit = "lognormal", unbiased = true }')).limits[0].strength.family.name
+        == "lognormal"
+    )
 
 
 def test_the_bias_is_taken_out_on_request(load: Load) -> None:

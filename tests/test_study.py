@@ -20,7 +20,7 @@ from test_broken_studies import BASE, BLACK_BOX, CASES
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.pulses import noise_names
 from uqsphere.quantities import INPUTS
-from uqsphere.study import Limit, Study, json_schema, law_with_mean, load_study
+from uqsphere.study import Limit, Study, json_schema, load_study
 from uqsphere.study.document import (
     Analysis,
     BarsTable,
@@ -32,7 +32,7 @@ from uqsphere.study.document import (
     StrikerTable,
     declared,
 )
-from uqsphere.uq.law import Law, cdf, mean, nominal_mean, ppf, sd
+from uqsphere.uq.law import Law
 
 STUDIES = Path(__file__).parent.parent / "studies"
 TRAPEZOID = 'shape = "trapezoid"\nrise = "25 us"\nfall = "25 us"'
@@ -52,17 +52,21 @@ def load(tmp_path: Path) -> Load:
     return from_text
 
 
+def moved_mean(study: Study, name: str, mean: float) -> Law:
+    return study.random[name].with_mean(mean, study.given[name])
+
+
 def test_granite_is_the_study_of_the_contract() -> None:
     study = load_study(STUDIES / "granite.toml")
     assert study.seed == 20261120
     assert list(study.random) == ["sphere.E", "sphere.nu", "sphere.radius", "striker.speed"]
-    exact = {name: (nominal_mean(law), law.kind) for name, law in study.random.items()}
+    exact = {name: (law.nominal_mean(), law.family.name) for name, law in study.random.items()}
     assert exact["sphere.E"] == (pytest.approx(52e9, rel=1e-12), "lognormal")
     assert exact["sphere.nu"] == (pytest.approx(0.25, rel=1e-12), "beta")
     assert exact["striker.speed"] == (0.5, "normal")
     assert study.random["striker.speed"].parameters["sd"] == pytest.approx(0.01, rel=1e-12)
     assert study.random["sphere.radius"].lower == pytest.approx(9e-3, rel=1e-12)
-    assert sd(study.random["sphere.E"]) == pytest.approx(0.12 * 52e9, rel=1e-12)
+    assert study.random["sphere.E"].sd() == pytest.approx(0.12 * 52e9, rel=1e-12)
     expected = {"sphere.density": 2650.0, "bars.diameter": 0.04, "bars.incident_length": 1.5,
                 "bars.receiving_length": 1.5, "bars.incident_end": 1.0, "bars.receiving_end": 0.0,
                 "striker.length": 0.8, "pulse.rise": 25e-6, "pulse.fall": 25e-6}  # fmt: skip
@@ -70,7 +74,7 @@ def test_granite_is_the_study_of_the_contract() -> None:
     assert study.options == {"bars.infinite": False, "bars.rigid_contact": False, "pulse.shape": "trapezoid"}
     (limit,) = study.limits
     assert isinstance(limit.strength, Law)
-    assert mean(limit.strength) == pytest.approx(4e9, rel=1e-12)
+    assert limit.strength.mean() == pytest.approx(4e9, rel=1e-12)
     assert (limit.quantity, limit.aim, limit.model_factor, limit.target) == ("p_max", "survive", 1.0, 0.01)
     assert study.analysis.budget.time == 600.0
     assert study.margins is not None
@@ -253,7 +257,7 @@ def test_a_tail_without_meaning_is_warned_of(load: Load) -> None:
     (warning,) = study.warnings
     assert warning.startswith("sphere.nu: a share of 0.023 ")
     exact = 0.5 * math.erfc(2.0 / math.sqrt(2.0))
-    assert float(cdf(study.random["sphere.nu"], np.array([0.3]))[0]) == pytest.approx(exact, rel=1e-9)
+    assert float(study.random["sphere.nu"].cdf(np.array([0.3]))[0]) == pytest.approx(exact, rel=1e-9)
     assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.4, sd = 0.05, upper = 0.49 }')).warnings == ()
     assert load(BASE, ("nu = 0.25", 'nu = { dist = "normal", mean = 0.25, sd = 0.03 }')).warnings == ()
     (warning,) = load(BASE, ('sd = "0.15 mm", lower = "9 mm"', 'sd = "3 mm"')).warnings
@@ -277,9 +281,9 @@ def test_an_unusual_number_is_warned_of(load: Load) -> None:
 def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
     by_cov = load(BASE)
     by_sd = load(BASE, ('"0.5 m/s", cov = 0.02', '"0.5 m/s", sd = "0.01 m/s"'))
-    assert sd(law_with_mean(by_cov, "striker.speed", 2.0)) == pytest.approx(0.04, rel=1e-12)
-    assert sd(law_with_mean(by_sd, "striker.speed", 2.0)) == pytest.approx(0.01, rel=1e-12)
-    assert law_with_mean(by_cov, "striker.speed", 0.5) == by_cov.random["striker.speed"]
+    assert moved_mean(by_cov, "striker.speed", 2.0).sd() == pytest.approx(0.04, rel=1e-12)
+    assert moved_mean(by_sd, "striker.speed", 2.0).sd() == pytest.approx(0.01, rel=1e-12)
+    assert moved_mean(by_cov, "striker.speed", 0.5) == by_cov.random["striker.speed"]
     beta = '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'
     with pytest.raises(StudyError, match=r"between\[1\]: with this mean striker.speed has no law"):
         load(BASE, ('{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }', beta))
@@ -291,14 +295,14 @@ def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
 def test_what_is_cut_off_moves_with_the_mean(load: Load) -> None:
     """A curve for spheres of 8 mm is one of spheres of 8 mm, and not of the smallest of those of 10 mm."""
     sorted_out = load(BASE, ('sd = "0.15 mm", lower = "9 mm"', 'sd = "0.15 mm", lower = "9.7 mm", upper = "10.4 mm"'))
-    same = law_with_mean(sorted_out, "sphere.radius", 0.010)
+    same = moved_mean(sorted_out, "sphere.radius", 0.010)
     assert same == sorted_out.random["sphere.radius"]
-    smaller = law_with_mean(sorted_out, "sphere.radius", 0.008)
+    smaller = moved_mean(sorted_out, "sphere.radius", 0.008)
     assert (smaller.lower, smaller.upper) == pytest.approx((0.00776, 0.00832), rel=1e-12)
-    assert smaller.lower < float(ppf(smaller, np.array([0.5]))[0]) < smaller.upper
+    assert smaller.lower < float(smaller.ppf(np.array([0.5]))[0]) < smaller.upper
     # the bounds of a beta law are its own
     beta = load(BASE, ("nu = 0.25", 'nu = { dist = "beta", mean = 0.25, sd = 0.03, lower = 0.05, upper = 0.45 }'))
-    moved = law_with_mean(beta, "sphere.nu", 0.3)
+    moved = moved_mean(beta, "sphere.nu", 0.3)
     assert (moved.lower, moved.upper) == (0.05, 0.45)
 
 
@@ -322,7 +326,7 @@ def test_override_inside_tables(load: Load) -> None:
     sets = ("striker.speed.mean=0.6 m/s", "bars.infinite=true", "dependence[0].spearman=0.1",
             "analysis.quantiles=[0.5]", 'limits."crushing".target = 0.2', "seed=9")  # fmt: skip
     study = load(BASE, overrides=sets)
-    assert nominal_mean(study.random["striker.speed"]) == 0.6
+    assert study.random["striker.speed"].nominal_mean() == 0.6
     assert study.options["bars.infinite"] is True
     assert (study.dependence[0].spearman, study.analysis.quantiles, study.seed) == (0.1, (0.5,), 9)
     assert study.limits[0].target == 0.2

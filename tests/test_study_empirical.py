@@ -36,7 +36,7 @@ def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
     (tmp_path / "tests.csv").rename(tmp_path / "sub" / "t.csv")
     (tmp_path / "tests.csv").symlink_to(tmp_path / "sub" / "t.csv")
     fitted = EMPIRICAL.replace('fit = "steps"', 'fit = "lognormal"')
-    assert load(fitted).random["sphere.E"].kind == "lognormal"
+    assert load(fitted).random["sphere.E"].family.name == "lognormal"
 
 
 @pytest.mark.parametrize(

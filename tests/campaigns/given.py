@@ -312,9 +312,8 @@ def _independent(model: CoverageModel) -> GivenModel:
     inputs = Inputs(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
 
     def function(x: Array) -> Array:
-        from uqsphere.uq.law import cdf
 
-        return model.function(np.column_stack([cdf(law, x[:, k]) for k, law in enumerate(laws)]))
+        return model.function(np.column_stack([law.cdf(x[:, k]) for k, law in enumerate(laws)]))
 
     return GivenModel(
         name=model.name,

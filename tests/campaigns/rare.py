@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.uq.law import Law, from_normal, make_law
+from uqsphere.uq.law import Law, make_law
 
 __all__ = [
     "FEW_PROBLEMS",
@@ -70,7 +70,7 @@ def _mapped(laws: tuple[Law, ...], function: Callable[..., Array]) -> Callable[[
     """A function of physical variables as one of standard normals."""
 
     def standard(u: Array) -> Array:
-        return np.asarray(function(*(from_normal(law, u[:, k]) for k, law in enumerate(laws))))
+        return np.asarray(function(*(law.from_normal(u[:, k]) for k, law in enumerate(laws))))
 
     return standard
 

@@ -94,7 +94,7 @@ def command_check(chosen: argparse.Namespace) -> int:
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
-        rows.append((name, text, law.kind if law else "fixed", _short(source.text) if source else "study"))
+        rows.append((name, text, law.family.name if law else "fixed", _short(source.text) if source else "study"))
     print(table(("number", "mean", "law", "source"), rows, width))
     print()
     if not study.black_box:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from uqsphere.errors import UsageError
 from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, trusted_from
 from uqsphere.given.table import Data, combinations
-from uqsphere.given.ties import TiedPair, left_open, ties_of, with_ties
+from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.joint import Inputs
 from uqsphere.uq.law import Law, LawError, germs_of
@@ -82,7 +82,6 @@ def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> d
 
 
 def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
-    from uqsphere.uq.fitting import rank_correlations, tied
 
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
     varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
@@ -135,7 +134,7 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
             continue
         columns.append(k)
         laws.append(law)
-        others.append((law,) * _LAWS if law.kind == "empirical" else tuple(open_))
+        others.append((law,) * _LAWS if law.family.observed else tuple(open_))
     names = tuple(data.inputs[k] for k in columns)
     reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
     inputs = None if reason else Inputs(names=names, laws=tuple(laws))
@@ -145,7 +144,6 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
 def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Law]]:
     """One input: every law that was tried, which is taken, and what the observations leave open of it."""
     from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, possible_laws
-    from uqsphere.uq.law import mean, sd
 
     try:
         fits = fit_marginal(values)
@@ -154,18 +152,18 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, []
     best = fits[0]
     entry: dict[str, Any] = {
-        "chosen": best.law.kind,
+        "chosen": best.law.family.name,
         "parameters": _parameters(best.law),
         "fits": [
             {
-                "dist": f.law.kind,
+                "dist": f.law.family.name,
                 "criterion": f.criterion - best.criterion,
                 "distance": f.distance,
                 "p_value": f.p_value,
             }
             for f in fits
         ],
-        "weights": {fit.law.kind: weight for fit, weight in plausible(fits)},
+        "weights": {fit.law.family.name: weight for fit, weight in plausible(fits)},
         "reason": None,
     }
     law = best.law
@@ -174,16 +172,16 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         entry["chosen"] = "kde"
         entry["parameters"] = dict(law.parameters)
         entry["weights"] = {}
-        entry["reason"] = f"no family fits: even the best, {best.law.kind}, has a p-value of {best.p_value:.2g}"
+        entry["reason"] = f"no family fits: even the best, {best.law.family.name}, has a p-value of {best.p_value:.2g}"
         if (levels := np.unique(values).size) <= _LEVELS:
             entry["reason"] = f"it has {levels} values only, and the kernel density fills the gaps between them"
         others = possible_laws(law, 100, generator) if values.size <= 500 else []
     else:
         others = plausible_laws(fits, _LAWS, generator)
-    entry["mean"], entry["sd"] = mean(law), sd(law)
-    for what, of in (("mean", mean), ("sd", sd)):
+    entry["mean"], entry["sd"] = law.mean(), law.sd()
+    for what, of in (("mean", Law.mean), ("sd", Law.sd)):
         # of a sum of kernels both are closed forms
-        found = np.array([_of_kernels(other)[what] if law.kind == "empirical" else of(other) for other in others])
+        found = np.array([_of_kernels(other)[what] if law.family.observed else of(other) for other in others])
         found = found[np.isfinite(found)]
         entry[f"{what}_left_open"] = [float(e) for e in np.quantile(found, [0.025, 0.975])] if found.size else None
     return entry, law, others
@@ -200,40 +198,39 @@ def _kernels(values: Array) -> Law:
     Kernels of width h would widen it by h², a tenth of the variance where 100 observations lie in two humps; the
     observations move inward by that much (B. W. Silverman, G. A. Young, Biometrika 74, 1987, 469).
     """
-    from uqsphere.uq.law import make_law
+    from uqsphere.uq.fitting import fitted_law
 
-    law = make_law("empirical", {}, data=values.tolist(), fit="kde")
+    law = fitted_law(values.tolist())
     centre, spread = float(values.mean()), float(values.std(ddof=1))
     inward = spread / math.hypot(spread, law.parameters["bandwidth"])
-    return make_law("empirical", {}, data=(centre + inward * (values - centre)).tolist(), fit="kde")
+    return fitted_law((centre + inward * (values - centre)).tolist())
 
 
 def _parameters(law: Law) -> dict[str, float]:
     """The keys of the law in a study."""
-    bounds = {"lower": law.lower, "upper": law.upper} if law.kind == "uniform" else {}
+    bounds = {"lower": law.lower, "upper": law.upper} if law.family.bounded else {}
     return {**dict(law.parameters), **bounds}
 
 
 def _given(data: Data, known: Inputs) -> tuple[dict[str, Any], _Laws]:
     """Laws that the runs were drawn from, and whether the runs look like it."""
-    from uqsphere.uq.empirical import kolmogorov_p_value
-    from uqsphere.uq.law import cdf, mean, sd
+    from uqsphere.uq.fitting import kolmogorov_p_value
 
     marginals: dict[str, Any] = {}
     n = len(data.x)
     for k, (name, law) in enumerate(zip(known.names, known.laws, strict=True)):
-        below = np.sort(cdf(law, data.x[:, k]))
+        below = np.sort(law.cdf(data.x[:, k]))
         distance = float(max((below - np.arange(n) / n).max(), ((np.arange(n) + 1.0) / n - below).max()))
         p_value = kolmogorov_p_value(distance, n)
         doubt = f"its runs do not look drawn from its law (p-value {p_value:.2g})" if p_value < _DOUBT else None
         marginals[name] = {
-            "chosen": law.kind,
+            "chosen": law.family.name,
             "parameters": _parameters(law),
-            "fits": [{"dist": law.kind, "criterion": 0.0, "distance": distance, "p_value": p_value}],
+            "fits": [{"dist": law.family.name, "criterion": 0.0, "distance": distance, "p_value": p_value}],
             "weights": {},
             "reason": doubt,
-            "mean": mean(law),
-            "sd": sd(law),
+            "mean": law.mean(),
+            "sd": law.sd(),
             "mean_left_open": None,
             "sd_left_open": None,
         }
@@ -333,7 +330,6 @@ def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
 def _output(values: Array) -> dict[str, Any]:
     """Mean, standard deviation and quantiles of independent runs."""
     from uqsphere.uq.estimate import mean_alone, sd_alone
-    from uqsphere.uq.fitting import quantile_interval
 
     n = values.size
     quantiles = {}
@@ -368,8 +364,8 @@ def _expansion(
     if np.ptp(y) <= 1e-14 * np.abs(y).max(initial=0.0):
         return refused("the output does not vary")
     # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
-    if laws.others and any(law.kind == "empirical" for law in laws.inputs.laws):
-        bad = next(n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.kind == "empirical")
+    if laws.others and any(law.family.observed for law in laws.inputs.laws):
+        bad = next(n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.family.observed)
         return refused(f"no family fits {bad}: what its kernel density leaves open is not known well enough")
     if len(rows) < (needed := least_runs(len(laws.columns))):
         return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
@@ -426,3 +422,22 @@ def _apart(ranks: Mapping[str, Estimate], chaos: Mapping[str, Any], output: Mapp
             if abs(alone["value"] - other["value"]) > _APART * math.hypot(alone["std_error"], other["std_error"]):
                 told.append(f"{what}: {alone['value']:.4g} by the runs alone, {other['value']:.4g} by expansion")
     return told
+
+
+def quantile_interval(values: Array, p: float) -> Estimate | None:
+    """Quantile of independent observations (n,) between two of them: the shortest pair whose binomial coverage is
+    95 %; None where there are too few."""
+    from scipy.stats import binom
+
+    ordered = np.sort(values)
+    n = ordered.size
+    low, high = int(binom.ppf(0.025, n, p)), int(binom.ppf(0.975, n, p))
+    # P(x_(low) <= quantile < x_(high + 1)) = F(high) - F(low - 1), counted from 1
+    if low < 1 or high + 1 > n:
+        return None
+    value = float(np.quantile(ordered, p, method="hazen"))
+    ends = float(ordered[low - 1]), float(ordered[high])
+    return Estimate(
+        value=value, low=min(ends[0], value), high=max(ends[1], value), std_error=(ends[1] - ends[0]) / 3.92,
+        method="order statistics", evaluations=n,
+    )  # fmt: skip

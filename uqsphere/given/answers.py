@@ -25,7 +25,7 @@ from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Inputs, blocks_of, normal_scores
-from uqsphere.uq.law import Law, cdf, from_normal, sf
+from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.released import believed
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
@@ -193,7 +193,7 @@ def _scores(below: Array, above: Array) -> Array:
 
 def law_scores(laws: Sequence[Law], x: Array) -> Array:
     """Normal scores (n, d) of values (n, d) under their laws, within 8 of the median."""
-    return np.column_stack([_scores(cdf(law, x[:, k]), sf(law, x[:, k])) for k, law in enumerate(laws)])
+    return np.column_stack([_scores(law.cdf(x[:, k]), law.sf(x[:, k])) for k, law in enumerate(laws)])
 
 
 def score_table(law: Law, others: Sequence[Law]) -> Array:
@@ -203,11 +203,11 @@ def score_table(law: Law, others: Sequence[Law]) -> Array:
     """
     from uqsphere.uq.fitting import possible_tails
 
-    x = from_normal(law, _GRID)
-    if law.kind == "empirical":
+    x = law.from_normal(_GRID)
+    if law.family.observed:
         generator = random_generator(seed=0, task=f"given: observations {len(law.data)} {law.data[0]!r}")
         return _scores(*possible_tails(law, x, len(others), generator))
-    return np.array([_scores(cdf(other, x), sf(other, x)) for other in others])
+    return np.array([_scores(other.cdf(x), other.sf(x)) for other in others])
 
 
 def trusted_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Trusted:

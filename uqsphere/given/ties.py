@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 from uqsphere.given.answers import LAWS, LeftOpen, score_table
 from uqsphere.uq.elliptical import Copula, log_density, make_copula
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
 from uqsphere.uq.law import Law, LawError
 
-__all__ = ["CHOICES", "TiedPair", "left_open", "rank_influence", "ties_of", "with_ties"]
+__all__ = ["CHOICES", "TiedPair", "left_open", "rank_correlations", "rank_influence", "tied", "ties_of", "with_ties"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +40,49 @@ class TiedPair:
     spearman: float
     copula: str
     weights: Mapping[str, float]
+
+
+def rank_correlations(columns: Array) -> list[tuple[int, int, Estimate]]:
+    """Spearman's rank correlation of every pair of columns (n, d), with Fisher's interval.
+
+    The variance of artanh r is 1.06/(n - 3) (E. C. Fieller, H. O. Hartley, E. S. Pearson, Biometrika 44, 1957, 470).
+    """
+    from scipy.stats import rankdata
+
+    n, d = columns.shape
+    if n < 5:
+        raise ValueError(f"a correlation takes 5 rows or more, found {n}")
+    ranks = np.column_stack([rankdata(columns[:, j]) for j in range(d)])
+    matrix = np.corrcoef(ranks, rowvar=False).reshape(d, d)
+    error = math.sqrt(1.06 / (n - 3))
+    found = []
+    for i in range(d):
+        for j in range(i + 1, d):
+            value = float(np.clip(matrix[i, j], -1.0, 1.0))
+            centre = math.atanh(np.clip(value, -1.0 + 1e-15, 1.0 - 1e-15))
+            low, high = math.tanh(centre - 1.96 * error), math.tanh(centre + 1.96 * error)
+            estimate = Estimate(
+                value=value, low=min(low, value), high=max(high, value), std_error=error * (1.0 - value**2),
+                method="Spearman, Fisher's interval", evaluations=n,
+            )  # fmt: skip
+            found.append((i, j, estimate))
+    return found
+
+
+def tied(pairs: Sequence[tuple[int, int, Estimate]]) -> list[tuple[int, int, Estimate]]:
+    """Pairs whose interval leaves out zero by so much that chance is no explanation among so many pairs."""
+    from scipy.special import ndtri
+
+    factor = -float(ndtri(0.005 / max(1, len(pairs)))) / 1.96
+    found = []
+    for i, j, estimate in pairs:
+        if estimate.value is None or estimate.low is None or estimate.high is None:
+            continue
+        centre = math.atanh(min(max(estimate.value, -1.0 + 1e-15), 1.0 - 1e-15))
+        half = 0.5 * (math.atanh(min(estimate.high, 1.0 - 1e-15)) - math.atanh(max(estimate.low, -1.0 + 1e-15)))
+        if abs(centre) > factor * half:
+            found.append((i, j, estimate))
+    return found
 
 
 def ties_of(x: Array, pairs: Mapping[tuple[int, int], float]) -> tuple[TiedPair, ...]:

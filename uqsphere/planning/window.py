@@ -33,7 +33,7 @@ from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.model import scene_of
 from uqsphere.study import Limit, Study
 from uqsphere.study.axis import SPEED
-from uqsphere.uq.law import Law, median, ppf
+from uqsphere.uq.law import Law
 
 __all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
 
@@ -163,9 +163,9 @@ def _check(study: Study) -> None:
 
 def _strength(limit: Limit, fractiles: Array) -> Array:
     """Strength over the model's factor, which stands at its median."""
-    factor = median(limit.model_factor) if isinstance(limit.model_factor, Law) else limit.model_factor
+    factor = limit.model_factor.median() if isinstance(limit.model_factor, Law) else limit.model_factor
     if isinstance(limit.strength, Law):
-        return np.asarray(ppf(limit.strength, fractiles) / factor)
+        return np.asarray(limit.strength.ppf(fractiles) / factor)
     return np.full(len(fractiles), limit.strength / factor)
 
 

@@ -33,7 +33,6 @@ from uqsphere.report.phrases import (
     safe_side,
     value_text,
 )
-from uqsphere.uq.law import ppf
 
 __all__ = [
     "answer_breaches",
@@ -374,7 +373,7 @@ def _span(contents: Contents, name: str) -> str:
     if law is None:
         fixed = contents.resolved["fixed"].get(name)
         return "" if fixed is None else value_text(float(fixed), name, 4)
-    low, high = (float(x) for x in ppf(law, np.array([0.001, 0.999])))
+    low, high = (float(x) for x in law.ppf(np.array([0.001, 0.999])))
     ends = [rounded({"value": v, "low": None, "high": None}, name, 3) for v in (low, high)]
     return " to ".join(ends)
 

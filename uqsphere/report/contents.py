@@ -16,7 +16,8 @@ from uqsphere.results.entries import read_manifest, read_resolved
 from uqsphere.runner.samples import read_points
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
-from uqsphere.uq.law import Law, LawError, make_law, nominal_mean
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.law import Law, LawError, make_law
 
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
 
@@ -61,7 +62,7 @@ class Contents:
         if name in self.resolved["fixed"]:
             return float(self.resolved["fixed"][name])
         law = law_of(self.resolved, name)
-        return None if law is None else nominal_mean(law)
+        return None if law is None else law.nominal_mean()
 
 
 def law_of(resolved: Mapping[str, Any], name: str) -> Law | None:
@@ -69,9 +70,10 @@ def law_of(resolved: Mapping[str, Any], name: str) -> Law | None:
     found = resolved["random"].get(name)
     if found is None:
         return None
-    if found["dist"] == "empirical":
+    family = FAMILIES.get(found["dist"])
+    if family is not None and family.observed:
         return Law(
-            kind="empirical",
+            family=family,
             parameters=found["parameters"],
             data=tuple(found["data"]),
             lower=-np.inf if found["lower"] is None else found["lower"],

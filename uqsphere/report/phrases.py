@@ -10,6 +10,7 @@ from typing import Any, Final
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import clean, shorten
+from uqsphere.uq.families import FAMILIES
 
 __all__ = [
     "ABSENT",
@@ -104,13 +105,9 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-#: families named after people
-_PEOPLE: Final = {"weibull": "Weibull", "gumbel": "Gumbel", "frechet": "Fréchet", "student_t": "Student’s t"}
-
-
 def law_name(kind: str) -> str:
     """A family of laws as it is written."""
-    return _PEOPLE.get(kind, kind.replace("_", " "))
+    return FAMILIES[kind].label
 
 
 def begin(name: str, words: str) -> str:

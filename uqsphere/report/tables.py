@@ -18,7 +18,6 @@ from uqsphere.report.phrases import (
     call,
     event,
     input_name,
-    law_name,
     limit_name,
     listed,
     mathematical,
@@ -33,6 +32,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import ModelEntry
 from uqsphere.units import told_apart
+from uqsphere.uq.families import FAMILIES
 
 __all__ = [
     "Table",
@@ -492,7 +492,6 @@ def methods_table(contents: Contents) -> Table:
 
 # --- Where the numbers of a study come from: inputs with their laws, fixed numbers, dependence, sources.
 
-_BARE = frozenset({"cov", "modulus", "shape", "alpha", "beta", "dof", "log_mean", "log_sd", "bandwidth"})
 _WORDS = {
     "sd": "standard deviation",
     "cov": "coefficient of variation",
@@ -504,6 +503,7 @@ _WORDS = {
 
 def _law_text(contents: Contents, name: str) -> str:
     law = contents.resolved["random"][name]
+    family = FAMILIES[law["dist"]]
     subject = contents.subject(name)
     given = law["given"] or law["parameters"]
     # what was fitted to observations is known no better than they tell; the table of the tests has the intervals
@@ -516,19 +516,18 @@ def _law_text(contents: Contents, name: str) -> str:
         elif isinstance(value, (int, float)):
             parts.append(
                 f"{_WORDS.get(key, key)} "
-                + (f"{value:.{digits}g}" if key in _BARE else value_text(value, subject, digits))
+                + (f"{value:.{digits}g}" if key not in family.dimensional else value_text(value, subject, digits))
             )
-    bounded = law["dist"] in ("uniform", "loguniform", "triangular", "beta")
     for key, word in (
-        ("lower", "from" if bounded else "cut off below"),
-        ("upper", "to" if bounded else "cut off above"),
+        ("lower", "from" if family.bounded else "cut off below"),
+        ("upper", "to" if family.bounded else "cut off above"),
     ):
         if law[key] is not None:
             parts.append(f"{word} {value_text(law[key], subject, 6)}")
     if law["data"]:
         stopped = len(law.get("censored", ()))
         parts.append(f"{len(law['data'])} observations" + (f" and {stopped} stopped before" if stopped else ""))
-    return ", ".join([law_name(str(law["dist"])), *parts])
+    return ", ".join([family.label, *parts])
 
 
 def _source(contents: Contents, name: str) -> str:

@@ -14,7 +14,6 @@ from uqsphere.runner.questions.indices import Sensitivity, shares_with_tails
 from uqsphere.uq.describe import Description
 from uqsphere.uq.estimate import NEVER, Why
 from uqsphere.uq.heavy_tails import HeavyTail, heavy_tail, without_moments
-from uqsphere.uq.law import tail_orders
 
 if TYPE_CHECKING:
     from uqsphere.uq.augmented import Trusted
@@ -33,7 +32,7 @@ def dear_tails(work: Work, design: Sample, trusted: Mapping[str, Trusted]) -> di
     d = len(work.scene_names)
     normals, physical = design.scores[0, :, :d], design.inputs[0, :, :d]
     laws = {name: work.study.random[name] for name in work.scene_names}
-    heavy = [j for j, law in enumerate(laws.values()) if min(tail_orders(law)) < math.inf]
+    heavy = [j for j, law in enumerate(laws.values()) if min(law.tail_orders()) < math.inf]
     answers = {}
     for quantity in work.quantities:
         outputs = design.outputs(quantity)
@@ -59,7 +58,7 @@ def settle_heavy(
     `believed` are the quantities that a surrogate speaks for, `tails` what each inherits.
     """
     descriptions = {}
-    order = min((min(tail_orders(work.study.random[name])) for name in work.scene_names), default=math.inf)
+    order = min((min(work.study.random[name].tail_orders()) for name in work.scene_names), default=math.inf)
     for name, described in sampled.descriptions.items():
         tail, outputs = tails.get(name), sampled.sample.outputs(name)
         # what a surrogate says of an output without such a tail is judged by its own many values, not by few runs

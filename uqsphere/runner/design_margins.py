@@ -24,7 +24,7 @@ from uqsphere.study.axis import SPEED, strength_name
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import count_tests, is_fitted
 from uqsphere.uq.fragility import fit_lognormal_curve
-from uqsphere.uq.law import Law, LawError, median, ppf
+from uqsphere.uq.law import Law, LawError
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.margins import fragility
 from uqsphere.uq.sample import Sample
@@ -115,7 +115,7 @@ def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> dict[str, Any]
 
 
 def _strength_at(strength: Law | float, p: float) -> float:
-    return float(ppf(strength, np.array([p]))[0]) if isinstance(strength, Law) else strength
+    return float(strength.ppf(np.array([p]))[0]) if isinstance(strength, Law) else strength
 
 
 def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
@@ -146,7 +146,7 @@ def _lost_to(work: Work, where: Where) -> dict[str, Any]:
             low = 0.05 if limit.aim == "survive" else 0.95
             typical = _strength_at(limit.strength, low)
             partial[name] = {"design": design, "characteristic": typical, "factor": typical / design}
-        elif (middle := median(laws[name])) != 0.0:
+        elif (middle := laws[name].median()) != 0.0:
             partial[name] = {"design": design, "characteristic": middle, "factor": design / middle}
     return {"shares": found.shares, "partial": partial}
 

@@ -23,7 +23,7 @@ from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices
 from uqsphere.uq.joint import normal_scores, tied_names
-from uqsphere.uq.law import Law, cdf, from_normal, is_steps, mean, ppf, sd, sf
+from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample, without
@@ -165,7 +165,7 @@ def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> A
     names = work.scene_names
     factors = np.array([limit.model_factor if not isinstance(limit.model_factor, Law) else 1.0])
     if isinstance(limit.model_factor, Law):
-        factors = ppf(limit.model_factor, (np.arange(FACTORS) + 0.5) / FACTORS)
+        factors = limit.model_factor.ppf((np.arange(FACTORS) + 0.5) / FACTORS)
     flat = values.reshape(values.shape[0], -1)
     state = LimitState(demands=flat, strength=limit.strength)
     if scores is not None:
@@ -255,14 +255,14 @@ def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, 
             continue
         found = given_failure(values, chance)
         law = laws[name]
-        quantiles = ppf(law, np.array(list(found.quantiles)))
+        quantiles = law.ppf(np.array(list(found.quantiles)))
         table[name] = {
             "mean": found.mean.as_dict(),
             "sd": found.sd.as_dict(),
             "quantiles": {f"{p:g}": e.as_dict() for p, e in found.quantiles.items()},
             "law": {
-                "mean": _finite(mean(law)),
-                "sd": _finite(sd(law)),
+                "mean": _finite(law.mean()),
+                "sd": _finite(law.sd()),
                 "quantiles": {f"{p:g}": float(q) for p, q in zip(found.quantiles, quantiles, strict=True)},
             },
         }
@@ -290,7 +290,7 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
         score = conditional_scores(state.tie.copula, range(last), known, score.reshape(-1, 1)).reshape(chance.shape)
     elif state.shift is not None:
         score = state.shift + state.remaining_sd * score
-    return from_normal(law, score)
+    return law.from_normal(score)
 
 
 # --- what to measure first ------------------------------------------------------------------------------
@@ -307,7 +307,7 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
     gradients = score_gradients(work.drawn, scores).reshape(sample.scores.shape)
     sways = dict(zip(names, sway_estimates(chance, gradients, _tied_moves(limit, state, len(names))), strict=True))
     laws: dict[str, Law | float] = dict(zip(names, work.drawn.laws, strict=True))
-    if isinstance(limit.strength, Law) and not is_steps(limit.strength):
+    if isinstance(limit.strength, Law) and not limit.strength.is_steps:
         moved = (_at_score(limit, state, -_H) - _at_score(limit, state, _H)) / (2.0 * _H)
         rows = moved.mean(axis=1)
         sways[_strength_name(limit)] = from_replicates(rows, "difference of the strength's law", chance.size)
@@ -334,7 +334,7 @@ def _at_score(limit: Limit, state: LimitState, step: float) -> Array:
     from scipy.special import ndtr, ndtri
 
     assert isinstance(limit.strength, Law)
-    below, above = cdf(limit.strength, state.demands), sf(limit.strength, state.demands)
+    below, above = limit.strength.cdf(state.demands), limit.strength.sf(state.demands)
     with np.errstate(divide="ignore"):
         score = np.where(below <= 0.5, ndtri(below), -ndtri(above))
     score = score_given_inputs(state, score + step)

@@ -16,7 +16,7 @@ from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
 from uqsphere.uq.joint import conditional_normal, normal_scores, strength_tie
-from uqsphere.uq.law import Law, cdf
+from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import (
     LimitState,
     exceedance,
@@ -170,7 +170,7 @@ def _governing(work: Work, limit: Limit, sample: Sample, state: LimitState) -> t
     names, score = list(work.drawn.names), None
     if isinstance(limit.strength, Law):
         with np.errstate(divide="ignore"):
-            score = np.asarray(ndtri(cdf(limit.strength, np.where(keep, state.demands, 0.0))))
+            score = np.asarray(ndtri(limit.strength.cdf(np.where(keep, state.demands, 0.0))))
         score = np.clip(score_given_inputs(state, score), -37.0, 37.0)[keep]
         weight = np.asarray(ndtr(score))
         names.append(f"limits.{limit.name}.strength")

@@ -31,7 +31,6 @@ from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins
 from uqsphere.study.axis import limit_of, quantity_of
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.law import mean, sd
 
 __all__ = [
     "Findings",
@@ -83,7 +82,12 @@ def _inputs(work: Work) -> dict[str, Any]:
         if name.startswith("limits."):
             limit = next(limit for limit in work.study.limits if limit_of(name) == limit.name)
             entry = lookup(limit.quantity if name.endswith(".strength") else name)
-        table[name] = {"dist": law.kind, "mean": _number(mean(law)), "sd": _number(sd(law)), "unit": entry.unit}
+        table[name] = {
+            "dist": law.family.name,
+            "mean": _number(law.mean()),
+            "sd": _number(law.sd()),
+            "unit": entry.unit,
+        }
     return table
 
 

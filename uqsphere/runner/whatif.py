@@ -23,7 +23,7 @@ from uqsphere.study.axis import spaced, strength_name
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
 from uqsphere.uq.joint import conditional_normal, tied_names
-from uqsphere.uq.law import Law, LawError, cdf, is_steps
+from uqsphere.uq.law import Law, LawError
 from uqsphere.uq.limit_state import LimitState, miss, target_met
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
@@ -35,11 +35,9 @@ from uqsphere.uq.whatif import (
     importance_weights,
     is_decided,
     logit,
-    other_family,
     probability_of_logit,
     roots,
     sides,
-    with_scatter,
 )
 
 __all__ = ["find_assumed", "find_ignorance", "laws_of", "more_tests", "value_range"]
@@ -116,10 +114,7 @@ def _fitted(work: Work, names: Iterable[str]) -> dict[str, Law]:
 
 
 def _about(fitted: dict[str, Law]) -> list[dict[str, Any]]:
-    return [
-        {"input": name, "fit": "kde" if law.kind == "empirical" else law.kind, "tests": count_tests(law)}
-        for name, law in fitted.items()
-    ]
+    return [{"input": name, "fit": law.fit, "tests": count_tests(law)} for name, law in fitted.items()]
 
 
 def _weights(work: Work, fitted: dict[str, Law], sample: Sample) -> dict[str, Array]:
@@ -199,12 +194,12 @@ def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitte
         for name in (name for name in inputs if ties[name]):
             column = sample.input(name)
             after = possible_tails(inputs[name], column.ravel(), LAWS, _generator(work, name))[0]
-            scores = [ndtri(cdf(inputs[name], column)), ndtri(after).reshape(LAWS, *column.shape)]
+            scores = [ndtri(inputs[name].cdf(column)), ndtri(after).reshape(LAWS, *column.shape)]
             before, scores_after = (np.clip(one, -FURTHEST_SCORE, FURTHEST_SCORE) for one in scores)
             shifts[name] = ties[name] * (scores_after - before)
     tails = None
     if isinstance(limit.strength, Law) and key in fitted:
-        at = np.nextafter(state.demands, -math.inf) if is_steps(limit.strength) else state.demands
+        at = np.nextafter(state.demands, -math.inf) if limit.strength.is_steps else state.demands
         below, above = possible_tails(limit.strength, at.ravel(), LAWS, _generator(work, key))
         tails = below.reshape(LAWS, *at.shape), above.reshape(LAWS, *at.shape)
     value = answer.exceedance.value
@@ -277,13 +272,13 @@ def _assumptions(work: Work, limit: Limit, state: LimitState) -> list[tuple[What
         found.append((WhatIf(untied=True), {"assumption": "dependence", "with": others}))
     # what a fitted law does not know of its scatter, its tests tell
     for factor in () if is_fitted(law) else (1.0 - FIFTH, 1.0 + FIFTH):
-        other = with_scatter(law, factor)
+        other = law.with_scatter(factor)
         if other is not None:
             what, taken, instead, changed = other
             found.append((WhatIf(strength=changed), {"assumption": what, "taken": taken, "instead": instead}))
-    another = other_family(law)
+    another = law.kin()
     if another is not None:
-        about = {"assumption": "law", "taken": law.kind, "instead": another.kind}
+        about = {"assumption": "law", "taken": law.family.name, "instead": another.family.name}
         found.append((WhatIf(strength=another), about))
     return found
 

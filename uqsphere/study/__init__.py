@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from uqsphere.study.axis import ENERGY, Axis, law_with_mean
+from uqsphere.study.axis import ENERGY, Axis
 from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
 from uqsphere.study.resolve import load_study
 from uqsphere.study.study import EndImpedance, Family, Limit, Margins, Source, Study
@@ -26,7 +26,6 @@ __all__ = [
     "Source",
     "Study",
     "json_schema",
-    "law_with_mean",
     "load_study",
     "shipped_studies",
 ]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.bars import section
 from uqsphere.mechanics.contact import sphere_mass
-from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
+from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.study.study import Limit, Study
@@ -98,7 +98,7 @@ class Axis:
         """What the demands of a limit are multiplied by where the scalar has a value, in place of its free strength."""
         if self.limit != limit.name:
             return 1.0
-        nominal = nominal_mean(limit.strength) if isinstance(limit.strength, Law) else limit.strength
+        nominal = limit.strength.nominal_mean() if isinstance(limit.strength, Law) else limit.strength
         return nominal / value
 
     def fix(self, study: Study, limit: Limit, value: float) -> tuple[Study, Limit] | str:
@@ -167,29 +167,8 @@ def spaced(low: float, high: float, count: int) -> list[float]:
 def with_number(study: Study, path: str, value: float) -> Study:
     """The study with a number at `value`: the mean of its law, or the number itself."""
     if path in study.random:
-        return replace(study, random={**study.random, path: law_with_mean(study, path, value)})
+        return replace(study, random={**study.random, path: study.random[path].with_mean(value, study.given[path])})
     return replace(study, fixed={**study.fixed, path: value})
-
-
-def law_with_mean(study: Study, name: str, mean: float) -> Law:
-    """The law of a random input with another mean (SI), keeping sd or cov, whichever the file gives.
-
-    What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5 and 10.5 mm become spheres
-    of 8 mm between 7.6 and 8.4 mm, and not the smallest of those of 10 mm.  The bounds of a beta law are its own and
-    stay.
-
-    Raises
-    ------
-    LawError
-        Where the law is not given by its mean, or has no member with the new one.
-    """
-    law, given = study.random[name], study.given[name]
-    if "mean" not in given:
-        raise LawError("the law is not given by its mean, so there is no mean to move", "mean")
-    cut = not LAWS[law.kind].bounded and given["mean"] > 0.0 and mean > 0.0
-    ratio = mean / given["mean"] if cut else 1.0
-    lower, upper = (bound if math.isfinite(bound := ratio * end) else None for end in (law.lower, law.upper))
-    return make_law(law.kind, {**given, "mean": mean}, lower=lower, upper=upper)
 
 
 def _sphere_mass(of: Mapping[str, float] | Mapping[str, Array]) -> Array:
@@ -207,5 +186,5 @@ def _speed_at_energy(study: Study, physical: Array, energy: float) -> Array:
     columns |= {name: np.asarray(physical[:, :, k]) for k, name in enumerate(names)}
     speed = np.sqrt(2.0 * energy * _sphere_mass(columns) / _striker_mass(columns))
     if SPEED in study.random:
-        speed = speed * columns[SPEED] / nominal_mean(study.random[SPEED])
+        speed = speed * columns[SPEED] / study.random[SPEED].nominal_mean()
     return np.asarray(speed)

@@ -208,7 +208,7 @@ def _with_modulus_of(strength: Reading | None, demand: Demand, name: str, findin
     if demand.criterion is None or "modulus" not in CRITERIA[demand.criterion].parameters:
         return demand
     law = strength.value if strength is not None else None
-    own = law.parameters.get("modulus") if isinstance(law, Law) and law.kind == "weibull" else None
+    own = law.parameters.get("modulus") if isinstance(law, Law) else None
     given = demand.parameters.get("modulus")
     place: Place = ("limits", name, "modulus")
     if own is not None and given is not None and abs(own - given) > 1e-9 * given:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from uqsphere.quantities import lookup
-from uqsphere.study.axis import ENERGY, SPEED, law_with_mean, make_axis
+from uqsphere.study.axis import ENERGY, SPEED, make_axis
 from uqsphere.study.document import MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
@@ -192,7 +192,7 @@ def _check_moved(study: Study, name: str, values: Sequence[float], keys: tuple[s
         return
     for index, value in enumerate(values):
         try:
-            law_with_mean(study, name, value)
+            study.random[name].with_mean(value, study.given[name])
         except LawError as error:
             findings.add(
                 (*base, keys[1], index),

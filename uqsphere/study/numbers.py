@@ -12,8 +12,9 @@ from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import read_column, read_flags
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.units import UNITS, Quantity, UnitError, parse_value
-from uqsphere.uq.fitting import LEAST_TESTS, count_tests
-from uqsphere.uq.law import LAWS, Law, LawError, make_law, nominal_mean
+from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
+from uqsphere.uq.law import Law, LawError, make_law
 
 __all__ = ["BAR_ENDS", "Reading", "fixed_value", "plain_quantity", "read_fixed", "read_number"]
 
@@ -42,7 +43,7 @@ class Reading:
     @property
     def nominal(self) -> float:
         """The value, or the law's mean before truncation."""
-        return nominal_mean(self.value) if isinstance(self.value, Law) else self.value
+        return self.value.nominal_mean() if isinstance(self.value, Law) else self.value
 
 
 def plain_quantity(name: str) -> Quantity:
@@ -131,22 +132,22 @@ def _read_law(
 ) -> Reading | None:
     kind = raw.get("dist")
     before = len(findings.faults)
-    if not isinstance(kind, str) or kind not in LAWS:
+    if not isinstance(kind, str) or kind not in FAMILIES:
         if "dist" not in raw:
             if not findings.touched((*place, "dist")):
                 findings.add(place, f'a distribution is due here, such as {{ dist = "normal", … }}: {_no_dist(raw)}')
         else:
-            near = suggestion(kind, LAWS) if isinstance(kind, str) else ""
-            findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(LAWS)}{near}")
+            near = suggestion(kind, FAMILIES) if isinstance(kind, str) else ""
+            findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{near}")
         return None
-    empirical = kind == "empirical"
-    _refuse_unknown(raw, kind, place, findings)
+    family = FAMILIES[kind]
+    _refuse_unknown(raw, family, place, findings)
     given: dict[str, float] = {}
     bounds: dict[str, float] = {}
-    for key in (*LAWS[kind].keys, "lower", "upper"):
+    for key in (*family.keys, "lower", "upper"):
         if key not in raw:
             continue
-        due = quantity if key in LAWS[kind].dimensional else plain_quantity(quantity.name)
+        due = quantity if key in family.dimensional else plain_quantity(quantity.name)
         if key not in _WHERE:
             beside = _unit_beside(raw, due) if due.dimension != "number" else ""
             due = replace(due, plausible=(0.0, math.inf), display=beside)
@@ -156,7 +157,7 @@ def _read_law(
             findings.add((*place, key), str(error))
     data: tuple[float, ...] = ()
     stopped: tuple[float, ...] = ()
-    if empirical:
+    if family.observed:
         data = read_column(raw, place, quantity, findings, folder)
         if not isinstance(raw.get("unbiased", False), bool):
             findings.add((*place, "unbiased"), f"found {shown(raw['unbiased'])}, where true or false is due")
@@ -166,14 +167,19 @@ def _read_law(
     if len(findings.faults) > before or not findings.clean(place):
         return None
     try:
-        law = make_law(kind, given, bounds.get("lower"), bounds.get("upper"), data, raw.get("fit"),
-                       stopped, bool(raw.get("unbiased")))  # fmt: skip
+        ends = bounds.get("lower"), bounds.get("upper")
+        if family.observed:
+            law = fitted_law(data, raw.get("fit"), *ends, censored=stopped, unbiased=bool(raw.get("unbiased")))
+        else:
+            law = make_law(kind, given, *ends)
     except LawError as error:
-        findings.add((*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, kind))
+        findings.add(
+            (*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, family)
+        )
         return None
     if not _sensible_scatter(law, place, raw, findings):
         return None
-    if empirical:
+    if family.observed:
         _warn_of_few(law, (*place, "file"), findings)
     _warn_of_bounds(law, given, place, quantity, findings)
     return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
@@ -230,55 +236,46 @@ def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Any], findings: 
 
 def _variation(law: Law) -> float:
     """Standard deviation over mean before truncation, where it is known without special functions; else 0."""
-    p = law.parameters
     try:
-        if law.kind == "lognormal":
-            return math.sqrt(math.expm1(p["log_sd"] ** 2))
-        if law.kind == "gamma":
-            return 1.0 / math.sqrt(p["shape"])
-        if law.kind == "weibull" and p["threshold"] == 0.0:
-            return math.sqrt(
-                math.expm1(math.lgamma(1.0 + 2.0 / p["modulus"]) - 2.0 * math.lgamma(1.0 + 1.0 / p["modulus"]))
-            )
+        return law.family.variation(law.parameters)
     except (OverflowError, ZeroDivisionError, ValueError):
         return math.inf
-    return 0.0
 
 
 def _no_dist(raw: Mapping[str, Any]) -> str:
     return f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}" if raw else "found an empty table"
 
 
-def _refuse_unknown(raw: Mapping[str, Any], kind: str, place: Place, findings: Findings) -> None:
-    files = _FILE_KEYS if kind == "empirical" else ()
-    allowed = ("dist", *LAWS[kind].keys, "lower", "upper", *files)
-    others = {key for other in LAWS.values() for key in other.keys} | set(_FILE_KEYS)
+def _refuse_unknown(raw: Mapping[str, Any], family: Family, place: Place, findings: Findings) -> None:
+    files = _FILE_KEYS if family.observed else ()
+    allowed = ("dist", *family.keys, "lower", "upper", *files)
+    others = {key for other in FAMILIES.values() for key in other.keys} | set(_FILE_KEYS)
     for key in raw:
         if key in allowed:
             continue
         near = suggestion(key, allowed)
         if key in others:
-            said = f"{shown(key)} does not belong to the distribution {kind}, which takes {one_of(allowed[1:])}"
+            said = f"{shown(key)} does not belong to the distribution {family.name}, which takes {one_of(allowed[1:])}"
         else:
-            said = f"unknown key {shown(key)}{near or f'; {kind} takes {one_of(allowed[1:])}'}"
+            said = f"unknown key {shown(key)}{near or f'; {family.name} takes {one_of(allowed[1:])}'}"
         findings.add((*place, key), said)
 
 
-def _with_unit(message: str, quantity: Quantity, key: str, kind: str) -> str:
+def _with_unit(message: str, quantity: Quantity, key: str, family: Family) -> str:
     """The law's own message, which speaks in SI."""
-    dimensional = key == "" or key in LAWS[kind].dimensional
+    dimensional = key == "" or key in family.dimensional
     spoken = dimensional and any(character.isdigit() for character in message)
     return f"{message} (numbers in {quantity.unit})" if spoken and quantity.unit else message
 
 
 def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> bool:
     """Whether the law lies where the quantity has a meaning; a far tail outside is warned of."""
-    centre = nominal_mean(law)
+    centre = law.nominal_mean()
     if not quantity.allows(centre):
         found = format_value(centre, quantity.name)
         findings.add(place, f"the distribution has its mean at {found}: {_bounds_in_words(quantity)}")
         return False
-    if LAWS[law.kind].bounded:
+    if law.family.bounded:
         for key, bound in (("lower", law.lower), ("upper", law.upper)):
             if not quantity.lower <= bound <= quantity.upper:
                 findings.add((*place, key), f"{format_value(bound, quantity.name)}: {_bounds_in_words(quantity)}")
@@ -300,25 +297,9 @@ def _share_outside(law: Law, quantity: Quantity) -> float:
     """Mass of the law in force below and above the bounds of meaning."""
     import numpy as np
 
-    from uqsphere.uq.law import cdf, sf
-
     share = 0.0
-    if max(law.lower, _least(law)) < quantity.lower:
-        share += float(cdf(law, np.array([quantity.lower]))[0])
+    if max(law.lower, law.family.least(law.parameters, law.lower, law.upper)) < quantity.lower:
+        share += float(law.cdf(np.array([quantity.lower]))[0])
     if law.upper > quantity.upper:
-        share += float(sf(law, np.array([quantity.upper]))[0])
+        share += float(law.sf(np.array([quantity.upper]))[0])
     return share
-
-
-def _least(law: Law) -> float:
-    """A bound below which the law has nothing to speak of, where it is known without special functions.
-
-    Those take longer to import than the rest of a study takes to read.
-    """
-    parameters = law.parameters
-    if law.kind == "normal" and law.lower < parameters["mean"] < law.upper:
-        return parameters["mean"] - 8.0 * parameters["sd"]
-    if law.kind in ("lognormal", "gamma", "exponential"):
-        return 0.0
-    own = {"weibull": "threshold", "frechet": "location"}.get(law.kind)
-    return parameters[own] if own else -math.inf

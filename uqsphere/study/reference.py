@@ -35,7 +35,8 @@ from uqsphere.study.document import (
 )
 from uqsphere.study.numbers import BAR_ENDS
 from uqsphere.units import UNITS, units_of
-from uqsphere.uq.law import LAWS
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.fitting import FITS
 
 __all__ = ["TABLES", "build_schema", "key_table", "with_tables"]
 
@@ -80,7 +81,7 @@ def build_schema() -> Node:
         "$defs": {
             **tables,
             **{name: _dimension(name) for name in dimensions},
-            **{f"{name}_law": {"anyOf": [_law(kind, name) for kind in LAWS]} for name in dimensions},
+            **{f"{name}_law": {"anyOf": [_law(kind, name) for kind in FAMILIES]} for name in dimensions},
         },
     }
 
@@ -164,18 +165,18 @@ def _text(description: str) -> Node:
 
 def _law(kind: str, dimension: str) -> Node:
     """The table of one distribution for a quantity of a dimension."""
-    specification = LAWS[kind]
+    family = FAMILIES[kind]
     value = {"$ref": f"#/$defs/{dimension}"}
     properties: dict[str, Node] = {"dist": {"const": kind}}
-    for key in (*specification.keys, "lower", "upper"):
-        properties[key] = value if key in specification.dimensional else {"type": "number"}
-    required = ["dist", *(("lower", "upper") if specification.bounded else ())]
-    alternatives = [{"required": list(keys)} for keys in specification.alternatives if keys]
-    if kind == "empirical":
+    for key in (*family.keys, "lower", "upper"):
+        properties[key] = value if key in family.dimensional else {"type": "number"}
+    required = ["dist", *(("lower", "upper") if family.bounded else ())]
+    alternatives = [{"required": list(keys)} for keys in family.alternatives if keys]
+    if family.observed:
         properties |= {
             "file": _text("CSV beside the study"),
             "column": _text("column of the CSV"),
-            "fit": {"enum": ["kde", "steps", *(name for name in LAWS if name != "empirical")]},
+            "fit": {"enum": list(FITS)},
             "censored": _text("column of flags: tests stopped before a failure"),
             "unbiased": {"type": "boolean"},
             "force": _text("column of forces at failure of spheres, in place of column"),

@@ -21,7 +21,8 @@ from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
 from uqsphere.units import UNITS, Quantity, UnitError, parse_value
-from uqsphere.uq.law import Law, LawError, make_law
+from uqsphere.uq.fitting import fitted_law
+from uqsphere.uq.law import Law, LawError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -185,7 +186,7 @@ def _law(
 
     def fitted(parameters: Mapping[str, float]) -> Law:
         values = _strengths(state, demand, parameters)
-        return make_law("empirical", {}, None, None, values[~stopped].tolist(), fit, values[stopped].tolist(), unbiased)
+        return fitted_law(values[~stopped].tolist(), fit, censored=values[stopped].tolist(), unbiased=unbiased)
 
     parameters = dict(demand.parameters)
     needs = demand.criterion is not None and "modulus" in CRITERIA[demand.criterion].parameters

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
 from uqsphere.study.document import Analysis, Dependence, Gauge, ModelChoice
-from uqsphere.uq.law import Law, nominal_mean
+from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.uq.joint import Dependence as Tie
@@ -102,7 +102,7 @@ class Study:
     random : mapping of str to Law
         Every scattered number, in the order of the file.
     given : mapping of str to mapping
-        The parameters of each law as the file gives them, in SI (``mean`` and ``cov``, say); `law_with_mean`
+        The parameters of each law as the file gives them, in SI (``mean`` and ``cov``, say); `Law.with_mean`
         reads it.  The keys are those of `random` and ``limits.NAME.strength``, ``limits.NAME.model_factor``.
     warnings : tuple of str
         What a user should know and what does not stop the study.
@@ -169,7 +169,7 @@ class Study:
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
-        return {**self.fixed, **{name: nominal_mean(law) for name, law in self.random.items()}}
+        return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
     def resolved(self) -> dict[str, Any]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
@@ -231,7 +231,7 @@ def _bound(value: float) -> float | None:
 
 def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
     return {
-        "dist": law.kind,
+        "dist": law.family.name,
         "parameters": dict(law.parameters),
         "given": dict(given),
         "lower": _bound(law.lower),

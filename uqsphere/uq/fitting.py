@@ -438,7 +438,7 @@ def _fitted(name: str, values: Array, normal: float) -> Fit | None:
         return None
     try:
         with np.errstate(over="ignore", under="ignore"):
-            own = dict(tried.fit(values))
+            own = dict(tried.fit(values) if tried.fit else family.fit(values, -math.inf, math.inf))
             bounds = own.pop("lower", None), own.pop("upper", None)
             law = replace(make_law(name, own, *bounds), data=tuple(values.tolist()))
             density = law.pdf(values)

@@ -17,7 +17,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.describe import Description
 from uqsphere.uq.estimate import Absent, Estimate, Why, absent
 from uqsphere.uq.indices import WORTHLESS
-from uqsphere.uq.law import Law, tail_orders
+from uqsphere.uq.law import Law
 from uqsphere.uq.sample import Sample
 
 __all__ = [
@@ -129,7 +129,7 @@ def heavy_tail(
     True
     """
     orders = {(j, side): order for j, law in enumerate(laws.values())
-              for side, order in zip((-1.0, 1.0), tail_orders(law), strict=True) if math.isfinite(order)}  # fmt: skip
+              for side, order in zip((-1.0, 1.0), law.tail_orders(), strict=True) if math.isfinite(order)}  # fmt: skip
     kept = np.isfinite(outputs)
     count = int(kept.sum())
     if not orders or count == 0:

@@ -15,7 +15,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.elliptical import Copula, Tie, conditional_scores, dependent_scores, make_copula, members_of
-from uqsphere.uq.law import Law, LawError, from_normal
+from uqsphere.uq.law import Law, LawError
 
 __all__ = [
     "Dependence",
@@ -132,7 +132,7 @@ def physical_from_scores(inputs: Inputs, scores: Array) -> Array:
     """Dependent normal scores (n, d) -> inputs (n, d) in SI: the marginals alone."""
     physical = np.empty_like(scores)
     for column, law in enumerate(inputs.laws):
-        physical[:, column] = from_normal(law, scores[:, column])
+        physical[:, column] = law.from_normal(scores[:, column])
     return physical
 
 

@@ -18,7 +18,7 @@ from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.elliptical import Tie, conditional_score
 from uqsphere.uq.estimate import Estimate, absent, student
-from uqsphere.uq.law import Law, cdf, is_steps, ppf, sf
+from uqsphere.uq.law import Law
 
 __all__ = [
     "LimitState",
@@ -86,10 +86,10 @@ def strength_tails(
     """P(strength < demand) and its complement; `shift`, `remaining_sd` as in `LimitState`."""
     if not isinstance(strength, Law):
         return (demands > strength).astype(float), (demands <= strength).astype(float)
-    if is_steps(strength):
+    if strength.is_steps:
         # P(S < d): an observation that equals the demand has not been exceeded.
         demands = np.nextafter(demands, -math.inf)
-    below, above = cdf(strength, demands), sf(strength, demands)
+    below, above = strength.cdf(demands), strength.sf(demands)
     return (below, above) if shift is None else shifted_tails(below, above, shift, remaining_sd)
 
 
@@ -267,7 +267,7 @@ def margin_quantiles(state: LimitState, probabilities: Sequence[float] = (0.05, 
     keys = {p: "median" if p == 0.5 else f"{p:g}" for p in probabilities}
     total = int(state.demands.size)
     strength = state.strength
-    doubtful = float(cdf(strength, np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
+    doubtful = float(strength.cdf(np.zeros(1))[0]) if isinstance(strength, Law) else float(strength <= 0.0)
     reason = ""
     if doubtful > 1e-6:
         reason = "the strength may be zero or negative: strength over demand has no meaning"
@@ -319,13 +319,13 @@ def _margin(state: LimitState, strength: Law, p: float) -> Estimate:
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
         return absent("the demand may be zero: the margin is unbounded", state.method, total)
-    typical = float(ppf(strength, np.array([p]))[0]) / float(np.median(positive))
+    typical = float(strength.ppf(np.array([p]))[0]) / float(np.median(positive))
 
     @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
     def replicate_probabilities(margin: float) -> Array:
-        if state.shift is None and state.tie is None and not is_steps(strength):
+        if state.shift is None and state.tie is None and not strength.is_steps:
             # A root needs one tail only, and there are many evaluations.
-            below = cdf(strength, np.where(broken, 0.0, state.demands) * margin)
+            below = strength.cdf(np.where(broken, 0.0, state.demands) * margin)
             return np.asarray(np.where(broken, 0.0, below).sum(axis=1) / counts)
         return np.asarray(tails(state, margin)[0].sum(axis=1) / counts)
 

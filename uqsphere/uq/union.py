@@ -19,7 +19,7 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.elliptical import conditional_scores
 from uqsphere.uq.estimate import Estimate, none_of, student
-from uqsphere.uq.law import Law, from_normal, make_law
+from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, tails
 
 __all__ = [
@@ -217,7 +217,7 @@ def _strengths(state: LimitState, score: Array, pick: tuple[Index, Index]) -> Ar
         score = conditional_scores(state.tie.copula, range(last), known, near).reshape(score.shape)
     elif state.shift is not None:
         score = state.shift[pick] + state.remaining_sd * score
-    return np.asarray(from_normal(law, score))
+    return np.asarray(law.from_normal(score))
 
 
 # --- estimates over those samples ---------------------------------------------------------------------

@@ -15,7 +15,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.fitting import possible_densities
-from uqsphere.uq.law import Law, LawError, make_law, mean, sd
+from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, shifted_tails, tails
 
 __all__ = [
@@ -27,12 +27,10 @@ __all__ = [
     "importance_weights",
     "is_decided",
     "logit",
-    "other_family",
     "probability",
     "probability_of_logit",
     "roots",
     "sides",
-    "with_scatter",
 ]
 
 #: more tests than this are not asked of anybody
@@ -177,80 +175,3 @@ def fewest_tests(decided: Callable[[int], bool], known: int) -> int | None:
         middle = (low + high) // 2
         low, high = (low, middle) if decided(middle) else (middle, high)
     return high
-
-
-# --- other laws of a strength ----------------------------------------------------------------------------
-
-
-def with_scatter(law: Law, factor: float) -> tuple[str, float, float, Law] | None:
-    """A law with the same mean and its modulus, or coefficient of variation, times a factor; None where it has none.
-
-    Returns
-    -------
-    str, float, float, Law
-        `modulus` or `cov`, what it is, what it becomes, and the law.
-
-    >>> weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
-    >>> what, taken, instead, other = with_scatter(weibull, 0.5)
-    >>> what, taken, instead, round(mean(other), 12)
-    ('modulus', 12.0, 6.0, 4.0)
-    """
-    own = law.parameters
-    try:
-        if law.kind == "weibull":
-            threshold, modulus = own["threshold"], own["modulus"]
-            centre = threshold + own["scale"] * math.gamma(1.0 + 1.0 / modulus)
-            given = {"mean": centre, "modulus": factor * modulus, "threshold": threshold}
-            return "modulus", modulus, _plain(factor * modulus), make_law("weibull", given, *_bounds(law))
-        if law.kind not in ("normal", "lognormal", "gamma", "gumbel", "beta"):
-            return None
-        centre, scatter = _moments(law)
-        given = {"mean": centre, "sd": factor * scatter}
-        cov = scatter / centre
-        return "cov", _plain(cov), _plain(factor * cov), make_law(law.kind, given, *_bounds(law))
-    except (LawError, OverflowError, ZeroDivisionError):
-        return None
-
-
-def other_family(law: Law) -> Law | None:
-    """The lognormal law with the same mean and scatter, for a lognormal the Weibull one; None where there is none.
-
-    >>> round(sd(other_family(make_law("weibull", {"mean": 4.0, "modulus": 12.0}))), 3)
-    0.405
-    """
-    if law.kind not in ("normal", "lognormal", "weibull", "gamma", "gumbel"):
-        return None
-    try:
-        centre, scatter = _moments(law)
-        if not (centre > 0.0 and 0.0 < scatter < centre):
-            return None
-        if law.kind != "lognormal":
-            return make_law("lognormal", {"mean": centre, "sd": scatter}, *_bounds(law))
-        return make_law("weibull", {"mean": centre, "modulus": _modulus(scatter / centre)}, *_bounds(law))
-    except (LawError, OverflowError, ZeroDivisionError):
-        return None
-
-
-def _plain(value: float) -> float:
-    """Without the last digits, which are rounding."""
-    return float(f"{value:.12g}")
-
-
-def _modulus(cov: float) -> float:
-    """Weibull modulus with a coefficient of variation below 1."""
-    from scipy.optimize import brentq
-
-    def gap(m: float) -> float:
-        return math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - math.log1p(cov**2)
-
-    return float(brentq(gap, 0.9, 2.0 / cov + 2.0))
-
-
-def _moments(law: Law) -> tuple[float, float]:
-    """Mean and standard deviation before truncation, but for a law that its bounds belong to."""
-    bare = law if law.kind == "beta" else replace(law, lower=-math.inf, upper=math.inf)
-    return float(mean(bare)), float(sd(bare))
-
-
-def _bounds(law: Law) -> tuple[float | None, float | None]:
-    return tuple(None if math.isinf(end) else end for end in (law.lower, law.upper))  # type: ignore[return-value]

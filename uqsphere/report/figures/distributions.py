@@ -24,7 +24,7 @@ from uqsphere.report.phrases import (
     unit_text,
     value_text,
 )
-from uqsphere.uq.law import Law, cdf, pdf, ppf
+from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,7 @@ class _Strength:
         if self.law is None:
             assert self.value is not None
             return self.value, self.value
-        low, high = ppf(self.law, np.array([0.001, 0.999]))
+        low, high = self.law.ppf(np.array([0.001, 0.999]))
         return float(low), float(high)
 
 
@@ -192,7 +192,7 @@ def _drawn_densities(
         if strength.law is None:
             rows.append((name, strength.value, strength.value, 1.0))
         else:
-            shares = np.diff(cdf(strength.law, cuts))
+            shares = np.diff(strength.law.cdf(cuts))
             rows += [(name, *map(float, row)) for row in zip(cuts[:-1], cuts[1:], shares, strict=True)]
     return {"header": ("what", "from", "to", "share"), "rows": tuple(rows)}
 
@@ -205,7 +205,7 @@ def _strength_curve(
         axes.axvline(strength.value * factor, color=RED, linestyle="--", ymax=0.8)
         return 0.0
     x = np.geomspace(*ends, 300) if logarithmic else np.linspace(*ends, 300)
-    density = np.nan_to_num(pdf(strength.law, x), nan=0.0, posinf=0.0)
+    density = np.nan_to_num(strength.law.pdf(x), nan=0.0, posinf=0.0)
     width = x * np.log(ends[1] / ends[0]) if logarithmic else np.full_like(x, ends[1] - ends[0])
     heights = density * width
     axes.plot(x * factor, heights, color=RED, linestyle="--")

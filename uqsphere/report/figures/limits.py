@@ -40,7 +40,6 @@ from uqsphere.report.phrases import (
     capital,
     estimate_text,
     input_name,
-    law_name,
     limit_name,
     listed,
     plain_percent,
@@ -50,8 +49,17 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
-from uqsphere.uq.law import Law, ppf
-from uqsphere.uq.weibull import KINDS, StrengthFit, StrengthTests, fit_strength, make_tests, pivots, plotting_positions
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.law import Law
+from uqsphere.uq.weibull import (
+    STRENGTHS,
+    StrengthFit,
+    StrengthTests,
+    fit_strength,
+    make_tests,
+    pivots,
+    plotting_positions,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,7 +142,7 @@ def sides_of(contents: Contents, limit: str) -> Sides | None:
         levels = _levels(contents, limit, len(samples.values))
         if levels is None:
             return None
-        strength = np.asarray(ppf(law, levels), dtype=float)
+        strength = np.asarray(law.ppf(levels), dtype=float)
     over = samples.values > strength
     return Sides(
         name=name,
@@ -524,28 +532,15 @@ class FittedTests:
 def fitted_tests(contents: Contents, name: str) -> FittedTests | None:
     """The tests behind a limit's strength, where a Weibull or lognormal law was fitted to them."""
     found = contents.resolved["random"].get(f"limits.{name}.strength")
-    if found is None or found["dist"] not in KINDS or not found["data"]:
+    if found is None or found["dist"] not in STRENGTHS or not found["data"]:
         return None
     stopped = found.get("censored", [])
     tests = make_tests([*found["data"], *stopped], [False] * len(found["data"]) + [True] * len(stopped))
-    law = Law(kind=found["dist"], parameters=found["parameters"])
+    law = Law(family=FAMILIES[found["dist"]], parameters=found["parameters"])
     quantity = contents.results["limits"][name]["quantity"]
-    return FittedTests(limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, law.kind))
-
-
-def _height(kind: str, p: Array) -> Array:
-    """Height of a share on the paper of the law."""
-    from scipy.special import ndtri
-
-    p = np.asarray(p, dtype=float)
-    return np.asarray(np.log(-np.log1p(-p)) if kind == "weibull" else ndtri(p))
-
-
-def _line(kind: str, parameters: dict[str, float], heights: Array) -> Array:
-    """Strengths (n,) of the law at heights on its paper."""
-    if kind == "weibull":
-        return np.asarray(parameters["scale"] * np.exp(heights / parameters["modulus"]))
-    return np.asarray(np.exp(parameters["log_mean"] + parameters["log_sd"] * heights))
+    return FittedTests(
+        limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, STRENGTHS[found["dist"]])
+    )
 
 
 def probability_plot(known: FittedTests) -> Picture:
@@ -554,33 +549,33 @@ def probability_plot(known: FittedTests) -> Picture:
 
     tests, law, fitted, quantity = known.tests, known.law, known.fit, known.quantity
     factor = display_unit(quantity)[1]
-    kind = law.kind
-    positions = _height(kind, plotting_positions(tests.failed))
-    low = min(float(_height(kind, np.array([0.01]))[0]), float(positions[0]) - 0.3)
-    high = max(float(_height(kind, np.array([0.99]))[0]), float(positions[-1]) + 0.3)
+    paper = fitted.law
+    positions = paper.height(plotting_positions(tests.failed))
+    low = min(float(paper.height(np.array([0.01]))[0]), float(positions[0]) - 0.3)
+    high = max(float(paper.height(np.array([0.99]))[0]), float(positions[-1]) + 0.3)
     heights = np.linspace(low, high, 80)
-    centre, inverse = pivots(kind, tests.failed, 2000, np.random.default_rng(1))
-    spread = 1.0 / fitted.shape if kind == "weibull" else fitted.shape
+    centre, inverse = pivots(paper, tests.failed, 2000, np.random.default_rng(1))
+    spread = paper.shape(fitted.shape)
     lines = np.log(fitted.scale) + spread * (inverse[:, None] * heights - centre[:, None])
     band = np.exp(np.quantile(lines, [0.025, 0.975], axis=0))
     stopped = tests.values[~tests.failed]
     with style():
         figure, (axes,) = new_figure(3.7)
         axes.fill_betweenx(heights, band[0] * factor, band[1] * factor, color=BLUE, alpha=0.2, linewidth=0.0)
-        axes.plot(_line(kind, dict(law.parameters), heights) * factor, heights, color=BLUE)
+        axes.plot(law.ppf(paper.below(heights)) * factor, heights, color=BLUE)
         axes.plot(tests.values[tests.failed] * factor, positions, linestyle="none", marker="o", color=INK,
                   markerfacecolor=PAPER, markersize=5.5)  # fmt: skip
         if stopped.size:
             axes.plot(stopped * factor, np.full(stopped.size, low), linestyle="none", marker=">", color=ORANGE,
                       markeredgecolor=INK, markersize=7, clip_on=False, zorder=5)  # fmt: skip
-        every = np.concatenate([tests.values, _line(kind, dict(law.parameters), heights)]) * factor
+        every = np.concatenate([tests.values, law.ppf(paper.below(heights))]) * factor
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(MaxNLocator(7))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlim(0.95 * every.min(), 1.05 * every.max())
-        ticks = [p for p in _TICKS if low <= float(_height(kind, np.array([p]))[0]) <= high]
-        axes.set_yticks(_height(kind, np.array(ticks)).tolist(), [f"{100.0 * p:g} %" for p in ticks])
+        ticks = [p for p in _TICKS if low <= float(paper.height(np.array([p]))[0]) <= high]
+        axes.set_yticks(paper.height(np.array(ticks)).tolist(), [f"{100.0 * p:g} %" for p in ticks])
         axes.set_ylim(low, high)
         axes.grid()
         axes.set_xlabel(axis_label(quantity, f"strength against {shorten(symbol(quantity), 40)}"))
@@ -595,8 +590,7 @@ def probability_plot(known: FittedTests) -> Picture:
 
 def _drawn(known: FittedTests, heights: Array, band: Array) -> tuple[tuple[Any, ...], ...]:
     """The tests, and the law with its band, in SI: at a share the strength and its ends."""
-    tests, kind = known.tests, known.law.kind
-    from scipy.special import ndtr
+    tests = known.tests
 
     shares = plotting_positions(tests.failed)
     rows: list[tuple[Any, ...]] = [
@@ -604,8 +598,8 @@ def _drawn(known: FittedTests, heights: Array, band: Array) -> tuple[tuple[Any, 
         for value, share in zip(np.sort(tests.values[tests.failed]), np.sort(shares), strict=True)
     ]
     rows += [("stopped", float(value), "", "", "") for value in tests.values[~tests.failed]]
-    strengths = _line(kind, dict(known.law.parameters), heights)
-    share = -np.expm1(-np.exp(heights)) if kind == "weibull" else ndtr(heights)
+    share = known.fit.law.below(heights)
+    strengths = known.law.ppf(share)
     rows += [("law", *map(float, row)) for row in zip(strengths, share, band[0], band[1], strict=True)]
     return tuple(rows)
 
@@ -613,11 +607,10 @@ def _drawn(known: FittedTests, heights: Array, band: Array) -> tuple[tuple[Any, 
 def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
     stopped = fitted.tests - fitted.failures
     text = f"{fitted.tests} tests" + (f", {stopped} of them stopped before failure (arrows)" if stopped else "")
-    shape = law.parameters["modulus" if law.kind == "weibull" else "log_sd"]
-    word = "modulus" if law.kind == "weibull" else "standard deviation of the logarithm"
-    scale = "scale (63 %)" if law.kind == "weibull" else "median"
+    shape = law.parameters["modulus" if fitted.law.inverse else "log_sd"]
+    word, scale = fitted.law.shape_words, fitted.law.scale_words
     text += (
-        f": {law_name(law.kind)} law with the {word} {shape:.3g} and the {scale} {value_text(fitted.scale, quantity)}. "
+        f": {law.family.label} law with the {word} {shape:.3g} and the {scale} {value_text(fitted.scale, quantity)}. "
     )
     fits = "The points lie as they would if the law were right" if fitted.p_value > 0.05 else "The law fits badly"
     return text + f"{fits} (p = {fitted.p_value:.2g}). Band: the laws that the tests allow (95 %)."
@@ -626,9 +619,7 @@ def _finding(fitted: StrengthFit, law: Law, quantity: str) -> str:
 def tests_table(known: FittedTests) -> Table:
     """Parameters with both kinds of intervals, and the closeness of the fit."""
     law, fitted, quantity = known.law, known.fit, known.quantity
-    turned = law.kind == "weibull"
-    shape = "modulus" if turned else "standard deviation of the logarithm"
-    scale = "scale (63.2 %)" if turned else "median"
+    shape, scale = fitted.law.shape_words, fitted.law.scale_words
 
     def text(value: float, ends: tuple[float, float], own: str = "") -> str:
         return estimate_text({"value": value, "low": ends[0], "high": ends[1]}, own)
@@ -644,7 +635,7 @@ def tests_table(known: FittedTests) -> Table:
             f"{fitted.distance:.3g}, {fitted.p_value:.2g}",
         ),
     )
-    caption = f"{capital(law_name(law.kind))} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
+    caption = f"{capital(law.family.label)} law of the strength of {limit_name(known.limit)}, with 95 % intervals"
     return Table(caption=caption, header=("", "value"), rows=rows)
 
 

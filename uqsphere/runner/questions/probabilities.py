@@ -23,7 +23,7 @@ from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
-from uqsphere.uq.law import Law, from_normal
+from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import strength_tails
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
@@ -279,7 +279,7 @@ def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[s
     if isinstance(space.limit.strength, Law):
         own = -float(point.point[d]) if space.flipped else float(point.point[d])
         score = float((normal_scores(work.drawn, normals) @ space.weights)[0]) + space.remaining * own
-        found[f"limits.{space.limit.name}.strength"] = float(from_normal(space.limit.strength, np.array([score]))[0])
+        found[f"limits.{space.limit.name}.strength"] = float(space.limit.strength.from_normal(np.array([score]))[0])
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 

@@ -93,8 +93,9 @@ class Distances:
 
     Attributes
     ----------
-    fit : values (n,) in rising order -> parameters of the largest likelihood, with `lower` and `upper` if they are told
     below : (samples, n, shape, generator) -> P(X <= x) (samples, n) at ordered samples of the family, each fitted to
+    fit : values (n,) in rising order -> parameters, with `lower` and `upper` if they are told, where it is another
+        than that of the family
     count : parameters that are fitted
     shape : parameters -> the shape that `below` depends on; those of a location and scale depend on none
     evidence : values (n,) in rising order -> logarithm of the Bayes factor against the normal law, for a family whose
@@ -103,8 +104,8 @@ class Distances:
         not those of `possible_laws`
     """
 
-    fit: Callable[[Array], Parameters]
     below: Callable[[int, int, float, np.random.Generator], Array]
+    fit: Callable[[Array], Parameters] | None = None
     count: int = 2
     shape: Callable[[Parameters], float] = lambda parameters: 1.0
     evidence: Callable[[Array], float] | None = None

@@ -125,7 +125,7 @@ NORMAL: Final = Family(
     sound=_normal_sound,
     fit=_normal_fit(("mean", "sd"), lambda data: data),
     pivots=lambda own, n, count, generator: _normal_moved(own, *_normal_pivots(n, count, generator)),
-    tried=Distances(fit=lambda values: NORMAL.fit(values, -math.inf, math.inf), below=_normal_below),
+    tried=Distances(below=_normal_below),
     kin="lognormal",
 )
 
@@ -184,7 +184,7 @@ LOGNORMAL: Final = Family(
         shape_words="standard deviation of the logarithm",
         scale_words="median",
     ),
-    tried=Distances(fit=lambda values: LOGNORMAL.fit(values, -math.inf, math.inf), below=_normal_below),
+    tried=Distances(below=_normal_below),
     kin="weibull",
 )
 
@@ -386,7 +386,7 @@ EXPONENTIAL: Final = Family(
     fit=lambda data, lower, upper: {"rate": 1.0 / float(np.mean(data))},
     positive=True,
     pivots=lambda own, n, count, generator: {"rate": own["rate"] * generator.chisquare(2 * n, count) / (2.0 * n)},
-    tried=Distances(fit=lambda values: EXPONENTIAL.fit(values, -math.inf, math.inf), below=_exponential_below, count=1),
+    tried=Distances(below=_exponential_below, count=1),
 )
 
 
