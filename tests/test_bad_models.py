@@ -16,8 +16,7 @@ import pytest
 import uqsphere
 from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
-from uqsphere.cli.watch import Silence, last_words
-from uqsphere.console import Progress
+from uqsphere.cli.watch import Progress, Silence, last_words
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer
 from uqsphere.report.chapters import measure_heading

@@ -343,7 +343,7 @@ def test_a_black_box_that_fails(place: Path, capsys: pytest.CaptureFixture[str],
 def test_an_interrupted_run_says_how_to_go_on(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from uqsphere.console import Progress
+    from uqsphere.cli.watch import Progress
 
     def interrupt(self: Progress, stage: str, done: int, total: int) -> None:
         raise KeyboardInterrupt
@@ -423,7 +423,7 @@ def test_a_title_cannot_steer_the_terminal(ask: Any, place: Path, small_text: st
 
 
 def test_the_debug_switch_shows_the_place(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from uqsphere.cli import runs as commands
+    from uqsphere.cli import studies as commands
 
     def fail(chosen: Any) -> int:
         raise RuntimeError("broken")

@@ -18,7 +18,8 @@ from test_broken_studies import BASE
 from test_floors import FLOORS
 
 from uqsphere import errors
-from uqsphere.cli import MISSED, build_parser
+from uqsphere.cli import build_parser
+from uqsphere.cli.run import MISSED
 from uqsphere.mechanics import as_printed
 from uqsphere.mechanics.closed_form import linear_approaches, loading_time, massless_approach, relaxing_approach
 from uqsphere.mechanics.contact import centre_tension

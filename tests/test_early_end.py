@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import uqsphere
-from uqsphere.console import Progress, bar
+from uqsphere.cli.watch import Progress
+from uqsphere.console import bar
 from uqsphere.mechanics.history import FieldView
 from uqsphere.report import build_report
 from uqsphere.report.terminal import summary_of
@@ -186,7 +187,7 @@ def test_progress_tells_the_accuracy_and_the_most_that_is_left(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 100.0
-    monkeypatch.setattr("uqsphere.console.time.monotonic", lambda: now)
+    monkeypatch.setattr("uqsphere.cli.watch.time.monotonic", lambda: now)
     progress = Progress(evaluations=40_000, seconds=600.0, asked={"mean": 0.01, "sobol": 0.02}, began=now, started=now)
     kinds = ("half-width of the mean over the standard deviation", "largest half-width of an index")
     progress.reached([{"quantity": "p_max", "error": 0.02, "error_kind": kinds[0]}])

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from uqsphere.console import Progress, screen_width, table, wrap, writable
+from uqsphere.cli.watch import Progress
+from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.report.compare import compare_folders, comparison_text
 from uqsphere.report.phrases import estimate_text
 from uqsphere.report.terminal import summary_of
@@ -129,7 +130,7 @@ def test_the_bar_and_the_accuracy_below_it_fit_the_terminal(width: int, monkeypa
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("TERM", "xterm")
     now = 100.0
-    monkeypatch.setattr("uqsphere.console.time.monotonic", lambda: now)
+    monkeypatch.setattr("uqsphere.cli.watch.time.monotonic", lambda: now)
     progress = Progress(evaluations=2_000_000, seconds=600.0, asked={"mean": 0.01}, began=now, started=now)
     kind = "half-width of the mean over the standard deviation"
     names = ("p_max", "contact_time", NAMES["crushing"])

@@ -1,4 +1,4 @@
-"""What the terminal shows: aligned tables on stdout, progress on stderr."""
+"""What the terminal shows: texts and aligned tables that fit it, one JSON document, messages on stderr."""
 
 from __future__ import annotations
 
@@ -7,32 +7,23 @@ import os
 import re
 import shutil
 import sys
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from itertools import zip_longest
 from typing import Any
 
 __all__ = [
-    "Progress",
     "bar",
     "plain",
     "plain_lines",
     "print_document",
     "say",
     "screen_width",
+    "stderr_width",
     "table",
     "wrap",
     "writable",
 ]
 
-#: seconds between two lines of progress where there is no terminal
-_LINE_EVERY = 5.0
-#: seconds between two bars where there is one
-_DRAW_EVERY = 0.1
-_BAR = 24
-#: stages whose name says nothing to a user
-_STAGES = {"dear": "model"}
 #: columns below which no table can be set; to which a column of names shrinks; and any other
 _NARROWEST, _NAME, _LEAST = 40, 16, 8
 #: where a long name may be parted; what a column of numbers begins with
@@ -216,136 +207,14 @@ def _draws_blocks() -> bool:
     return True
 
 
-def _left(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-@dataclass(kw_only=True)
-class Progress:
-    """A bar with the remaining time on a terminal, a line every few seconds elsewhere; all on stderr.
-
-    `evaluations` and `seconds` are the budget, from which follows how long the run can take at most; `asked` the
-    accuracies of the study, against which the errors so far are shown.  `pending`: evaluations are being made, as at
-    first and until all of a piece are done; the last came back at `heard`, the slowest took `longest` [s].
-    """
-
-    quiet: bool = False
-    evaluations: int = 0
-    seconds: float = float("inf")
-    asked: Mapping[str, float] = field(default_factory=dict)
-    stage: str = ""
-    began: float = field(default_factory=time.monotonic)
-    started: float = field(default_factory=time.monotonic)
-    shown: float = 0.0
-    lines: int = 0
-    spent: int = 0
-    before: int = 0
-    pending: bool = True
-    heard: float = field(default_factory=time.monotonic)
-    longest: float = 0.0
-    errors: dict[str, dict[str, float]] = field(default_factory=dict)
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """`done` of the `total` rows of a piece of work of `stage` have been evaluated."""
-        now = time.monotonic()
-        self.longest = max(self.longest, now - self.heard)
-        self.heard, self.pending = now, done < total
-        fresh = stage != self.stage
-        if fresh:
-            self.stage, self.began, self.before = stage, now, 0
-        self.spent += max(done - self.before, 0)
-        self.before = done if done < total else 0
-        if self.quiet or not total:
-            return
-        share = done / total
-        passed = now - self.began
-        if done == total:
-            self.began = now
-        left = f"{_left(passed / share - passed)} left in this stage" if 0.0 < share < 1.0 and passed > 1.0 else ""
-        count, most = f"{done:,} of {total:,} evaluations", self._at_most(now)
-        if _draws():
-            if not fresh and now - self.shown < _DRAW_EVERY:
-                return
-            self.shown = now
-            self._draw(share, [f"{_STAGES.get(stage, stage)}: {count}", left.removesuffix(" in this stage"), most])
-        elif now - self.shown > _LINE_EVERY:
-            pieces = [f"{_STAGES.get(stage, stage)}: {count}", left, most]
-            accuracy = self._accuracy(4)
-            text = ", ".join(piece for piece in pieces if piece) + (f"; {accuracy}" if accuracy else "")
-            print(plain(text), file=sys.stderr, flush=True)
-            self.shown = now
-
-    def _draw(self, share: float, pieces: Sequence[str]) -> None:
-        """The bar and what fits beside it; below it the accuracy reached so far, where there is one."""
-        # the last column stays free: some terminals go on to the next line when it is written
-        width = _stderr_width() - 1
-        length = min(_BAR, width // 5)
-        text = f"[{'#' * round(length * share):<{length}}]"
-        for k, piece in enumerate(piece for piece in pieces if piece):
-            longer = f"{text}{', ' if k else ' '}{plain(piece)}"
-            if len(longer) > width and k:
-                break
-            text = longer[:width]
-        texts = [plain(self._accuracy(most)) for most in (8, 4, 3, 2, 1)]
-        below = next((text for text in texts if len(text) <= width), f"{texts[-1][: width - 1]}…")
-        # back to the line of the bar, so that what comes next is written over both
-        second = f"\n{below:<{width}}\x1b[A" if below else ""
-        self.lines = 2 if below else 1
-        print(f"\r{text:<{width}}{second}\r", end="", file=sys.stderr, flush=True)
-
-    def _at_most(self, now: float) -> str:
-        """How long the run can take at most, by its budget and by its pace so far."""
-        passed = now - self.started
-        if not self.evaluations or not self.spent or passed < 1.0:
-            return ""
-        by_count = passed * max(self.evaluations - self.spent, 0) / self.spent
-        return f"at most {_left(max(min(by_count, self.seconds - passed), 0.0))} in all"
-
-    def _accuracy(self, most: int) -> str:
-        """The worst error of every quantity so far, over what was asked; the `most` worst of them by name."""
-        if not self.errors:
-            return ""
-        worst = {name: max(kinds.values()) for name, kinds in self.errors.items()}
-        named = sorted(worst, key=lambda name: -worst[name])
-        texts = [f"{name.removeprefix('limits.')} {worst[name]:.2g}" for name in named[:most]]
-        return f"error over what was asked: {', '.join(texts)}" + (", …" if len(named) > most else "")
-
-    def reached(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Take the errors of a stage: rows with `quantity`, `error` and `error_kind`."""
-        for row in rows:
-            kind = str(row["error_kind"])
-            if "unexplained" in kind:
-                continue
-            word = next((word for word in ("quantile", "probability", "mean") if word in kind), "sobol")
-            asked = self.asked.get(word)
-            if asked:
-                self.errors.setdefault(str(row["quantity"]), {})[word] = float(row["error"]) / asked
-
-    def say(self, text: str) -> None:
-        """A line of its own between the bars."""
-        self.finish()
-        say(text)
-
-    def finish(self) -> None:
-        """Leave the lines of the bar."""
-        if not self.quiet and self.lines and _draws():
-            print("\n" * self.lines, end="", file=sys.stderr, flush=True)
-        self.lines = 0
-
-
 def say(text: str) -> None:
     """A message on stderr, in lines that fit a terminal."""
-    print(wrap(text, _stderr_width() - 1) if sys.stderr.isatty() else plain(text), file=sys.stderr, flush=True)
+    print(wrap(text, stderr_width() - 1) if sys.stderr.isatty() else plain(text), file=sys.stderr, flush=True)
 
 
-def _stderr_width() -> int:
+def stderr_width() -> int:
     """Columns of the terminal behind stderr, wherever stdout goes."""
     try:
         return max(os.get_terminal_size(sys.stderr.fileno()).columns, _NARROWEST)
     except (OSError, ValueError):
         return screen_width()
-
-
-def _draws() -> bool:
-    """Whether stderr is a terminal on which a line can be written over."""
-    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"

@@ -8,7 +8,8 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from types import FrameType
 
 from uqsphere.cli.parser import build_parser
@@ -17,7 +18,10 @@ from uqsphere.errors import AccessError, UqsphereError
 __all__ = ["build_parser", "main"]
 
 #: exit codes beside those of the error family
-MISSED, INTERRUPTED, TERMINATED = 3, 130, 143
+INTERRUPTED, TERMINATED = 130, 143
+
+# no plugin of pydantic's concerns a study, and looking for them reads every installed package's metadata
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 
 class _Terminated(BaseException):
@@ -26,15 +30,6 @@ class _Terminated(BaseException):
 
 def _terminate(number: int, frame: FrameType | None) -> None:
     raise _Terminated
-
-
-def _function(command: str) -> Callable[[argparse.Namespace], int]:
-    """What a command does: those that run studies stand in one module, those that look at results in another."""
-    from uqsphere.cli import folders, runs
-
-    name = f"command_{command}"
-    found: Callable[[argparse.Namespace], int] = getattr(runs, name, None) or getattr(folders, name)
-    return found
 
 
 def _go_on(chosen: argparse.Namespace | None, arguments: Sequence[str]) -> str:
@@ -62,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         handler = signal.signal(signal.SIGTERM, _terminate)
     try:
         chosen = build_parser().parse_args(given)
-        code = int(_function(chosen.command)(chosen))
+        does = getattr(import_module(chosen.module), f"command_{chosen.command}")
+        code = int(does(chosen))
         sys.stdout.flush()
         return code
     except UqsphereError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import tempfile
@@ -9,10 +10,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-__all__ = ["examine"]
+from uqsphere.console import print_document, screen_width, table
+
+__all__ = ["command_doctor", "examine"]
 
 #: free bytes below which a run is likely to end on a full disk
 _LEAST_ROOM: Final = 1 << 30
+
+
+def command_doctor(chosen: argparse.Namespace) -> int:
+    """Check this installation."""
+    found = examine()
+    if chosen.json:
+        print_document(found)
+    else:
+        print(table(("package", "version"), list(found["versions"].items()), screen_width()))
+        print()
+        rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
+        print(table(("check", "", "found"), rows, screen_width()))
+    return 0 if all(entry["ok"] for entry in found["checks"]) else 1
 
 
 def examine() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What each command does that looks at what is there: report, show, export, compare, verify, doctor."""
+"""What each command does that looks at what is there: report, show, export, compare, verify."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from uqsphere.console import plain, print_document, screen_width, table
+from uqsphere.console import plain, print_document
 from uqsphere.errors import FolderError, UsageError
-from uqsphere.report.terminal import summary_of
 
 #: what reading entries that do not fit together raises; a fault of ours would look the same, so that the
 #: message says how to see it
@@ -55,6 +54,7 @@ def command_report(chosen: argparse.Namespace) -> int:
 
 def command_show(chosen: argparse.Namespace) -> int:
     """The answers of a run as a table."""
+    from uqsphere.report.terminal import summary_of
     from uqsphere.runner.finished import open_run
 
     with _believed(chosen.folder):
@@ -116,21 +116,3 @@ def command_compare(chosen: argparse.Namespace) -> int:
     else:
         print(comparison_text(found))
     return 0
-
-
-# --- doctor -------------------------------------------------------------------------------------------
-
-
-def command_doctor(chosen: argparse.Namespace) -> int:
-    """Check this installation."""
-    from uqsphere.cli.doctor import examine
-
-    found = examine()
-    if chosen.json:
-        print_document(found)
-    else:
-        print(table(("package", "version"), list(found["versions"].items()), screen_width()))
-        print()
-        rows = [(entry["check"], "ok" if entry["ok"] else "FAULT", entry["text"]) for entry in found["checks"]]
-        print(table(("check", "", "found"), rows, screen_width()))
-    return 0 if all(entry["ok"] for entry in found["checks"]) else 1

@@ -3,32 +3,158 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from uqsphere.console import Progress, say
+from uqsphere.console import plain, say, stderr_width
 from uqsphere.study import Study
 
-if TYPE_CHECKING:
-    from uqsphere.runner.finished import Run
-    from uqsphere.runner.workers import Executor
+__all__ = ["KILLED", "STOPPING", "Patience", "Progress", "Silence", "last_words", "limit_text"]
 
-__all__ = ["KILLED", "Patience", "Silence", "attend", "last_words"]
-
+#: seconds between two lines of progress where there is no terminal, and between two bars where there is one
+_LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
+#: columns of a bar
+_BAR = 24
+#: stages whose name says nothing to a user
+_STAGES = {"dear": "model"}
 #: what is said of a run whose process is gone
 KILLED = (
     "uqsphere: the process of this run ended before the run did: the model ended it, or it was killed, as where memory "
     "runs out. What was evaluated is kept, and the same command goes on with it. With a time_limit in [analysis] every "
     "evaluation is made in a process of its own, whose end is a failed evaluation."
 )
-_NOTICE = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
+STOPPING = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
+
+
+def _left(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+@dataclass(kw_only=True)
+class Progress:
+    """A bar with the remaining time on a terminal, a line every few seconds elsewhere; all on stderr.
+
+    `evaluations` and `seconds` are the budget, from which follows how long the run can take at most; `asked` the
+    accuracies of the study, against which the errors so far are shown.  `pending`: evaluations are being made, as at
+    first and until all of a piece are done; the last came back at `heard`, the slowest took `longest` [s].
+    """
+
+    quiet: bool = False
+    evaluations: int = 0
+    seconds: float = float("inf")
+    asked: Mapping[str, float] = field(default_factory=dict)
+    stage: str = ""
+    began: float = field(default_factory=time.monotonic)
+    started: float = field(default_factory=time.monotonic)
+    shown: float = 0.0
+    lines: int = 0
+    spent: int = 0
+    before: int = 0
+    pending: bool = True
+    heard: float = field(default_factory=time.monotonic)
+    longest: float = 0.0
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """`done` of the `total` rows of a piece of work of `stage` have been evaluated."""
+        now = time.monotonic()
+        self.longest = max(self.longest, now - self.heard)
+        self.heard, self.pending = now, done < total
+        fresh = stage != self.stage
+        if fresh:
+            self.stage, self.began, self.before = stage, now, 0
+        self.spent += max(done - self.before, 0)
+        self.before = done if done < total else 0
+        if self.quiet or not total:
+            return
+        share = done / total
+        passed = now - self.began
+        if done == total:
+            self.began = now
+        left = f"{_left(passed / share - passed)} left in this stage" if 0.0 < share < 1.0 and passed > 1.0 else ""
+        count, most = f"{done:,} of {total:,} evaluations", self._at_most(now)
+        if _draws():
+            if not fresh and now - self.shown < _DRAW_EVERY:
+                return
+            self.shown = now
+            self._draw(share, [f"{_STAGES.get(stage, stage)}: {count}", left.removesuffix(" in this stage"), most])
+        elif now - self.shown > _LINE_EVERY:
+            pieces = [f"{_STAGES.get(stage, stage)}: {count}", left, most]
+            accuracy = self._accuracy(4)
+            text = ", ".join(piece for piece in pieces if piece) + (f"; {accuracy}" if accuracy else "")
+            print(plain(text), file=sys.stderr, flush=True)
+            self.shown = now
+
+    def _draw(self, share: float, pieces: Sequence[str]) -> None:
+        """The bar and what fits beside it; below it the accuracy reached so far, where there is one."""
+        # the last column stays free: some terminals go on to the next line when it is written
+        width = stderr_width() - 1
+        length = min(_BAR, width // 5)
+        text = f"[{'#' * round(length * share):<{length}}]"
+        for k, piece in enumerate(piece for piece in pieces if piece):
+            longer = f"{text}{', ' if k else ' '}{plain(piece)}"
+            if len(longer) > width and k:
+                break
+            text = longer[:width]
+        texts = [plain(self._accuracy(most)) for most in (8, 4, 3, 2, 1)]
+        below = next((text for text in texts if len(text) <= width), f"{texts[-1][: width - 1]}…")
+        # back to the line of the bar, so that what comes next is written over both
+        second = f"\n{below:<{width}}\x1b[A" if below else ""
+        self.lines = 2 if below else 1
+        print(f"\r{text:<{width}}{second}\r", end="", file=sys.stderr, flush=True)
+
+    def _at_most(self, now: float) -> str:
+        """How long the run can take at most, by its budget and by its pace so far."""
+        passed = now - self.started
+        if not self.evaluations or not self.spent or passed < 1.0:
+            return ""
+        by_count = passed * max(self.evaluations - self.spent, 0) / self.spent
+        return f"at most {_left(max(min(by_count, self.seconds - passed), 0.0))} in all"
+
+    def _accuracy(self, most: int) -> str:
+        """The worst error of every quantity so far, over what was asked; the `most` worst of them by name."""
+        if not self.errors:
+            return ""
+        worst = {name: max(kinds.values()) for name, kinds in self.errors.items()}
+        named = sorted(worst, key=lambda name: -worst[name])
+        texts = [f"{name.removeprefix('limits.')} {worst[name]:.2g}" for name in named[:most]]
+        return f"error over what was asked: {', '.join(texts)}" + (", …" if len(named) > most else "")
+
+    def reached(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Take the errors of a stage: rows with `quantity`, `error` and `error_kind`."""
+        for row in rows:
+            kind = str(row["error_kind"])
+            if "unexplained" in kind:
+                continue
+            word = next((word for word in ("quantile", "probability", "mean") if word in kind), "sobol")
+            asked = self.asked.get(word)
+            if asked:
+                self.errors.setdefault(str(row["quantity"]), {})[word] = float(row["error"]) / asked
+
+    def say(self, text: str) -> None:
+        """A line of its own between the bars."""
+        self.finish()
+        say(text)
+
+    def finish(self) -> None:
+        """Leave the lines of the bar."""
+        if not self.quiet and self.lines and _draws():
+            print("\n" * self.lines, end="", file=sys.stderr, flush=True)
+        self.lines = 0
+
+
+def _draws() -> bool:
+    """Whether stderr is a terminal on which a line can be written over."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 class Patience:
@@ -64,7 +190,7 @@ class Patience:
             signal.signal(signal.SIGINT, self._before)
 
 
-def _limited(study: Study) -> str:
+def limit_text(study: Study) -> str:
     """When the study's limit of time ends a call of the model; empty where it has none."""
     limit, rows = study.analysis.time_limit, study.analysis.rows_per_call
     if limit is None:
@@ -148,47 +274,3 @@ def last_words(text: str) -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):
             waiting.communicate(b"left\n")
-
-
-def attend(
-    study: Study,
-    *,
-    out: Path | None,
-    model: str | None,
-    jobs: int | None,
-    fresh: bool,
-    seconds: float | None,
-    executor: Executor | None = None,
-    extend: bool = False,
-) -> tuple[Run, bool]:
-    """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early.
-
-    Parameters are those of `uqsphere.run`, `jobs` its `threads`.
-    """
-    from uqsphere.runner.api import run
-
-    budget = study.analysis.budget
-    progress = Progress(
-        evaluations=budget.evaluations,
-        seconds=budget.time if seconds is None else seconds,
-        asked=vars(study.analysis.accuracy),
-    )
-    # the impact model takes its time to compile, and always comes back
-    silence = contextlib.nullcontext() if model is None else Silence(progress, progress.seconds, _limited(study))
-    with Patience(_NOTICE, progress.say) as patience, silence:
-        found = run(
-            study,
-            out=out,
-            executor=executor,
-            model=model,
-            threads=jobs,
-            fresh=fresh,
-            extend=extend,
-            seconds=seconds,
-            progress=progress,
-            notice=progress.say,
-            stop=patience.asked,
-            reached=progress.reached,
-        )
-    progress.finish()
-    return found, patience.interrupted

@@ -1,0 +1,124 @@
+"""What each command does that begins with data of the user's, or lists what there is: analyse, list."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from uqsphere.console import print_document, screen_width, table
+from uqsphere.errors import FolderError
+from uqsphere.quantities import INPUTS, OUTPUTS, format_value
+from uqsphere.units import UNITS
+
+__all__ = ["command_analyse", "command_list"]
+
+
+def command_analyse(chosen: argparse.Namespace) -> int:
+    """Analyse a table of runs."""
+    from uqsphere.given import analyse_data, analysis_text, known_laws, read_data, study_text
+
+    def names(text: str) -> list[str]:
+        return [name.strip() for name in text.split(",") if name.strip()]
+
+    data = read_data(chosen.data, names(chosen.inputs), names(chosen.outputs))
+    known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
+    found = analyse_data(data, known=known)
+    if chosen.out is not None:
+        if chosen.out.exists() and any(chosen.out.iterdir()) and not (chosen.out / "analysis.json").is_file():
+            raise FolderError(f"{chosen.out} is not empty and holds no analysis: choose another with --out")
+        chosen.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(found, indent=1, allow_nan=False) + "\n"
+        (chosen.out / "analysis.json").write_text(text, encoding="utf-8")
+        (chosen.out / "inputs.toml").write_text(study_text(found), encoding="utf-8")
+    if chosen.json:
+        print_document(found)
+    else:
+        print(analysis_text(found))
+        if chosen.out is not None:
+            print(f"\nwritten to {chosen.out}: analysis.json, and inputs.toml to begin a study with")
+    return 0
+
+
+def _materials() -> tuple[list[dict[str, Any]], str]:
+    from uqsphere.materials import library
+
+    content = []
+    rows: list[tuple[str, ...] | str] = []
+    for kind, materials in library().items():
+        for name, material in materials.items():
+            rows.append(f"{kind}: {name}")
+            for key, entry in material.properties.items():
+                content.append(
+                    {
+                        "kind": kind,
+                        "material": name,
+                        "property": key,
+                        "value": entry.value,
+                        "cov": entry.cov,
+                        "source": entry.source,
+                        "source_seen": entry.seen,
+                    }
+                )
+                path = f"{kind}.{key}"
+                stress = "p_max" if key.endswith("strength") else ""
+                known = path if path in INPUTS else stress
+                shown = format_value(entry.value, known) if known else f"{entry.value:.4g}"
+                scatter = f"{100.0 * entry.cov:.0f} %" if entry.cov is not None else "-"
+                rows.append((key, shown, scatter, entry.source + ("" if entry.seen else " (not seen)")))
+    return content, table(("material", "value", "cov", "source"), rows, screen_width())
+
+
+def _models() -> tuple[list[dict[str, Any]], str]:
+    rows = [
+        ("massless", "no mass of the sphere (mu = 0); closed form for a rectangle or step on infinite bars"),
+        ("linear", "linear spring of the secant stiffness in place of the Hertz contact"),
+        ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
+        ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
+    ]
+    return [{"fidelity": name, "meaning": text} for name, text in rows], table(
+        ("fidelity", "meaning"), rows, screen_width()
+    )
+
+
+def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
+    entries = [OUTPUTS[name] for name in names]
+    content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
+    return content, table(
+        ("quantity", "unit", "meaning"),
+        [(e.name, e.display or e.unit or "-", e.meaning) for e in entries],
+        screen_width(),
+    )
+
+
+def _criteria() -> tuple[list[dict[str, Any]], str]:
+    from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+
+    content: list[dict[str, Any]] = []
+    rows = []
+    for name, entry in CRITERIA.items():
+        unit = next(iter(UNITS[entry.dimension]))
+        keys = {key: PARAMETERS[key].meaning for key in (*entry.parameters, *entry.optional)}
+        content.append({"criterion": name, "quantity": entry.quantity, "unit": unit, "meaning": entry.meaning,
+                        "formula": entry.formula, "strength": entry.strength, "range": entry.range_text,
+                        "source": entry.source, "required": list(entry.parameters), "parameters": keys})  # fmt: skip
+        takes = ", ".join(key if key in entry.parameters else f"({key})" for key in keys)
+        rows.append((name, entry.formula, unit, takes or "-", entry.range_text, entry.source))
+    return content, table(("criterion", "demand", "unit", "takes", "range", "source"), rows, screen_width(), named=True)
+
+
+def command_list(chosen: argparse.Namespace) -> int:
+    """What there is to choose from."""
+    if chosen.what == "materials":
+        content, text = _materials()
+    elif chosen.what == "models":
+        content, text = _models()
+    elif chosen.what == "quantities":
+        content, text = _quantity_rows(list(OUTPUTS))
+    else:
+        content, text = _criteria()
+    if chosen.json:
+        print_document(content)
+    else:
+        print(text)
+    return 0

@@ -1,0 +1,102 @@
+"""What `uqsphere run` does: a run with its progress on stderr, its answers on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from uqsphere.cli.studies import warn
+from uqsphere.cli.watch import KILLED, STOPPING, Patience, Progress, Silence, last_words, limit_text
+from uqsphere.console import print_document, say
+from uqsphere.errors import UsageError
+from uqsphere.study import Study, load_study
+from uqsphere.units import UnitError, parse_value
+
+if TYPE_CHECKING:
+    from uqsphere.runner.finished import Run
+
+__all__ = ["MISSED", "command_run"]
+
+#: exit code of a finished run that misses a target
+MISSED = 3
+
+
+def _seconds(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        seconds = parse_value(text, "time")
+    except UnitError as error:
+        raise UsageError(f"--budget: {error}") from error
+    if seconds <= 0.0:
+        raise UsageError(f"--budget must be positive, found {text}")
+    return seconds
+
+
+def command_run(chosen: argparse.Namespace) -> int:
+    """Run a study and write its report."""
+    from uqsphere.report import build_report
+    from uqsphere.report.phrases import SUBJECTS, shortfalls
+    from uqsphere.report.terminal import summary_of
+
+    study = load_study(chosen.study, chosen.overrides)
+    warn(study)
+    if chosen.jobs is not None and chosen.jobs < 1:
+        raise UsageError(f"--jobs must be at least 1, found {chosen.jobs}")
+    found, interrupted = _watched_run(study, chosen, _seconds(chosen.budget))
+    if sys.stderr.isatty():
+        say("writing the report")
+    page = build_report(found.folder)
+    for text in shortfalls(found.results.accuracy.missed, SUBJECTS):
+        say(f"accuracy not reached: {text}")
+    if chosen.json:
+        print_document(found.results.document())
+    else:
+        print(summary_of(found.results))
+        print(f"\nreport: {page}")
+    if interrupted:
+        # what is there has been told; the command line says how to go on
+        raise KeyboardInterrupt
+    return 0 if found.met else MISSED
+
+
+def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None) -> tuple[Run, bool]:
+    """Run a study, its progress on stderr; the run, and whether Ctrl-C ended it early."""
+    from uqsphere.runner.api import run
+
+    budget = study.analysis.budget
+    progress = Progress(
+        evaluations=budget.evaluations,
+        seconds=budget.time if seconds is None else seconds,
+        asked=asdict(study.analysis.accuracy),
+    )
+    with contextlib.ExitStack() as around:
+        executor = None
+        if chosen.model is not None:
+            # the impact model takes its time to compile, and always comes back
+            around.enter_context(last_words(KILLED))
+            around.enter_context(Silence(progress, progress.seconds, limit_text(study)))
+        if chosen.dask is not None:
+            from uqsphere.runner.cluster import dask_cluster
+
+            executor = around.enter_context(dask_cluster(chosen.dask, chosen.jobs))
+        patience = around.enter_context(Patience(STOPPING, progress.say))
+        found = run(
+            study,
+            out=chosen.out,
+            executor=executor,
+            model=chosen.model,
+            threads=chosen.jobs,
+            fresh=chosen.fresh,
+            extend=chosen.extend,
+            seconds=seconds,
+            progress=progress,
+            notice=progress.say,
+            stop=patience.asked,
+            reached=progress.reached,
+        )
+    progress.finish()
+    return found, patience.interrupted
