@@ -10,57 +10,20 @@ from __future__ import annotations
 
 import math
 
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.step import INNER, LANES, ORDER, PAIR
-from uqsphere.mechanics.integrator.tracked import (
-    ANSWER_CONTACT,
-    ANSWER_CONTACT_CENSORED,
-    ANSWER_DEPTH,
-    ANSWER_DIFFERENCE,
-    ANSWER_END,
-    ANSWER_ENERGY,
-    ANSWER_LOSS_RATE,
-    ANSWER_NEAREST,
-    ANSWER_RISE,
-    ANSWER_RISES,
-    ANSWER_WIDTH,
-    ANSWER_WIDTH_CENSORED,
-    ANSWER_WIDTHS,
-    ANSWER_X_FIRST,
-    ANSWER_X_MAX,
-    DEPTH,
-    DIFFERENCE,
-    ENDED,
-    ENERGY,
-    FACE_A,
-    FACE_B,
-    KINDS,
-    LOSS_RATE,
-    LOST,
-    NEAREST,
-    POINTS,
-    SOMETHING,
-    TOUCHED_A,
-    TOUCHED_B,
-    TRACKS,
-    WANT_CONTACT,
-    WANT_DIFFERENCE,
-    WANT_ENERGY,
-    WANT_RISE,
-    WANT_WIDTH,
-    X_FIRST,
-)
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
 __all__ = [
     "after_step",
     "begin",
     "combine",
+    "decided",
     "finish",
+    "highest_between",
     "look",
     "passage",
-    "reach",
-    "settled",
 ]
 
 
@@ -86,20 +49,20 @@ def both(piece, face, theta):
 @compiled(**INNER)
 def combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives."""
-    if kind == FACE_A:
+    if kind == tracked.FACE_A:
         return x1, d1
-    if kind == FACE_B:
+    if kind == tracked.FACE_B:
         return x2, d2
     if x1 <= 0.0:
         x1, d1 = 0.0, 0.0
     if x2 <= 0.0:
         x2, d2 = 0.0, 0.0
     if mode == 1:
-        if kind == DIFFERENCE:
+        if kind == tracked.DIFFERENCE:
             return x1 - x2, d1 - d2
         return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
     root1, root2 = math.sqrt(x1), math.sqrt(x2)
-    if kind == DIFFERENCE:
+    if kind == tracked.DIFFERENCE:
         return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
     return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
 
@@ -107,7 +70,7 @@ def combine(kind, mode, x1, x2, d1, d2):
 @compiled(**INNER)
 def _measure(kind, mode, piece, theta):
     """Value and derivative of one of the searched functions inside a step."""
-    if kind <= FACE_B:
+    if kind <= tracked.FACE_B:
         return both(piece, kind, theta)
     x1, d1 = both(piece, 0, theta)
     x2, d2 = both(piece, 1, theta)
@@ -115,7 +78,7 @@ def _measure(kind, mode, piece, theta):
 
 
 @compiled(**INNER)
-def reach(left, left_slope, right, right_slope):
+def highest_between(left, left_slope, right, right_slope):
     """What a function can reach between two ends: where the tangents meet, and a fifth for bends."""
     top = max(left, right)
     if left_slope > 0.0 and right_slope < 0.0:
@@ -175,19 +138,22 @@ def _extremum(kind, mode, piece, a, b, slope_a, slope_b):
 def passage(piece, face, level, sign, begin, end):
     """First theta on the way from `begin` to `end` at which sign·(approach - level) >= 0, or NaN."""
     apart()
-    width = (end - begin) / POINTS
+    width = (end - begin) / tracked.POINTS
     a = begin
     at_a, slope_a = both(piece, face, a)
     at_a, slope_a = sign * (at_a - level), sign * slope_a
     if at_a >= 0.0:
         return begin
-    for k in range(1, POINTS + 1):
-        b = begin + k * width if k < POINTS else end
+    for k in range(1, tracked.POINTS + 1):
+        b = begin + k * width if k < tracked.POINTS else end
         at_b, slope_b = both(piece, face, b)
         at_b, slope_b = sign * (at_b - level), sign * slope_b
         if at_b >= 0.0:
             return _root(piece, face, level, a, b)
-        if slope_a * width > 0.0 > slope_b * width and reach(at_a, slope_a * width, at_b, slope_b * width) >= 0.0:
+        if (
+            slope_a * width > 0.0 > slope_b * width
+            and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
+        ):
             # the search measures the slopes themselves, without the sign; at a face no mode matters
             peak = _extremum(face, face, piece, a, b, sign * slope_a, sign * slope_b)
             if sign * (value(piece, face, peak) - level) >= 0.0:
@@ -198,25 +164,25 @@ def passage(piece, face, level, sign, begin, end):
 
 @compiled(**INNER)
 def _survey(piece, end, grid):
-    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, POINTS + 1)."""
+    """Values and slopes of both faces at equal distances over [0, end]: grid (face, 2, tracked.POINTS + 1)."""
     apart()
     for face in range(2):
-        for i in range(POINTS + 1):
-            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / POINTS)
+        for i in range(tracked.POINTS + 1):
+            grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / tracked.POINTS)
 
 
 @compiled(**INNER)
 def _largest(kind, mode, piece, end, grid, known):
     """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
     apart()
-    width = end / POINTS
+    width = end / tracked.POINTS
     left, left_slope = combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
     known = max(known, abs(left))
-    for i in range(1, POINTS + 1):
+    for i in range(1, tracked.POINTS + 1):
         right, right_slope = combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
         known = max(known, abs(right))
         sign = 1.0 if left + right >= 0.0 else -1.0
-        top = reach(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+        top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
         if top > max(known, max(abs(left), abs(right))):
             peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope)
             at_peak, _ = _measure(kind, mode, piece, peak)
@@ -229,10 +195,10 @@ def _largest(kind, mode, piece, end, grid, known):
 def _may_pass(grid, face, sign, width, level):
     """Whether sign·approach can pass -level at all, from its values and slopes at the points of a grid."""
     apart()
-    for i in range(POINTS):
+    for i in range(tracked.POINTS):
         left, left_slope = sign * grid[face, 0, i], sign * grid[face, 1, i] * width
         right, right_slope = sign * grid[face, 0, i + 1], sign * grid[face, 1, i + 1] * width
-        if reach(left, left_slope, right, right_slope) >= -level:
+        if highest_between(left, left_slope, right, right_slope) >= -level:
             return True
     return False
 
@@ -241,12 +207,12 @@ def _may_pass(grid, face, sign, width, level):
 def begin(track, lane):
     """Reset the trackers of a lane."""
     apart()
-    for k in range(TRACKS):
+    for k in range(tracked.TRACKS):
         track[k, lane] = 0.0
-    track[LOST, lane] = math.nan
-    track[ENDED, lane] = math.nan
-    track[DEPTH, lane] = math.inf
-    track[NEAREST, lane] = math.inf
+    track[tracked.LOST, lane] = math.nan
+    track[tracked.ENDED, lane] = math.nan
+    track[tracked.DEPTH, lane] = math.inf
+    track[tracked.NEAREST, lane] = math.inf
 
 
 @compiled(**INNER)
@@ -254,7 +220,7 @@ def _both_below(piece, level, theta):
     """First theta in [0, theta] at which both approaches lie below `level`, or NaN."""
     apart()
     at = 0.0
-    for _ in range(8 * POINTS):
+    for _ in range(8 * tracked.POINTS):
         found = at
         for face in range(2):
             found = passage(piece, face, level, -1.0, found, theta)
@@ -270,9 +236,9 @@ def _both_below(piece, level, theta):
 def _lowest(piece, face, end, grid):
     """Smallest local minimum of a pressed face's approach in [0, end] and its theta, or infinity."""
     apart()
-    width = end / POINTS
+    width = end / tracked.POINTS
     least, place = math.inf, 0.0
-    for i in range(POINTS):
+    for i in range(tracked.POINTS):
         left, right = grid[face, 1, i], grid[face, 1, i + 1]
         if left < 0.0 < right:
             found = _extremum(face, face, piece, i * width, (i + 1) * width, left, right)
@@ -294,12 +260,12 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     ends, why, lost = theta, 0, -1
     for face in range(2):
         pressed = piece[face, 0] > 0.0
-        if pressed and track[TOUCHED_A + face, lane] == 0.0:
+        if pressed and track[tracked.TOUCHED_A + face, lane] == 0.0:
             continue
         if piece[face, 0] == 0.0 and piece[face, 1] >= 0.0:  # touching just now
             continue
         level = near if pressed else 0.0
-        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / POINTS, level):
+        if not _may_pass(grid, face, -1.0 if pressed else 1.0, theta / tracked.POINTS, level):
             continue
         # a face that left at the start of this step is clear of zero a little later
         clear = 1e-3 * ends if piece[face, 0] == 0.0 and piece[face, 1] < 0.0 else 0.0
@@ -310,11 +276,11 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         if pressed and near > 0.0:
             least, place = _lowest(piece, face, theta, grid)
             if least < near and place < ends:
-                track[NEAREST, lane] = min(track[NEAREST, lane], least)
+                track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], least)
                 if least < graze:
                     ends, why, lost = place, 1, face
-            elif max(piece[face, 0], grid[face, 0, POINTS]) < hover:
-                track[NEAREST, lane] = min(track[NEAREST, lane], grid[face, 0, POINTS])
+            elif max(piece[face, 0], grid[face, 0, tracked.POINTS]) < hover:
+                track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], grid[face, 0, tracked.POINTS])
                 found = passage(piece, face, graze, -1.0, 0.0, ends) if graze > 0.0 else math.nan
                 if not math.isnan(found):
                     ends, why, lost = found, 1, face
@@ -328,12 +294,12 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         depth = 0.5 * rate * rate / bend if bend > 0.0 else math.inf
         if depth >= -graze:
             lost = face
-            if math.isnan(track[LOST, lane]):
-                track[DEPTH, lane] = depth
-    if lost >= 0 and math.isnan(track[LOST, lane]):
-        track[LOST, lane] = before + ends * h
+            if math.isnan(track[tracked.LOST, lane]):
+                track[tracked.DEPTH, lane] = depth
+    if lost >= 0 and math.isnan(track[tracked.LOST, lane]):
+        track[tracked.LOST, lane] = before + ends * h
         _, rate = both(piece, lost, ends)
-        track[LOSS_RATE, lane] = abs(rate) / h
+        track[tracked.LOSS_RATE, lane] = abs(rate) / h
     return ends, why, lost
 
 
@@ -346,11 +312,11 @@ def after_step(
     What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
     goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
     `low` > 0 the share of the largest approach below which the record ends; for the others see `_faces`.
-    grid (face, 2, POINTS + 1): values and slopes over [0, theta].
+    grid (face, 2, tracked.POINTS + 1): values and slopes over [0, theta].
     """
     apart()
     ends, why = theta, 0
-    if flags & SOMETHING:
+    if flags & tracked.SOMETHING:
         ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
         if lost >= 0 and stop_at_loss:
             why = 1
@@ -358,33 +324,33 @@ def after_step(
             ends, why = theta, 0
     if ends < theta:
         _survey(piece, ends, grid)
-    known = track[FACE_A, lane]
-    if flags & (1 << FACE_A):
+    known = track[tracked.FACE_A, lane]
+    if flags & (1 << tracked.FACE_A):
         for face in range(2):
             known = _largest(face, mode, piece, ends, grid, known)
-        track[FACE_A, lane] = known
-    for kind in range(DIFFERENCE, KINDS):
+        track[tracked.FACE_A, lane] = known
+    for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
             track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane])
     for face in range(2):
-        if grid[face, 0, POINTS] > max(50.0 * tiny, 2.0 * hover):
-            track[TOUCHED_A + face, lane] = 1.0
+        if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
+            track[tracked.TOUCHED_A + face, lane] = 1.0
     if before < echo * (1.0 - 1e-12):
-        track[X_FIRST, lane] = known
+        track[tracked.X_FIRST, lane] = known
     if low > 0.0:
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
             ends, why = found, 1
-            if track[LOST, lane] > before + ends * h:  # a loss after the record's end is none
-                track[LOST, lane], track[DEPTH, lane] = math.nan, math.inf
+            if track[tracked.LOST, lane] > before + ends * h:  # a loss after the record's end is none
+                track[tracked.LOST, lane], track[tracked.DEPTH, lane] = math.nan, math.inf
     if why == 1:
-        track[ENDED, lane] = before + ends * h
+        track[tracked.ENDED, lane] = before + ends * h
     return ends, why
 
 
 # --- What all lanes can have met in a step: the largest approach, and a warning where a search has to follow.
 # Values and slopes at a few points of the step bound what the approaches reach between them.  The top of a bend is
-# refined by Newton's iteration on the series, for all lanes together.  An energy argument (`settled`) says when
+# refined by Newton's iteration on the series, for all lanes together.  An energy argument (`decided`) says when
 # nothing that is wanted can change any more.
 
 
@@ -438,7 +404,7 @@ def _signs(top_a, top_b, floor_a, floor_b, a, b, low, near, touched_a, touched_b
 
 
 _begin = elementwise(PAIR, 6, lambda at: (at, at - math.inf, at - math.inf, 0.0 * at, 0.0 * at, at))
-_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / POINTS))
+_part = elementwise(LANES, 1, lambda theta: theta * (1.0 / tracked.POINTS))
 _bound = elementwise(PAIR, 6, _bounds)
 _refine = elementwise(PAIR, 1, _closer)
 _crown = elementwise(LANES, 2, _crowned)
@@ -449,7 +415,7 @@ _sign = elementwise(LANES, 2, _signs)
 def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room):
     """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
-    at, rate (POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
+    at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
     low, near (LANES,): the record may end below the first; a contact may be lost below the second.  live
     (LANES,): rows in the lanes, -1 where there is none.  known, crest (LANES,): largest approach so far, and what
     it may have been in this step.  room (11, PAIR): working space.
@@ -461,20 +427,20 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
     _begin(best, top, second, place, bent, floor, row(at, 0, 0))
     for c in range(0, PAIR, LANES):
         _part(row(room, 6, c), theta)
-    for i in range(POINTS):
+    for i in range(tracked.POINTS):
         _bound(best, top, second, place, bent, floor, row(at, i, 0), row(at, i + 1, 0), row(rate, i, 0),
                row(rate, i + 1, 0), width, 1.0 * i, best, top, second, place, bent, floor)  # fmt: skip
     _sign(crest, alarm, top, row(room, 1, LANES), floor, row(room, 5, LANES), row(at, 0, 0), row(at, 0, LANES), low,
-          near, row(track, TOUCHED_A, 0), row(track, TOUCHED_B, 0))  # fmt: skip
+          near, row(track, tracked.TOUCHED_A, 0), row(track, tracked.TOUCHED_B, 0))  # fmt: skip
     higher = False
     for j in range(LANES):
-        flags[j] = SOMETHING | 1 << FACE_A if room[10, j] > 0.0 else 0
-        known[j] = track[FACE_A, j]
+        flags[j] = tracked.SOMETHING | 1 << tracked.FACE_A if room[10, j] > 0.0 else 0
+        known[j] = track[tracked.FACE_A, j]
         higher |= live[j] >= 0 and crest[j] > known[j]
     if higher:
         for k in range(3):
             for c in range(0, PAIR, LANES):
-                curves_at(x, ORDER, PAIR, c, place, value, slope, bend)
+                curves_at(x, ORDER, PAIR, c, row(room, 3, c), value, slope, bend)
             if k < 2:
                 _refine(place, place, slope, bend, bent, width)
         for c in range(0, PAIR, LANES):
@@ -482,8 +448,8 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
                    row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
             for j in range(LANES):
                 if room[10, LANES + j] > 0.0:
-                    flags[j] |= 1 << FACE_A
-    if wanted & (WANT_DIFFERENCE | WANT_ENERGY):
+                    flags[j] |= 1 << tracked.FACE_A
+    if wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY):
         _look_further(mode, wanted, at, rate, track, theta, flags)
 
 
@@ -491,24 +457,24 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
 def _look_further(mode, wanted, at, rate, track, theta, flags):
     """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
     apart()
-    for kind in range(DIFFERENCE, KINDS):
-        if (kind == DIFFERENCE and wanted & WANT_DIFFERENCE) or (kind == ENERGY and wanted & WANT_ENERGY):
-            for i in range(POINTS):
+    for kind in range(tracked.DIFFERENCE, tracked.KINDS):
+        if wanted & (1 << (kind - 1)):
+            for i in range(tracked.POINTS):
                 for j in range(LANES):
                     k = LANES + j
-                    width = theta[j] / POINTS
+                    width = theta[j] / tracked.POINTS
                     left, left_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
                     right, right_slope = combine(
                         kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
                     )
-                    above = reach(left, left_slope, right, right_slope)
-                    below = reach(-left, -left_slope, -right, -right_slope)
+                    above = highest_between(left, left_slope, right, right_slope)
+                    below = highest_between(-left, -left_slope, -right, -right_slope)
                     if max(above, below) > track[kind, j]:
                         flags[j] |= 1 << kind
 
 
 @compiled(**INNER)
-def settled(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
+def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     """Whether nothing that is wanted can change any more while the incoming wave stays at `level`.
 
     With f = level and h = 0 for ever, V = phi(x_1) + phi(x_2) + mu (u - level)²/2 can only fall, where
@@ -516,10 +482,12 @@ def settled(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     above the one at rest can be exceeded whose phi is not below V.
     """
     apart()
-    if wanted & WANT_CONTACT or (level > 0.0 and wanted & (WANT_DIFFERENCE | WANT_ENERGY | WANT_WIDTH)):
+    if wanted & tracked.WANT_CONTACT or (
+        level > 0.0 and wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_WIDTH)
+    ):
         return False
     a, b = max(a, 0.0), max(b, 0.0)
-    known = track[FACE_A, lane]
+    known = track[tracked.FACE_A, lane]
     if mode == 1:
         rest = level
         stored = 0.5 * ((a - rest) ** 2 + (b - rest) ** 2) + 0.5 * mu * (w - level) ** 2
@@ -537,11 +505,11 @@ def settled(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
         force, width = reach * math.sqrt(reach), 0.5 ** (2.0 / 3.0) * known
     if reach > known * (1.0 + 0.1 * tolerance):
         return False
-    if wanted & WANT_DIFFERENCE and force > track[DIFFERENCE, lane] * (1.0 + 0.1 * tolerance):
+    if wanted & tracked.WANT_DIFFERENCE and force > track[tracked.DIFFERENCE, lane] * (1.0 + 0.1 * tolerance):
         return False
-    if wanted & WANT_ENERGY and energy > track[ENERGY, lane] * (1.0 + 0.1 * tolerance):
+    if wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * (1.0 + 0.1 * tolerance):
         return False
-    return not (wanted & WANT_WIDTH and reach > width)
+    return not (wanted & tracked.WANT_WIDTH and reach > width)
 
 
 # --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.
@@ -573,13 +541,13 @@ def _passages(mode, wanted, path, scale, start, length, crest, count, ended, lar
     apart()
     power = 1.0 if mode == 1 else 2.0 / 3.0
     width, censored, rise = math.nan, 0.0, math.nan
-    if wanted & WANT_WIDTH:
+    if wanted & tracked.WANT_WIDTH:
         half = largest * 0.5**power * shift
         above = _outermost(path, scale, start, length, crest, count, ended, half, False)
         below = _outermost(path, scale, start, length, crest, count, ended, half, True)
         # the last crossing is the record's end itself where the force is still above
         width, censored = below - above, 1.0 if below >= ended * (1.0 - 1e-14) else 0.0
-    if wanted & WANT_RISE:
+    if wanted & tracked.WANT_RISE:
         tenth = _outermost(path, scale, start, length, crest, count, ended, largest * 0.1**power * shift, False)
         nine = _outermost(path, scale, start, length, crest, count, ended, largest * 0.9**power * shift, False)
         rise = nine - tenth
@@ -593,24 +561,24 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     unsure: share by which a threshold may be off.
     """
     apart()
-    ended = track[ENDED, lane]
+    ended = track[tracked.ENDED, lane]
     if math.isnan(ended):
         newest = (count - 1) % len(start)
         ended = start[newest] + length[newest]
-    largest = track[FACE_A, lane]
-    out[ANSWER_X_MAX] = largest
-    out[ANSWER_X_FIRST] = track[X_FIRST, lane]
-    out[ANSWER_END] = ended
-    lost = not math.isnan(track[LOST, lane])
-    out[ANSWER_CONTACT] = track[LOST, lane] if lost else ended
-    out[ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
-    out[ANSWER_LOSS_RATE] = track[LOSS_RATE, lane] if lost else math.nan
-    if wanted & WANT_DIFFERENCE:
-        out[ANSWER_DIFFERENCE] = track[DIFFERENCE, lane]
-    if wanted & WANT_ENERGY:
-        out[ANSWER_ENERGY] = track[ENERGY, lane]
-    out[ANSWER_DEPTH], out[ANSWER_NEAREST] = track[DEPTH, lane], track[NEAREST, lane]
-    if wanted & (WANT_WIDTH | WANT_RISE) == 0:
+    largest = track[tracked.FACE_A, lane]
+    out[tracked.ANSWER_X_MAX] = largest
+    out[tracked.ANSWER_X_FIRST] = track[tracked.X_FIRST, lane]
+    out[tracked.ANSWER_END] = ended
+    lost = not math.isnan(track[tracked.LOST, lane])
+    out[tracked.ANSWER_CONTACT] = track[tracked.LOST, lane] if lost else ended
+    out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
+    out[tracked.ANSWER_LOSS_RATE] = track[tracked.LOSS_RATE, lane] if lost else math.nan
+    if wanted & tracked.WANT_DIFFERENCE:
+        out[tracked.ANSWER_DIFFERENCE] = track[tracked.DIFFERENCE, lane]
+    if wanted & tracked.WANT_ENERGY:
+        out[tracked.ANSWER_ENERGY] = track[tracked.ENERGY, lane]
+    out[tracked.ANSWER_DEPTH], out[tracked.ANSWER_NEAREST] = track[tracked.DEPTH, lane], track[tracked.NEAREST, lane]
+    if wanted & (tracked.WANT_WIDTH | tracked.WANT_RISE) == 0:
         return
     for k in range(3):
         # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
@@ -618,7 +586,8 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
         shift = 1.0 + (k - 1.0) * unsure
         width, censored, rise = _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift)
         if k == 1:
-            out[ANSWER_WIDTH], out[ANSWER_WIDTH_CENSORED], out[ANSWER_RISE] = width, censored, rise
+            out[tracked.ANSWER_WIDTH], out[tracked.ANSWER_WIDTH_CENSORED] = width, censored
+            out[tracked.ANSWER_RISE] = rise
         else:
             side = k // 2
-            out[ANSWER_WIDTHS + side], out[ANSWER_RISES + side] = width, rise
+            out[tracked.ANSWER_WIDTHS + side], out[tracked.ANSWER_RISES + side] = width, rise

@@ -14,34 +14,22 @@ import math
 
 import numpy as np
 
-from uqsphere.mechanics.integrator import events
-from uqsphere.mechanics.integrator import tracked as layout
+from uqsphere.mechanics.integrator import events, incoming, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.events import finish, look, settled
-from uqsphere.mechanics.integrator.incoming import (
-    QUEUE,
-    WAVE,
-    add_echo,
-    echo_steps,
-    enter_piece,
-    incident,
-    next_break,
-    reflect_break,
-)
 from uqsphere.mechanics.integrator.step import (
-    GLIDE_ROOM,
     LANES,
     ORDER,
     PAIR,
+    SLOW_ROOM,
     SMALL_MU,
     TERMS,
-    calm_after,
+    decay_time,
     evaluate,
     expand,
-    glide,
     longest,
-    touch_off,
-    unlike_root,
+    root_error,
+    slow_step,
+    step_from_touch,
 )
 from uqsphere.mechanics.integrator.vectors import bare
 from uqsphere.mechanics.integrator.vectors import row as row_of
@@ -59,38 +47,32 @@ def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, local,
     asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
-    """Integrate rows `order` of a batch; answers go to `out` (rows, layout.ANSWERS) and `status` (rows).
+    """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
-    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of layout.WANT_*.  mass (n,): mu.  ends,
+    mode: 0 full, 1 linear contact, 2 massless.  wanted: sum of tracked.WANT_*.  mass (n,): mu.  ends,
     round_trips (n, 2): R and T of the two bars (T infinite: no reflection).  breaks, coefficients, frequencies:
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
     the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
     kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
     """
-    lanes, last_point = LANES, layout.POINTS
+    lanes, last_point = LANES, tracked.POINTS
     keeping = kept_start.shape[0] > 0
     # numba counts the owners of an array at every call it is passed to: here they are held once for all
     owned = (
         np.zeros((TERMS, PAIR)), np.zeros((TERMS, LANES)), np.zeros((TERMS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((TERMS, PAIR)), np.zeros((layout.POINTS + 1, PAIR)), np.zeros((layout.POINTS + 1, PAIR)),
-        np.zeros((11, PAIR)), np.zeros((4, WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
-        np.zeros((4, lanes)), np.zeros((2, lanes, QUEUE)), np.zeros((2, lanes), dtype=np.int64),
+        np.zeros((TERMS, PAIR)), np.zeros((tracked.POINTS + 1, PAIR)), np.zeros((tracked.POINTS + 1, PAIR)),
+        np.zeros((11, PAIR)), np.zeros((4, incoming.WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
+        np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
-        np.zeros((2, lanes), dtype=np.int64), np.zeros((layout.TRACKS, lanes)), np.ones((2, lanes)),
-        np.zeros((2, 2, layout.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
+        np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((2, lanes)),
+        np.zeros((2, 2, tracked.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64),
     )  # fmt: skip
     x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
     at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
-    trips, cubic, queue, track, size = (
-        bare(owned[10]),
-        bare(owned[11]),
-        bare(owned[12]),
-        bare(owned[17]),
-        bare(owned[18]),
-    )
-    grid, columns = bare(owned[19]), owned[20]
+    trips, cubic, queue = bare(owned[10]), bare(owned[11]), bare(owned[12])
+    track, size, grid, columns = bare(owned[17]), bare(owned[18]), bare(owned[19]), owned[20]
     half, branch = bare(columns[0]), bare(columns[1])
     head, tail = bare(owned[13]), bare(owned[14])
     # steps that hold the echo of the present step
@@ -104,9 +86,9 @@ def march(
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
     row, count, attempts, flags = bare(counts[0]), bare(counts[1]), bare(counts[2]), bare(counts[3])
-    touching, gliding = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
+    touching, on_slow = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.bool_)
     # time before which the fast oscillation cannot have died out
-    calm, slow_room = np.zeros(lanes), np.zeros((GLIDE_ROOM, TERMS))
+    calm, slow_room = np.zeros(lanes), np.zeros((SLOW_ROOM, TERMS))
     row[:] = -1
     inverse_mu[:] = 1.0
     # uninitialised: only the pages of steps that are taken ever cost memory.  A step's series is in powers of
@@ -117,8 +99,8 @@ def march(
     )  # fmt: skip
     start, length, scale, crests = bare(kept_steps[0]), bare(kept_steps[1]), bare(kept_steps[2]), bare(kept_steps[3])
     path, wave = bare(kept_steps[4]), bare(kept_steps[5])
-    store = wanted & (layout.WANT_RISE | layout.WANT_WIDTH) != 0
-    share = layout.TAIL_SHARE if mode == 1 else layout.TAIL_SHARE ** (2.0 / 3.0)
+    store = wanted & (tracked.WANT_RISE | tracked.WANT_WIDTH) != 0
+    share = tracked.TAIL_SHARE if mode == 1 else tracked.TAIL_SHARE ** (2.0 / 3.0)
     taken, live = 0, 0
     while True:
         # ---- fill idle lanes
@@ -139,11 +121,11 @@ def march(
                 head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
             size[0, j], size[1, j] = level[r], 0.1 * level[r]
             events.begin(track, j)
-            enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
-            reflect_break(0.0, trips, queue, head, tail, j, end[j])
-            stop[j] = next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
+            incoming.enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
+            incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
+            stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
-            gliding[j], calm[j] = False, calm_after(mass[r], local)
+            on_slow[j], calm[j] = False, decay_time(mass[r], local)
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
             )
@@ -155,7 +137,7 @@ def march(
                 h[j] = 0.0
                 continue
             if touching[j] == 1:
-                # the error of `touch_off`, a few thousandths of the force's impulse, is what limits a touch
+                # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
                 brief = (1e2 * local * min(1.0, 1.0 / inverse_mu[j]) * size[0, j]) ** 0.4
                 # the wave that presses has to be followed as well
                 smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
@@ -166,12 +148,12 @@ def march(
             h[j] = trial
             misfit[j] = 0.0
             over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
-            low[j] = share * track[layout.FACE_A, j] if over else -math.inf
+            low[j] = share * track[tracked.FACE_A, j] if over else -math.inf
             near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
-        incident(time, h, cubic, frequency, offset, push)
+        incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                trial = echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last)
+                trial = incoming.echo_steps(j, time[j], h[j], trips, count[j], start, length, first, last)
                 if trial < h[j]:
                     shrink = trial / h[j]
                     power = shrink
@@ -181,7 +163,7 @@ def march(
                     h[j] = trial
                 for bar in range(2):
                     if trips[bar, j] <= time[j] * (1.0 + 1e-12) and first[bar, j] >= 0:
-                        misfit[j] += add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
+                        misfit[j] += incoming.add_echo(start, scale, wave, bar, j, first[bar, j], last[bar, j],
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
                                               0.1 * local * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
@@ -193,16 +175,16 @@ def march(
                 continue
             if touching[j] == 1:
                 theta[j] = 1.0
-                touch_off(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
+                step_from_touch(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
             elif mode == 0 and inverse_mu[j] * SMALL_MU > 1.0 and time[j] >= calm[j]:
                 slow, swing = 0.0, math.inf
                 # on the slow motion the forces differ by mu u', and u' is of the order of one
                 if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
-                    slow, swing = glide(
-                        j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, gliding[j], slow_room
+                    slow, swing = slow_step(
+                        j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, on_slow[j], slow_room
                     )
-                gliding[j] = slow > 0.0
-                if gliding[j]:
+                on_slow[j] = slow > 0.0
+                if on_slow[j]:
                     theta[j] = slow
                 elif swing < math.inf:
                     # the oscillation needs this long to die out
@@ -218,12 +200,12 @@ def march(
         for m in range(PAIR):
             at[0, m] = x[0, m]
             rate[0, m] = x[1, m]
-        for i in range(1, layout.POINTS + 1):
-            evaluate(x, theta, i / layout.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
+        for i in range(1, tracked.POINTS + 1):
+            evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
-            unlike_root(root, theta, half, at, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
+            root_error(root, theta, half, at, branch, row_of(room, 0, 0), row_of(room, 1, 0))
+        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
         for j in range(lanes):
             if row[j] < 0:
                 continue
@@ -232,11 +214,11 @@ def march(
             allowed = 100.0 * local * size[0, j]
             if mode == 0:
                 allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
-            crossed = touching[j] == 0 and mode != 1 and not gliding[j] and impulse > allowed
+            crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
             if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
                 if proposed[j] <= 1e-15 * (1.0 + time[j]) or attempts[j] > 10 * LIMIT:
-                    status[r] = layout.STUCK
+                    status[r] = tracked.STUCK
                     row[j] = -1
                     live -= 1
                 continue
@@ -248,7 +230,7 @@ def march(
                 for face in range(2):
                     for k in range(TERMS):
                         piece[face, k] = x[k, face * LANES + j]
-                    for i in range(layout.POINTS + 1):
+                    for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
                 ending, why = events.after_step(
@@ -256,10 +238,10 @@ def march(
                     share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], asked * size[0, j], graze[r],
                     stop_at_loss,
                 )  # fmt: skip
-            if flags[j] & (1 << layout.FACE_A) == 0:
-                track[layout.FACE_A, j] = known[j]
+            if flags[j] & (1 << tracked.FACE_A) == 0:
+                track[tracked.FACE_A, j] = known[j]
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                    track[layout.X_FIRST, j] = known[j]
+                    track[tracked.X_FIRST, j] = known[j]
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
@@ -301,25 +283,27 @@ def march(
                 if time[j] >= end[j]:
                     done = True
                 else:
-                    if gliding[j]:  # what jumps sets off the fast oscillation
+                    if on_slow[j]:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
-                    gliding[j], calm[j] = False, time[j] + calm_after(mass[r], local)
+                    on_slow[j], calm[j] = False, time[j] + decay_time(mass[r], local)
                     proposed[j] *= GROWTH
-                    enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
+                    incoming.enter_piece(breaks, coefficients, frequencies, r, j, time[j], cubic, frequency, offset)
                     if time[j] >= breaks[r, -1] and trips[0, j] == math.inf and trips[1, j] == math.inf:
                         steady[j] = 0.0
-                    if not reflect_break(time[j], trips, queue, head, tail, j, end[j]):
-                        status[r] = layout.CROWDED
+                    if not incoming.reflect_break(time[j], trips, queue, head, tail, j, end[j]):
+                        status[r] = tracked.CROWDED
                         row[j] = -1
                         live -= 1
                         continue
-                    stop[j] = next_break(breaks, r, time[j], queue, head, tail, j, end[j])
+                    stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
             if not done and steady[j] >= 0.0 and touching[j] == 0:
-                done = settled(mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local)
+                done = events.decided(
+                    mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
+                )
             if done:
-                finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
+                events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               local, out[r])  # fmt: skip
-                status[r] = layout.OK
+                status[r] = tracked.OK
                 steps[r] = count[j]
                 row[j] = -1
                 live -= 1
@@ -330,7 +314,7 @@ def march(
                 if trips[bar, j] < math.inf and time[j] < end[j]:
                     oldest = min(oldest, max(first[bar, j], 0))
             if count[j] - oldest >= capacity or count[j] >= LIMIT:
-                status[r] = layout.FULL
+                status[r] = tracked.FULL
                 row[j] = -1
                 live -= 1
     return len(owned) + len(kept_steps)

@@ -42,15 +42,15 @@ __all__ = [
     "MODES",
     "Motion",
     "Scaled",
-    "doubtful",
     "integrate",
     "jumping",
     "march_rows",
     "motion",
+    "refine",
     "scaled_arguments",
-    "settle",
     "solve",
     "thread_count",
+    "to_repeat",
 ]
 
 # --- Answers that deserve a second look: which rows are integrated again more closely, and which have two answers.
@@ -94,7 +94,7 @@ def _other_times(answers: Array) -> Array:
     return others
 
 
-def doubtful(
+def to_repeat(
     answers: Array,
     status: npt.NDArray[np.int64],
     steps: npt.NDArray[np.int64],
@@ -127,7 +127,7 @@ def doubtful(
     return groups
 
 
-def _unsettled(before: Array, after: Array, tolerance: float) -> npt.NDArray[np.bool_]:
+def _moved_far(before: Array, after: Array, tolerance: float) -> npt.NDArray[np.bool_]:
     """Rows whose largest approach or end of contact a closer look has changed by so much that it takes another."""
     moved = np.zeros(len(after), dtype=bool)
     for column in (ANSWER_X_MAX, ANSWER_CONTACT):
@@ -156,7 +156,7 @@ def _farther(answers: Array, one: Array, other: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(ends[1], nan=-1.0) > np.nan_to_num(ends[0], nan=-1.0))
 
 
-def settle(
+def refine(
     march: March, block: Rows, tolerance: float, answers: Array, others: Array, status: Rows, steps: Rows, *,
     peak_only: bool = False,
 ) -> None:  # fmt: skip
@@ -165,7 +165,7 @@ def settle(
     answers, others (n, ANSWERS), status, steps (n,) are brought up to date; undecided rows get the status for it.
     With `peak_only` nothing beyond the largest approach is asked for.
     """
-    looks = doubtful(answers, status, steps, block, tolerance, peak_only)
+    looks = to_repeat(answers, status, steps, block, tolerance, peak_only)
     while looks:
         factor, rows = looks.pop(0)
         closer = max(_FINEST, factor * tolerance)
@@ -173,7 +173,7 @@ def settle(
         answers[rows], status[rows], steps[rows] = march(rows, closer, None)
         grazes = _other_ends(answers[rows], tolerance)
         # a row with two answers stays one, however closely it is looked at
-        still = _unsettled(before, answers[rows], tolerance) & (status[rows] == 0) & (grazes == 0.0).all(axis=1)
+        still = _moved_far(before, answers[rows], tolerance) & (status[rows] == 0) & (grazes == 0.0).all(axis=1)
         if closer > _FINEST and factor > CLOSEST and still.any():
             looks.append((max(0.01 * factor, CLOSEST), rows[still]))
             rows, grazes = rows[~still], grazes[~still]
@@ -456,7 +456,7 @@ def integrate(
 
     def run(block: Rows) -> None:
         inner[block], inner_status[block], inner_steps[block] = march(block, tolerance)
-        settle(march, block, tolerance, inner, inner_others, inner_status, inner_steps,
+        refine(march, block, tolerance, inner, inner_others, inner_status, inner_steps,
                peak_only=wanted == 0)  # fmt: skip
 
     workers = min(thread_count(threads), len(blocks))

@@ -33,20 +33,20 @@ from uqsphere.mechanics.integrator.vectors import (
 )
 
 __all__ = [
-    "GLIDE_ROOM",
     "INNER",
     "LANES",
     "ORDER",
     "PAIR",
+    "SLOW_ROOM",
     "SMALL_MU",
     "TERMS",
-    "calm_after",
+    "decay_time",
     "evaluate",
     "expand",
-    "glide",
     "longest",
-    "touch_off",
-    "unlike_root",
+    "root_error",
+    "slow_step",
+    "step_from_touch",
 ]
 
 #: for functions that only compiled code calls: no way in from Python needs to be compiled
@@ -181,7 +181,7 @@ _unlike = elementwise(
 
 
 @compiled(**INNER)
-def unlike_root(root, theta, place, at, found, value, slope):
+def root_error(root, theta, place, at, found, value, slope):
     """found (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
 
     Past a point where a face nearly leaves, x has two complex roots so close to the real axis that the series
@@ -228,7 +228,7 @@ def _join(series, m, theta, left, left_slope, right, right_slope):
 
 
 @compiled(**INNER)
-def touch_off(mode, j, theta, h, inverse_mu, push, x, u, force):
+def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
     """A first short step of one lane from a touch, where the force x^(3/2) has no power series in time.
 
     Runge-Kutta steps of order 4 over theta·h; the series of the lane are replaced by cubics that join both ends.
@@ -283,8 +283,8 @@ def touch_off(mode, j, theta, h, inverse_mu, push, x, u, force):
 
 #: mass number below which the slow motion is looked for
 SMALL_MU = 0.02
-#: rows of working space that `glide` needs
-GLIDE_ROOM = 11
+#: rows of working space that `slow_step` needs
+SLOW_ROOM = 11
 #: most rounds of the iteration; each spoils the last two terms of the series
 _ROUNDS = 5
 #: terms that stay good after the rounds
@@ -376,18 +376,18 @@ def _residual(lane, h, mu, push, s, theta):
 
 
 @compiled(**INNER)
-def calm_after(mu, local):
+def decay_time(mu, local):
     """Time that the oscillation which a jump sets off, about mu^0.45, needs at least to fall to the tolerance."""
     apart()
     return max(0.0, math.log(mu**0.45 / local))
 
 
 @compiled(**INNER)
-def glide(lane, h, mu, push, x, u, root, force, size, local, gliding, s):
+def slow_step(lane, h, mu, push, x, u, root, force, size, local, on_slow, s):
     """Try to replace the step of one lane by one of the slow motion: theta it may reach, 0 if none; amplitude.
 
     The amplitude is that of the fast oscillation that the state of the row has about the slow motion, as an
-    approach; it must lie below the tolerance.  size: scale of the approaches, s (GLIDE_ROOM, TERMS): working space.
+    approach; it must lie below the tolerance.  size: scale of the approaches, s (SLOW_ROOM, TERMS): working space.
     """
     apart()
     mean, swing, speed = 0.5 * (x[0, lane] + x[0, LANES + lane]), x[0, lane] - x[0, LANES + lane], u[0, lane]
@@ -407,7 +407,7 @@ def glide(lane, h, mu, push, x, u, root, force, size, local, gliding, s):
         return 0.0, math.inf
     fast = math.sqrt(mu / (3.0 * s[5, 0]))
     amplitude = max(abs(swing - s[1, 0]), 2.0 * abs(speed - s[2, 0]) * fast)
-    if not amplitude <= (2.0 if gliding else 0.5) * allowed:
+    if not amplitude <= (2.0 if on_slow else 0.5) * allowed:
         return 0.0, amplitude
     theta = 1.0
     for _ in range(12):

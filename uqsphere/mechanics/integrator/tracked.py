@@ -1,6 +1,8 @@
-"""Names of the numbers that the integrators pass around: statuses, wishes, trackers, answers.
+"""What the integrator follows of a row, by the numbers of its columns: the one list of it.
 
-It needs no compiler, so that the compiled integrator and the plain one share it.
+A new one is a tracker (followed by `events.after_step`), an answer (written by `events.finish`, and by
+`uqsphere.mechanics.closed_form` where there is a closed form) and an entry of `SCALED`, which formulas of quantities
+read (`uqsphere.mechanics.outputs`).
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy.typing as npt
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 
-# what the caller wants beside the largest approaches and the contact time
+# what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its tracker - 1)
 WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = 1, 2, 4, 8, 16
 WANT_ALL = 31
 

@@ -4,11 +4,12 @@ numba's loops over lanes stay scalar wherever arrays might overlap, and its sums
 turns a formula into vector instructions for a row of columns; the other functions are sums over power series
 with their totals in registers.  Every column goes through the same instructions, so that the bits of a row do
 not depend on its lane.
+
+Numba and LLVM give their values no types that Python could check: none are written down here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 __all__ = [
@@ -29,7 +30,7 @@ __all__ = [
 ]
 
 
-def _tools() -> tuple[Any, Any, Any]:
+def _tools():
     """LLVM's instructions, numba's types, and the decorator that joins them."""
     from llvmlite import ir  # type: ignore[import-untyped]
     from numba.core import types
@@ -42,20 +43,19 @@ ir, types, intrinsic = _tools()
 _INDEX = ir.IntType(64)
 #: numbers in one vector of the code; the compiler splits them as the processor needs
 _WIDTH = 4
-_Body = Callable[[Any, list[Any]], list[Any]]
 _VECTOR = ir.VectorType(ir.DoubleType(), _WIDTH)
 
 
-def _data(context: Any, builder: Any, kind: Any, row: Any) -> Any:
+def _data(context, builder, kind, row):
     """Address of the first number of an array, or of what `row` gave."""
     return row if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, row).data
 
 
 @intrinsic
-def _row(typing: Any, array: Any, index: Any, first: Any) -> Any:
+def _row(typing, array, index, first):
     """Address of array[index, first]: a slice would count its owners, which costs more than the arithmetic."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate(context, builder, signature, arguments):
         kind = signature.args[0]
         given = context.make_array(kind)(context, builder, arguments[0])
         index, first = (context.cast(builder, arguments[i], signature.args[i], types.int64) for i in (1, 2))
@@ -65,15 +65,15 @@ def _row(typing: Any, array: Any, index: Any, first: Any) -> Any:
     return types.CPointer(types.float64)(array, index, first), generate
 
 
-def _place(builder: Any, data: Any, index: Any) -> Any:
+def _place(builder, data, index):
     return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
 
 
 @intrinsic
-def _bare(typing: Any, array: Any) -> Any:
+def _bare(typing, array):
     """The same array without an owner, whom numba would count at every call; the owner must outlive it."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate(context, builder, signature, arguments):
         found = context.make_array(signature.args[0])(context, builder, arguments[0])
         found.meminfo = ir.Constant(found.meminfo.type, None)
         found.parent = ir.Constant(found.parent.type, None)
@@ -82,25 +82,25 @@ def _bare(typing: Any, array: Any) -> Any:
     return array(array), generate
 
 
-def _load(builder: Any, data: Any, index: Any) -> Any:
+def _load(builder, data, index):
     return builder.load(_place(builder, data, index), align=8, typ=_VECTOR)
 
 
-def _spread(builder: Any, number: Any) -> Any:
+def _spread(builder, number):
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), _WIDTH), [0] * _WIDTH)
     return builder.shuffle_vector(one, one, mask)
 
 
-def _multiply_add(builder: Any, a: Any, b: Any, c: Any) -> Any:
+def _multiply_add(builder, a, b, c):
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
-def _number(value: int) -> Any:
+def _number(value):
     return ir.Constant(_INDEX, value)
 
 
-def _loop(builder: Any, low: Any, high: Any, totals: list[Any], body: _Body) -> list[Any]:
+def _loop(builder, low, high, totals, body):
     """totals = body(j, totals) for j from low to high - 1, the totals in registers."""
     before = builder.block
     head, inside, after = (builder.append_basic_block(name) for name in ("head", "inside", "after"))
@@ -123,98 +123,79 @@ def _loop(builder: Any, low: Any, high: Any, totals: list[Any], body: _Body) -> 
     return held
 
 
+def _operation(instruction, turned=False):
+    """A method of `Vector` that does one instruction of LLVM, with the other number first if `turned`."""
+
+    def apply(self, other):
+        left, right = (self._other(other), self.value) if turned else (self.value, self._other(other))
+        return Vector(self.builder, getattr(self.builder, instruction)(left, right))
+
+    return apply
+
+
+def _comparison(sign):
+    """A method of `Vector` that compares; false where either is not a number."""
+
+    def apply(self, other):
+        return Vector(self.builder, self.builder.fcmp_ordered(sign, self.value, self._other(other)))
+
+    return apply
+
+
 class Vector:
     """One vector of columns inside a formula of `elementwise`, or the outcome of a comparison of two."""
 
-    def __init__(self, builder: Any, value: Any) -> None:
+    def __init__(self, builder, value):
         self.builder, self.value = builder, value
 
-    def _other(self, other: Any) -> Any:
+    def _other(self, other):
         if isinstance(other, Vector):
             return other.value
         return ir.Constant(_VECTOR, [float(other)] * _WIDTH)
 
-    def _make(self, name: str, left: Any, right: Any) -> Vector:
-        return Vector(self.builder, getattr(self.builder, name)(left, right))
-
-    def __add__(self, other: Any) -> Vector:
-        return self._make("fadd", self.value, self._other(other))
-
-    def __sub__(self, other: Any) -> Vector:
-        return self._make("fsub", self.value, self._other(other))
-
-    def __mul__(self, other: Any) -> Vector:
-        return self._make("fmul", self.value, self._other(other))
-
-    def __truediv__(self, other: Any) -> Vector:
-        return self._make("fdiv", self.value, self._other(other))
-
-    def __radd__(self, other: Any) -> Vector:
-        return self._make("fadd", self._other(other), self.value)
-
-    def __rsub__(self, other: Any) -> Vector:
-        return self._make("fsub", self._other(other), self.value)
-
-    def __rmul__(self, other: Any) -> Vector:
-        return self._make("fmul", self._other(other), self.value)
-
-    def __rtruediv__(self, other: Any) -> Vector:
-        return self._make("fdiv", self._other(other), self.value)
-
-    def __neg__(self) -> Vector:
+    def __neg__(self):
         return 0.0 - self
 
-    def __lt__(self, other: Any) -> Vector:
-        return Vector(self.builder, self.builder.fcmp_ordered("<", self.value, self._other(other)))
-
-    def __le__(self, other: Any) -> Vector:
-        return Vector(self.builder, self.builder.fcmp_ordered("<=", self.value, self._other(other)))
-
-    def __gt__(self, other: Any) -> Vector:
-        return Vector(self.builder, self.builder.fcmp_ordered(">", self.value, self._other(other)))
-
-    def __ge__(self, other: Any) -> Vector:
-        return Vector(self.builder, self.builder.fcmp_ordered(">=", self.value, self._other(other)))
-
-    def __and__(self, other: Vector) -> Vector:
-        return self._make("and_", self.value, other.value)
-
-    def __or__(self, other: Vector) -> Vector:
-        return self._make("or_", self.value, other.value)
+    __add__, __radd__ = _operation("fadd"), _operation("fadd", turned=True)
+    __sub__, __rsub__ = _operation("fsub"), _operation("fsub", turned=True)
+    __mul__, __rmul__ = _operation("fmul"), _operation("fmul", turned=True)
+    __truediv__, __rtruediv__ = _operation("fdiv"), _operation("fdiv", turned=True)
+    __lt__, __le__, __gt__, __ge__ = _comparison("<"), _comparison("<="), _comparison(">"), _comparison(">=")
+    __and__, __or__ = _operation("and_"), _operation("or_")
 
 
-def where(choice: Vector, yes: Any, no: Any) -> Vector:
+def where(choice, yes, no):
     """`yes` where a comparison holds, `no` elsewhere; at least one of the two is a vector or a number."""
     return Vector(choice.builder, choice.builder.select(choice.value, choice._other(yes), choice._other(no)))
 
 
-def larger(a: Vector, b: Any) -> Vector:
+def larger(a, b):
     """The larger of two; the second where they cannot be compared."""
     return where(a > b, a, b)
 
 
-def smaller(a: Vector, b: Any) -> Vector:
+def smaller(a, b):
     """The smaller of two; the second where they cannot be compared."""
     return where(a < b, a, b)
 
 
-def _call(name: str, a: Vector) -> Vector:
+def _call(name, a):
     module, full = a.builder.module, f"{name}.v{_WIDTH}f64"
     function = module.globals.get(full) or ir.Function(module, ir.FunctionType(_VECTOR, [_VECTOR]), full)
     return Vector(a.builder, a.builder.call(function, [a.value]))
 
 
-def root_of(a: Vector) -> Vector:
+def root_of(a):
     """Square root."""
     return _call("llvm.sqrt", a)
 
 
-def size_of(a: Vector) -> Vector:
+def size_of(a):
     """Absolute value."""
     return _call("llvm.fabs", a)
 
 
-def elementwise(columns: int, outputs: int, formula: Callable[..., Any]) -> Any:
+def elementwise(columns, outputs, formula):
     """A function f(out_1 ... out_k, in_1 ... in_n) for compiled code that applies `formula` to `columns` columns.
 
     What goes in are arrays of one dimension, rows of arrays of two, as `row` gives them, or single numbers; what
@@ -222,10 +203,10 @@ def elementwise(columns: int, outputs: int, formula: Callable[..., Any]) -> Any:
     """
 
     @intrinsic
-    def apply(typing: Any, *arguments: Any) -> Any:
+    def apply(typing, *arguments):
         packed = types.StarArgTuple.from_types(arguments)
 
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def generate(context, builder, signature, given):
             kinds = list(signature.args[0])
             parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
             rows = [
@@ -251,22 +232,22 @@ def elementwise(columns: int, outputs: int, formula: Callable[..., Any]) -> Any:
     return apply
 
 
-def _zeros(count: int) -> list[Any]:
+def _zeros(count):
     return [ir.Constant(_VECTOR, [0.0] * _WIDTH)] * count
 
 
-def _products_of(columns: int) -> Any:
+def _products_of(columns):
     """The function out[m] = sum of a[j, m] b[k-j, m], low <= j < high, over `columns` columns."""
     count = columns // _WIDTH
 
     @intrinsic
-    def products(typing: Any, a: Any, b: Any, k: Any, low: Any, high: Any, out: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def products(typing, a, b, k, low, high, out):
+        def generate(context, builder, signature, arguments):
             kinds = signature.args
             data_a, data_b, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 1, 5))
             k, low, high = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (2, 3, 4))
 
-            def body(j: Any, totals: list[Any]) -> list[Any]:
+            def body(j, totals):
                 row_a = builder.mul(j, _number(columns))
                 row_b = builder.mul(builder.sub(k, j), _number(columns))
                 results = []
@@ -286,19 +267,19 @@ def _products_of(columns: int) -> Any:
     return products
 
 
-def _values_of(points: int) -> Any:
+def _values_of(points):
     """The function out[i] = sum of series[k] x[i]^k, k = 0 ... order, over `points` points."""
     count = points // _WIDTH
 
     @intrinsic
-    def values_at(typing: Any, series: Any, order: Any, x: Any, out: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def values_at(typing, series, order, x, out):
+        def generate(context, builder, signature, arguments):
             kinds = signature.args
             data, data_x, data_out = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 2, 3))
             order = context.cast(builder, arguments[1], kinds[1], types.int64)
             at = [_load(builder, data_x, _number(i * _WIDTH)) for i in range(count)]
 
-            def body(j: Any, totals: list[Any]) -> list[Any]:
+            def body(j, totals):
                 term = _spread(builder, builder.load(builder.gep(data, [builder.sub(order, j)])))
                 return [_multiply_add(builder, total, z, term) for total, z in zip(totals, at, strict=True)]
 
@@ -312,16 +293,16 @@ def _values_of(points: int) -> Any:
     return values_at
 
 
-def _mix_of(columns: int) -> Any:
+def _mix_of(columns):
     """The function out[m] = sum of weights[i] rows[i, m], 0 <= i < columns, over `columns` columns."""
     count = columns // _WIDTH
 
     @intrinsic
-    def mix(typing: Any, weights: Any, rows: Any, out: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def mix(typing, weights, rows, out):
+        def generate(context, builder, signature, arguments):
             data, data_rows, data_out = (_data(context, builder, signature.args[i], arguments[i]) for i in range(3))
 
-            def body(j: Any, totals: list[Any]) -> list[Any]:
+            def body(j, totals):
                 weight = _spread(builder, builder.load(builder.gep(data, [j])))
                 row = builder.mul(j, _number(columns))
                 parts = [_load(builder, data_rows, builder.add(row, _number(i * _WIDTH))) for i in range(count)]
@@ -336,82 +317,54 @@ def _mix_of(columns: int) -> Any:
     return mix
 
 
-def _derivatives_of(columns: int) -> Any:
-    """The function at[m] = sum of x[k, m] t[m]^k and its derivative by t, over `columns` columns from `first`."""
+def _series_of(columns, derivatives):
+    """The function that evaluates power series at t[m], over `columns` columns from `first`.
+
+    at[m] = sum of x[k, m] t[m]^k, its derivative by t, half of the second one: as many rows as asked for.
+    """
     count = columns // _WIDTH
 
     @intrinsic
-    def derivatives_at(typing: Any, x: Any, order: Any, width: Any, first: Any, t: Any, at: Any, rate: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            kinds = signature.args
-            data, data_t, data_at, data_rate = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 4, 5, 6))
-            order, width, first = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (1, 2, 3))
-            shares = [_load(builder, data_t, _number(i * _WIDTH)) for i in range(count)]
+    def series_at(typing, *arguments):  # x, order, width, first, t, at, rate, ...
+        packed = types.StarArgTuple.from_types(arguments)
 
-            def body(j: Any, totals: list[Any]) -> list[Any]:
+        def generate(context, builder, signature, given):
+            kinds = list(signature.args[0])
+            parts = [builder.extract_value(given[0], i) for i in range(len(kinds))]
+            data, t, *rows = (_data(context, builder, kinds[i], parts[i]) for i in (0, *range(4, len(kinds))))
+            order, width, first = (context.cast(builder, parts[i], kinds[i], types.int64) for i in (1, 2, 3))
+            shares = [_load(builder, t, _number(i * _WIDTH)) for i in range(count)]
+
+            def body(j, totals):
                 row = builder.add(builder.mul(builder.sub(order, j), width), first)
-                values, rates = [], []
-                for i, z in enumerate(shares):
-                    term = _load(builder, data, builder.add(row, _number(i * _WIDTH)))
-                    rates.append(_multiply_add(builder, totals[count + i], z, totals[i]))
-                    values.append(_multiply_add(builder, totals[i], z, term))
-                return values + rates
+                results = []
+                for d in range(derivatives + 1):
+                    for i, z in enumerate(shares):
+                        lower = (
+                            _load(builder, data, builder.add(row, _number(i * _WIDTH)))
+                            if d == 0
+                            else totals[(d - 1) * count + i]
+                        )
+                        results.append(_multiply_add(builder, totals[d * count + i], z, lower))
+                return results
 
             high = builder.add(order, _number(1))
-            totals = _loop(builder, _number(0), high, _zeros(2 * count), body)
-            for i in range(count):
-                place = builder.add(first, _number(i * _WIDTH))
-                builder.store(totals[i], _place(builder, data_at, place), align=8)
-                builder.store(totals[count + i], _place(builder, data_rate, place), align=8)
+            totals = _loop(builder, _number(0), high, _zeros((derivatives + 1) * count), body)
+            for k, total in enumerate(totals):
+                place = builder.add(first, _number(k % count * _WIDTH))
+                builder.store(total, _place(builder, rows[k // count], place), align=8)
             return context.get_dummy_value()
 
-        return types.void(x, order, width, first, t, at, rate), generate
+        return types.void(packed), generate
 
-    return derivatives_at
-
-
-def _curves_of(columns: int) -> Any:
-    """at[m] = sum of x[k, m] t[m]^k, its derivative by t and half its second derivative, from column `first`."""
-    count = columns // _WIDTH
-
-    @intrinsic
-    def curves_at(
-        typing: Any, x: Any, order: Any, width: Any, first: Any, t: Any, at: Any, rate: Any, bend: Any
-    ) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            kinds = signature.args
-            data, *rows = (_data(context, builder, kinds[i], arguments[i]) for i in (0, 4, 5, 6, 7))
-            order, width, first = (context.cast(builder, arguments[i], kinds[i], types.int64) for i in (1, 2, 3))
-            places = [builder.add(first, _number(i * _WIDTH)) for i in range(count)]
-            shares = [_load(builder, rows[0], place) for place in places]
-
-            def body(j: Any, totals: list[Any]) -> list[Any]:
-                row = builder.mul(builder.sub(order, j), width)
-                values, rates, bends = [], [], []
-                for i, z in enumerate(shares):
-                    term = _load(builder, data, builder.add(row, places[i]))
-                    bends.append(_multiply_add(builder, totals[2 * count + i], z, totals[count + i]))
-                    rates.append(_multiply_add(builder, totals[count + i], z, totals[i]))
-                    values.append(_multiply_add(builder, totals[i], z, term))
-                return values + rates + bends
-
-            high = builder.add(order, _number(1))
-            totals = _loop(builder, _number(0), high, _zeros(3 * count), body)
-            for kind in range(3):
-                for i in range(count):
-                    builder.store(totals[kind * count + i], _place(builder, rows[1 + kind], places[i]), align=8)
-            return context.get_dummy_value()
-
-        return types.void(x, order, width, first, t, at, rate, bend), generate
-
-    return curves_at
+    return series_at
 
 
 @intrinsic
-def _apart(typing: Any) -> Any:
+def _apart(typing):
     """Keep the function that calls this out of its callers: a copy at every place of use costs seconds to compile."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def generate(context, builder, signature, arguments):
         builder.function.attributes.add("noinline")
         return context.get_dummy_value()
 
@@ -422,7 +375,7 @@ apart: Any = _apart
 products: Any = _products_of(32)
 values_at: Any = _values_of(12)
 mix: Any = _mix_of(12)
-derivatives_at: Any = _derivatives_of(16)
-curves_at: Any = _curves_of(16)
+derivatives_at: Any = _series_of(16, 1)
+curves_at: Any = _series_of(16, 2)
 row: Any = _row
 bare: Any = _bare
