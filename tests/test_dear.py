@@ -589,7 +589,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
         without.setattr("uqsphere.runner.dear_end.with_surrogate_design", lambda work, limits, *_: limits)
         before = run("before")
     for name in ("CONFIRMED", "CLOSE"):
-        monkeypatch.setattr(f"uqsphere.runner.learning.{name}", -1.0)
+        monkeypatch.setattr(f"uqsphere.runner.questions.probabilities.{name}", -1.0)
     limit = run("after")
     assert "does not confirm" in limit["design_point_reason"]
     assert not limit["design_point"]

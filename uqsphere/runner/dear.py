@@ -16,9 +16,9 @@ from uqsphere.runner.dear_course import BEFORE, UNEXPLAINED, Course, needed
 from uqsphere.runner.dear_end import Dear, End, conclude, refusal, to_be_sampled
 from uqsphere.runner.dear_fits import fit_design
 from uqsphere.runner.evaluate import OutOfBudget, Work, none_answered
-from uqsphere.runner.learning import reserve
 from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.questions.indices import CHAOS
+from uqsphere.runner.questions.probabilities import reserve
 from uqsphere.runner.schedule import CAUTION, FIRST_SAMPLE, REPLICATES, SURROGATE
 from uqsphere.uq.augmented import MOST, Trusted
 

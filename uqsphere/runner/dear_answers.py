@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.runner.evaluate import Work, draw
-from uqsphere.runner.learning import Demand, learnable
 from uqsphere.runner.limits import SEEN, LimitAnswer, carriers, judge_limits, state_of, told_by_runs, unseen
 from uqsphere.runner.questions.distributions import excess_of
 from uqsphere.runner.questions.indices import dependent_names
+from uqsphere.runner.questions.probabilities import Demand, learnable
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, deviation, joined

@@ -13,12 +13,12 @@ from uqsphere.runner.dear_fits import fit_design, simpler_fits
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.dear_tails import dear_tails
 from uqsphere.runner.evaluate import OutOfBudget, Work
-from uqsphere.runner.learning import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.limits import LimitAnswer, limits_missed
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.questions.probabilities import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted
@@ -132,7 +132,7 @@ def conclude(end: End) -> Dear:
     alone = _from_runs(end, sample)
     limits, learned = end.found.limits | alone.limits, Learned(limits={})
     if stopped != "time":
-        learned = learn_limits(work, limits, affordable)
+        learned = learn_limits(work, limits)
         limits = with_surrogate_design(work, learned.limits, demands_of(work, end.trusted), affordable)
     margins = dear_margins(work, end.trusted, affordable)
     if end.rough and stopped != "time":

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 from uqsphere.runner.dear_answers import demands_of, widest
 from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.evaluate import Work
-from uqsphere.runner.learning import with_surrogate_design
 from uqsphere.runner.limits import limits_missed
 from uqsphere.runner.questions.distributions import Sampled, find_missed, shortfalls
+from uqsphere.runner.questions.probabilities import with_surrogate_design
 
 if TYPE_CHECKING:
     from uqsphere.runner.dear_end import Dear

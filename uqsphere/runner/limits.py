@@ -101,6 +101,10 @@ class LimitAnswer:
             met=None if self.target is None else target_met(miss, self.target),
         )
 
+    def with_check(self, text: str) -> LimitAnswer:
+        """The same with one remark more."""
+        return replace(self, checks=(*self.checks, text))
+
     def beneath(self, which: str) -> bool:
         """Whether a probability is too small to matter: beneath notice, or far beneath the target."""
         high = getattr(self, which).high

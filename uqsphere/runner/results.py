@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import Results
+from uqsphere.results import Results, ToleranceEntry
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
@@ -54,7 +54,7 @@ class Findings:
     drivers: Drivers = field(default_factory=lambda: Drivers(quantities={}, limits={}))
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
-    tolerance: dict[str, dict[str, Any]] = field(default_factory=dict)
+    tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
     history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
@@ -91,7 +91,7 @@ def _inputs(work: Work) -> dict[str, Any]:
     return table
 
 
-def _quantities(sampled: Sampled, tolerance: Mapping[str, Any]) -> dict[str, Any]:
+def _quantities(sampled: Sampled, tolerance: Mapping[str, ToleranceEntry]) -> dict[str, Any]:
     return {
         name: {
             "unit": lookup(name).unit,

@@ -1,21 +1,28 @@
-"""Small probabilities: limits that sampling leaves open go on in standard normal space, and get their design points.
+"""Small probabilities: limits that one sample leaves open go on in standard normal space, and get design points.
 
 The strength stays integrated: given the inputs' normal scores u, the aim is missed with the probability Phi(-g(u)),
 where g is the strength's normal score at the demand (`uqsphere.uq.rare`).  Everything is evaluated through the
 run's own chunks.  Rows far out of the ordinary may have no answer: they widen the interval and end nothing.
+
+A model that is sampled has its failures searched for by importance sampling.  Of an expensive one, whose one design
+shows no probability that none of its runs would see, a Gaussian process learns with what is left of the budget where
+the aim is missed (`uqsphere.uq.rare.active`); its design points are searched for on a surrogate, and the model is run
+there once: a point that it contradicts is not given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
-from uqsphere.runner.campaign import MISS_KIND, Cost, Missed, cost_of, speed_rows_of
+from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
@@ -25,31 +32,57 @@ from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import strength_tails
+from uqsphere.uq.rare.active import METHOD as ACTIVE
+from uqsphere.uq.rare.active import ActiveAnswer, learn_probability
 from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 
 __all__ = [
-    "METHOD",
+    "MOST_CALLS",
+    "Demand",
     "DesignFound",
+    "Learned",
     "LimitSpace",
     "complement",
     "find_design",
+    "learn_limits",
+    "learnable",
     "limit_space",
     "narrower",
     "physical_values",
     "refine_limits",
+    "reserve",
     "tied_strength",
     "with_design",
+    "with_surrogate_design",
 ]
 
 METHOD: Final = "importance sampling"
+#: calls of the model that one limit may take, and the least that are worth a beginning
+MOST_CALLS: Final = 200
+LEAST_CALLS: Final = 30
+#: variables up to which a Gaussian process can follow a limit
+MOST_VARIABLES: Final = 10
+#: evaluations of a surrogate for a design point
+ON_SURROGATE: Final = 4000
+#: a design point stands where model and surrogate differ by at most so many of its residuals' scatter,
+#: or this share of the quantity's standard deviation
+CONFIRMED: Final = 4.0
+CLOSE: Final = 0.02
+
+
 #: probability below which sampling's own interval is not believed
 DOUBTFUL: Final = 1e-4
 #: plain sampling falls short of a doubtful probability by so much without contradicting it: its terms are skewed
 LACKING: Final = 1.25
 #: normal scores beyond which a tail is taken for certain
 _FAR: Final = 37.0
+_TIED: Final = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
+
+
+#: the quantity of a limit at normal scores (n, d) of the model's inputs, by its surrogate
+Demand = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,40 +96,76 @@ class LimitSpace:
     remaining: float
 
 
+@dataclass(kw_only=True)
+class SmallProbabilities:
+    """Limits that one sample does not settle, gone on with one after the other (a `Question`).
+
+    `go_on` answers a limit by so many evaluations more, and gives the errors on its way.
+    """
+
+    work: Work
+    limits: dict[str, LimitAnswer]
+    todo: list[tuple[int, Limit]]
+    go_on: Callable[[int, Limit, LimitAnswer, float], tuple[LimitAnswer, list[SpeedRow]]]
+    told: list[SpeedRow] = field(default_factory=list)
+    size: int = 0
+    judged: int = 0
+
+    def advance(self, room: float) -> bool:
+        """The next limit, with an equal part of the room for each that is left."""
+        if not self.todo:
+            return False
+        at, limit = self.todo[0]
+        found, self.told = self.go_on(at, limit, self.limits[limit.name], room / len(self.todo))
+        self.limits[limit.name] = found
+        self.todo.pop(0)
+        return True
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """The limits that have not had their turn."""
+        return {Accuracy(f"limits.{limit.name}", "miss"): math.inf for _, limit in self.todo}
+
+    def errors(self) -> list[SpeedRow]:
+        """Those of the last limit."""
+        return self.told
+
+
+# --- by sampling --------------------------------------------------------------------------------------
+
+
 def refine_limits(work: Work, sampled: Sampled) -> Sampled:
     """Sampled limits with design points, and with importance sampling's probabilities where sampling fell short."""
-    limits = work.study.limits
+    limits = list(enumerate(work.study.limits))
     if not work.drawn.names or not limits or not _asked(work, "form", "importance", "subset"):
         return sampled
-    found = dict(sampled.limits)
-    stopped = sampled.stopped
-    for at, limit in enumerate(limits):
-        answer = found[limit.name]
-        if tied_strength(work, limit):
-            reason = "the strength depends on an input by a copula that is not Gaussian, and no search was made"
-            found[limit.name] = replace(answer, design_reason=reason)
-            continue
-        space = limit_space(replace(work, spare=True), limit, at)
-        left = work.study.analysis.budget.evaluations - work.ledger.total
-        budget = int(min(RARE.most, RARE.share * left / (len(limits) - at)))
-        try:
-            if _goes_on(work, answer, budget):
-                asked = work.study.analysis.accuracy.probability
-                rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
-                found[limit.name] = _joined(work, limit, answer, rare, space)
-                work.tell(_errors(limit.name, rare))
-            elif budget >= DESIGN_POINT:
-                design = find_design_points(
-                    Evaluator(limit=space.function, budget=budget), seed=work.study.seed, most=DESIGN_POINT
-                )
-                found[limit.name] = with_design(work, answer, design, space)
-        except OutOfBudget:
-            stopped = "time"
-            break
+    question = SmallProbabilities(
+        work=work, limits=dict(sampled.limits), todo=limits, go_on=partial(_search, replace(work, spare=True))
+    )
+    course = campaign(work, question)
     missed = [one for one in sampled.missed if one.subject in sampled.descriptions]
-    for name, answer in found.items():
+    for name, answer in question.limits.items():
         missed += [_with_cost(work, one, name, answer, sampled) for one in limits_missed(work, {name: answer})]
-    return replace(sampled, limits=found, missed=missed, stopped=stopped)
+    stopped = "time" if course.stopped == "time" else sampled.stopped
+    return replace(sampled, limits=question.limits, missed=missed, stopped=stopped)
+
+
+def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float) -> tuple[LimitAnswer, list[SpeedRow]]:
+    """The failures of a limit searched for where sampling fell short; else its design point alone."""
+    if tied_strength(work, limit):
+        return replace(answer, design_reason=_TIED), []
+    space, budget = limit_space(work, limit, at), int(min(RARE.most, RARE.share * room))
+    if _goes_on(work, answer, budget):
+        asked = work.study.analysis.accuracy.probability
+        rare = find_probability(space.function, seed=work.study.seed, accuracy=asked, budget=budget)
+        rows = [
+            row for m, n, error in rare.history for row in speed_rows_of(m, f"limits.{limit.name}", n, error, MISS_KIND)
+        ]
+        return _joined(work, limit, answer, rare, space), rows
+    if budget >= DESIGN_POINT:
+        evaluator = Evaluator(limit=space.function, budget=budget)
+        design = find_design_points(evaluator, seed=work.study.seed, most=DESIGN_POINT)
+        return with_design(work, answer, design, space), []
+    return answer, []
 
 
 def tied_strength(work: Work, limit: Limit) -> bool:
@@ -283,12 +352,6 @@ def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[s
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
-def _errors(name: str, rare: RareAnswer) -> list[SpeedRow]:
-    return [
-        row for method, n, error in rare.history for row in speed_rows_of(method, f"limits.{name}", n, error, MISS_KIND)
-    ]
-
-
 @dataclass(frozen=True, kw_only=True)
 class DesignFound:
     """A design point by itself: values of the variables (SI), their importance factors, its distance."""
@@ -318,3 +381,161 @@ def find_design(work: Work, limit: Limit) -> DesignFound | str:
         names.append(f"limits.{limit.name}.strength")
     shares = {name: float(share) for name, share in zip(names, known[0].importance, strict=True)}
     return DesignFound(values=physical_values(work, known[0], space), shares=shares, beta=known[0].beta)
+
+
+# --- by active learning ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """Limits with what was learned of them, and calls by limit."""
+
+    limits: dict[str, LimitAnswer]
+    calls: dict[str, int] = field(default_factory=dict)
+
+
+def _size(work: Work, limit: Limit) -> int:
+    """Variables of the space in which the limit is hard."""
+    from uqsphere.uq.law import Law
+
+    return len(work.drawn.names) + int(isinstance(limit.strength, Law))
+
+
+def learnable(work: Work, limit: Limit, answer: LimitAnswer) -> bool:
+    """Whether a limit is of the kind that one design cannot answer and active learning can: small, in few variables."""
+    if not takes_over(work, answer) or answer.beneath("miss") or tied_strength(work, limit):
+        return False
+    open_ = answer.accuracy_missed("miss", work.study.analysis.accuracy.probability)
+    return bool(open_) and _size(work, limit) <= MOST_VARIABLES
+
+
+def reserve(work: Work, limits: Mapping[str, LimitAnswer], affordable: int) -> int:
+    """Evaluations kept for the limits that need learning: at most half of what is affordable."""
+    known = [limit for limit in work.study.limits if limit.name in limits]
+    wanted = sum(learnable(work, limit, limits[limit.name]) for limit in known)
+    return min(MOST_CALLS * wanted, affordable // 2)
+
+
+def learn_limits(work: Work, limits: Mapping[str, LimitAnswer]) -> Learned:
+    """The limits, with active learning where one design was not enough and the budget has room."""
+    calls: dict[str, int] = {}
+    todo = [(at, limit) for at, limit in enumerate(work.study.limits) if learnable(work, limit, limits[limit.name])]
+    question = SmallProbabilities(
+        work=work, limits=dict(limits), todo=todo, go_on=partial(_learn, replace(work, spare=True), calls)
+    )
+    if campaign(work, question).stopped == "time" and question.todo:
+        name = question.todo[0][1].name
+        text = "active learning was cut off: the time was over, or the run was stopped"
+        question.limits[name] = question.limits[name].with_check(text)
+    return Learned(limits=question.limits, calls=calls)
+
+
+def _learn(
+    work: Work, counted: dict[str, int], at: int, limit: Limit, answer: LimitAnswer, room: float
+) -> tuple[LimitAnswer, list[SpeedRow]]:
+    """A limit followed by a Gaussian process where it is; `counted` takes the calls down."""
+    calls = int(min(MOST_CALLS, room))
+    if calls < LEAST_CALLS:
+        text = f"active learning was not begun: it takes {LEAST_CALLS} evaluations at least, {MOST_CALLS} at most"
+        return answer.with_check(text), []
+    space, asked = limit_space(work, limit, at), work.study.analysis.accuracy.probability
+    learned = learn_probability(
+        space.function, seed=work.study.seed, budget=calls, accuracy=min(asked, 0.05), task=f"active.{limit.name}"
+    )
+    updated = _with_learned(limit, answer, learned)
+    if learned.design is not None:
+        # the process has runs of the model all about its design point
+        updated = with_design(work, updated, learned.design, space)
+    counted[limit.name] = learned.calls
+    if not learned.estimate.value:
+        return updated, []
+    error = learned.estimate.half_width / learned.estimate.value
+    return updated, speed_rows_of(ACTIVE, f"limits.{limit.name}", learned.calls, error, MISS_KIND)
+
+
+def _with_learned(limit: Limit, answer: LimitAnswer, learned: ActiveAnswer) -> LimitAnswer:
+    """The limit's answer with the probability that was learned; where it contradicts the old one, both are held."""
+    own, old = learned.estimate, answer.miss
+    parts = "part" if learned.modes == 1 else "parts"
+    checks = [*answer.checks, f"active learning: {learned.calls} calls, {learned.modes} {parts} of the failure domain"]
+    if learned.warning:
+        checks.append(learned.warning)
+    if own.value is None or own.low is None or own.high is None:
+        return replace(answer, checks=(*checks, f"active learning: {own.reason}"))
+    low, high = own.low, own.high
+    if learned.warning and old.high is not None:
+        # what the process may have missed is bounded by what the runs of the design did not show
+        high = max(high, old.high)
+    if old.value is not None and old.low is not None and old.high is not None and (low > old.high or high < old.low):
+        checks.append(f"the surrogate gave {old.value:.3g}, outside of this: the interval holds both")
+        low, high = min(low, old.low), max(high, old.high)
+    own = replace(own, low=low, high=high, std_error=(high - low) / 3.92)
+    exceeded = own if limit.aim == "survive" else complement(own)
+    return replace(answer.with_probabilities(exceeded, own), modes=learned.modes or None, checks=tuple(checks))
+
+
+def with_surrogate_design(
+    work: Work, limits: Mapping[str, LimitAnswer], demands: Mapping[str, tuple[Demand, float, float]], affordable: int
+) -> dict[str, LimitAnswer]:
+    """Design points by FORM on the surrogates, each confirmed by one run of the model.
+
+    `demands` has for every quantity its surrogate, the scatter of its residuals and the standard deviation.
+    """
+    found = dict(limits)
+    for at, limit in enumerate(work.study.limits):
+        answer = found[limit.name]
+        if answer.design is not None or limit.quantity not in demands:
+            continue
+        if tied_strength(work, limit):
+            found[limit.name] = replace(answer, design_reason=_TIED)
+            continue
+        demand, scatter, sd = demands[limit.quantity]
+        space = limit_space(work, limit, at, demand)
+        try:
+            design: FormAnswer = find_design_points(
+                Evaluator(limit=space.function, budget=ON_SURROGATE), seed=work.study.seed, most=ON_SURROGATE
+            )
+        except OutOfBudget:
+            reason = "no search for a design point was made: the time was over, or the run was stopped"
+            found[limit.name] = replace(answer, design_reason=reason)
+            continue
+        updated = with_design(work, answer, design, space)
+        if updated.design is not None and work.ledger.total >= affordable:
+            text = "the design point is the surrogate's own: no evaluation was left to confirm it"
+            updated = updated.with_check(text)
+        elif updated.design is not None:
+            point = next(point for point in design.points if point.converged)
+            normals = point.point[None, : len(work.drawn.names)]
+            allowed = max(CONFIRMED * scatter, CLOSE * sd)
+            updated = _confirmed(work, limit, at, answer, updated, normals, demand, allowed)
+        found[limit.name] = updated
+    return found
+
+
+def _confirmed(
+    work: Work,
+    limit: Limit,
+    at: int,
+    before: LimitAnswer,
+    answer: LimitAnswer,
+    normals: Array,
+    demand: Demand,
+    allowed: float,
+) -> LimitAnswer:
+    """The answer with its design point, normal scores (1, D), where one run of the model agrees, else that before."""
+    physical = physical_from_normal(work.drawn, normals)
+    d = len(work.scene_names)
+    try:
+        run = evaluate_points(replace(work, spare=True), f"design-point.{at}", work.scene_names, physical[:, :d])
+    except OutOfBudget:
+        text = "the design point is the surrogate's own: the time to confirm it was over"
+        return answer.with_check(text)
+    k = work.quantities.index(limit.quantity)
+    told = float(demand(normals[:, :d])[0])
+    true = float(run.values[0, k]) if is_answered(run.status)[0] else float("nan")
+    if abs(true - told) <= allowed:
+        text = f"the design point is the surrogate's; the model gives {true:.4g} there, the surrogate {told:.4g}"
+        return answer.with_check(text)
+    gives = f"gives {true:.4g}" if np.isfinite(true) else "has no answer"
+    reason = f"the model does not confirm the surrogate's design point: it {gives} there, the surrogate {told:.4g}"
+    return replace(before, design_reason=reason)
