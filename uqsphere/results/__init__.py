@@ -229,7 +229,8 @@ class SharesEntry(Entry):
             if prefix == "kucherenko" and self.shapley:
                 yield "shapley", self.shapley
             if pair is not None and (prefix == "group" or self.shapley):
-                yield from ((f"{prefix} {order}", getattr(pair, order)) for order in pair.model_fields_set)
+                kept = (order for order in OrderEntry.model_fields if order in pair.model_fields_set)
+                yield from ((f"{prefix} {order}", getattr(pair, order)) for order in kept)
 
 
 class IndexEntry(SharesEntry):
