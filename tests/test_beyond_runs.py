@@ -19,7 +19,7 @@ from uqsphere.uq.beyond_runs import shares_within, within_runs
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.expansion.expansion import Border
-from uqsphere.uq.joint import Inputs
+from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.released import believed
@@ -151,7 +151,7 @@ def test_an_index_without_interval_stays_without() -> None:
 def test_answers_of_given_tables_reach_inwards_too() -> None:
     """tanh(2 a) + b of normal inputs, 100 rows of its own: what holds for designed runs holds for these."""
     law = make_law("normal", {"mean": 0.0, "sd": 1.0})
-    laws = Inputs(names=("a", "b"), laws=(law, law))
+    laws = Joint(names=("a", "b"), laws=(law, law))
     hits = []
     for seed in (1, 3, 14, 21, 25, 32, 33, 34):
         scores = np.random.default_rng(seed).standard_normal((100, 2))

@@ -10,18 +10,17 @@ from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from uqsphere.uq import archimedean
-from uqsphere.uq.archimedean import log_copula_density
-from uqsphere.uq.elliptical import (
+from uqsphere.uq.joint import (
     COPULAS,
+    Dependence,
+    Joint,
     conditional_score,
     conditional_scores,
     dependent_scores,
     independent_scores,
-    log_density,
     make_copula,
-    members_of,
+    make_joint,
 )
-from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores, rest_given, strength_tie, sub_inputs
 from uqsphere.uq.law import LawError, make_law
 from uqsphere.uq.limit_state import LimitState, exceedance
 from uqsphere.uq.points import sobol_points
@@ -114,7 +113,7 @@ def test_density_is_the_product_of_the_conditional_ones(kind: str) -> None:
         ]
         middle = 0.5 * (pair[0] + pair[1])
         found += stats.norm.logpdf(middle) + np.log((pair[0] - pair[1]) / (2.0 * h))
-    assert np.allclose(log_density(copula, scores), found, atol=2e-5)
+    assert np.allclose(copula.log_density(scores), found, atol=2e-5)
 
 
 def test_density_of_the_t_copula_is_that_of_scipy() -> None:
@@ -123,7 +122,7 @@ def test_density_of_the_t_copula_is_that_of_scipy() -> None:
     x = stats.t.ppf(ndtr(scores), 5.0)
     joint = stats.multivariate_t(shape=copula.correlation, df=5.0).logpdf(x)
     expected = joint - stats.t.logpdf(x, 5.0).sum(axis=1) + stats.norm.logpdf(scores).sum(axis=1)
-    assert np.allclose(log_density(copula, scores), expected, atol=1e-9)
+    assert np.allclose(copula.log_density(scores), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["gumbel", "frank", "clayton"])
@@ -133,10 +132,8 @@ def test_density_of_five_members_integrates_to_that_of_four(kind: str) -> None:
     z = np.linspace(-9.0, 9.0, 1801)
     for row in scores[:, :4]:
         every = np.column_stack([np.tile(row, (z.size, 1)), z])
-        total = np.sum(np.exp(log_density(copula, every))) * (z[1] - z[0])
-        assert math.log(total) == pytest.approx(
-            float(log_density(members_of(copula, range(4)), row[None])[0]), abs=1e-6
-        )
+        total = np.sum(np.exp(copula.log_density(every))) * (z[1] - z[0])
+        assert math.log(total) == pytest.approx(float(copula.among(range(4)).log_density(row[None])[0]), abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", COPULAS)
@@ -151,16 +148,17 @@ def test_rosenblatt_goes_there_and_back(kind: str, size: int) -> None:
 def test_gumbel_pair_is_inverted_in_a_few_steps(theta: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """The general search took ten times as long, which made an analysis of given runs take four times the others'."""
     scores = np.linspace(-8.0, 8.0, 41)
+    pair = archimedean.Archimedean(generator=archimedean.ARCHIMEDEAN["gumbel"], theta=theta, size=2)
     known, normal = (axis.reshape(-1) for axis in np.meshgrid(scores, scores))
     searched = archimedean._root(
-        lambda score: archimedean.conditional_score("gumbel", theta, known[:, None], score) - normal, known.size
+        lambda score: pair.conditional_score(1, (0,), known[:, None], score) - normal, known.size
     )
     monkeypatch.setattr(archimedean, "_root", None)
-    found = archimedean.inverse_score("gumbel", theta, known[:, None], normal)
+    found = pair.score_at(1, (0,), known[:, None], normal)
     told = np.abs(searched) < 8.0
     assert np.allclose(found[told], searched[told], rtol=0.0, atol=1e-9)
     # where the search has no digits left, beyond what is known, both ends hold
-    far = archimedean.inverse_score("gumbel", theta, np.array([[-38.0], [38.0], [0.0]]), np.array([38.0, -38.0, -38.0]))
+    far = pair.score_at(1, (0,), np.array([[-38.0], [38.0], [0.0]]), np.array([38.0, -38.0, -38.0]))
     assert np.isfinite(far).all()
     assert far[2] < -8.0
 
@@ -210,7 +208,7 @@ def test_negative_frank_is_the_positive_one_upside_down() -> None:
     mirrored = dependent_scores(up, scores * np.array([1.0, -1.0])) * np.array([1.0, -1.0])
     assert np.allclose(found, mirrored, atol=1e-12)
     assert stats.kendalltau(*found.T).statistic < -0.4
-    assert np.isfinite(log_copula_density("frank", down.theta, found)).all()
+    assert np.isfinite(down.log_density(found)).all()
 
 
 @pytest.mark.parametrize(
@@ -246,13 +244,13 @@ TIES = [
 ]
 
 
-def several() -> Inputs:
-    return make_inputs(NAMES, (UNIT,) * 6, TIES)
+def several() -> Joint:
+    return make_joint(NAMES, (UNIT,) * 6, TIES)
 
 
 def test_groups_stand_side_by_side() -> None:
     n = 4096
-    scores = normal_scores(several(), np.random.default_rng(5).standard_normal((n, 6)))
+    scores = several().scores(np.random.default_rng(5).standard_normal((n, 6)))
     tau = stats.kendalltau(scores[:, 4], scores[:, 0]).statistic
     assert tau == pytest.approx(0.5, abs=4.0 * math.sqrt(2.0 * 0.75 / n))
     assert stats.spearmanr(scores[:, 1], scores[:, 3]).statistic == pytest.approx(-0.4, abs=4.0 / math.sqrt(n))
@@ -263,21 +261,21 @@ def test_groups_stand_side_by_side() -> None:
 
 
 def test_some_of_the_inputs_keep_what_ties_them() -> None:
-    kept = sub_inputs(several(), ("a", "d", "e"))
+    kept = several().only(("a", "d", "e"))
     assert kept.correlation is None
     assert kept.groups[0].members == ("e", "a")
-    assert sub_inputs(several(), ("a", "b", "f")).groups == ()
+    assert several().only(("a", "b", "f")).groups == ()
     scores = normals(64, 6)
-    whole = normal_scores(several(), scores)
-    assert np.array_equal(normal_scores(kept, scores[:, [0, 3, 4]])[:, [0, 2]], whole[:, [0, 4]])
+    whole = several().scores(scores)
+    assert np.array_equal(kept.scores(scores[:, [0, 3, 4]])[:, [0, 2]], whole[:, [0, 4]])
 
 
 def test_columns_given_stay_and_the_rest_follows_them() -> None:
     n = 4096
     inputs = several()
     drawn = normals(n, 12)
-    scores = normal_scores(inputs, drawn[:, :6])
-    again = rest_given(inputs, (0, 1, 2), scores, drawn[:, 6:])
+    scores = inputs.scores(drawn[:, :6])
+    again = inputs.given((0, 1, 2), scores, drawn[:, 6:])
     assert np.array_equal(again[:, :3], scores[:, :3])
     tau = stats.kendalltau(again[:, 4], again[:, 0]).statistic
     assert tau == pytest.approx(0.5, abs=4.0 * math.sqrt(2.0 * 0.75 / n))
@@ -292,13 +290,13 @@ def test_a_strength_tied_to_inputs_is_integrated_exactly(kind: str) -> None:
     n, replicates = 2048, 8
     dof = 4.0 if kind == "student_t" else None
     tie = Dependence(of=("strength", "x", "y"), copula=kind, kendall=0.6, dof=dof)
-    inputs = make_inputs(("x", "y", "strength"), (UNIT,) * 3, [tie])
+    inputs = make_joint(("x", "y", "strength"), (UNIT,) * 3, [tie])
     rows = np.stack([ndtri(sobol_points(dimension=3, count=n, seed=1, task="t", replicate=r)) for r in range(8)])
-    scores = normal_scores(inputs, rows.reshape(-1, 3)).reshape(rows.shape)
+    scores = inputs.scores(rows.reshape(-1, 3)).reshape(rows.shape)
     demand = lambda s: 0.7 * s[..., 0] + 0.4 * s[..., 1] - 0.8  # noqa: E731
-    drawn = sub_inputs(inputs, ("x", "y"))
-    given = normal_scores(drawn, rows.reshape(-1, 3)[:, :2]).reshape(replicates, n, 2)
-    bound = strength_tie(inputs, "strength", ("x", "y"), given)
+    drawn = inputs.only(("x", "y"))
+    given = drawn.scores(rows.reshape(-1, 3)[:, :2]).reshape(replicates, n, 2)
+    bound = inputs.tie("strength", ("x", "y"), given)
     found = exceedance(LimitState(demands=demand(given), strength=UNIT, tie=bound))
     counted = (scores[..., 2] < demand(scores)).mean(axis=1)
     error = math.hypot(found.std_error, counted.std(ddof=1) / math.sqrt(replicates))
@@ -318,5 +316,5 @@ def test_a_strength_tied_to_inputs_is_integrated_exactly(kind: str) -> None:
 )
 def test_groups_that_cannot_stand_together_are_refused(ties, key, text) -> None:
     with pytest.raises(LawError, match=text) as caught:
-        make_inputs(NAMES, (UNIT,) * 6, ties)
+        make_joint(NAMES, (UNIT,) * 6, ties)
     assert caught.value.key == key

@@ -88,9 +88,8 @@ def test_other_copulas_go_through_a_run(study_from, tmp_path, copula: str) -> No
     run = run_of(study_from, tmp_path, text, "analysis.accuracy.sobol=0.1", "analysis.accuracy.mean=0.0005")
     # counted: another generator, and the strength drawn with the inputs
     inputs = study_from(text=text).inputs()
-    from uqsphere.uq.joint import physical_from_normal
 
-    drawn = physical_from_normal(inputs, np.random.default_rng(5).standard_normal((60_000, 4)))
+    drawn = inputs.physical(np.random.default_rng(5).standard_normal((60_000, 4)))
     at = {name: drawn[:, k] for k, name in enumerate(inputs.names)}
     failed = at["a"] + 2.0 * at["b"] > at["limits.high.strength"]
     found = run.results.document()["limits"]["high"]["exceedance"]

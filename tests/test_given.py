@@ -13,19 +13,17 @@ from scipy import stats
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.given import Data, analyse_data, analysis, analysis_text, known_laws, read_data, study_text
-from uqsphere.given.ties import ties_of
+from uqsphere.given.analysis import quantile_interval
+from uqsphere.given.ties import rank_correlations, tied, ties_of
 from uqsphere.uq.beyond_variance import rank_indices
-from uqsphere.uq.elliptical import dependent_scores, make_copula
 from uqsphere.uq.estimate import sd_alone
 from uqsphere.uq.fitting import (
     fit_marginal,
     fitted_law,
     plausible,
     plausible_laws,
-    quantile_interval,
-    rank_correlations,
-    tied,
 )
+from uqsphere.uq.joint import dependent_scores, make_copula
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
 

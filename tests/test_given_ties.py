@@ -12,10 +12,9 @@ from scipy import stats
 from uqsphere.given import Data, analyse_data
 from uqsphere.given.answers import _answer, leaning, reach, spanned
 from uqsphere.given.ties import left_open, rank_influence, ties_of, with_ties
-from uqsphere.uq.elliptical import dependent_scores, make_copula
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import fit_marginal, plausible_laws
-from uqsphere.uq.joint import make_inputs
+from uqsphere.uq.joint import dependent_scores, make_copula, make_joint
 from uqsphere.uq.law import make_law
 
 
@@ -30,7 +29,7 @@ def test_laws_of_inputs_that_depend_on_each_other_are_left_open_together() -> No
     found = left_open(inputs, others, ties, ("a", "b"), x, 100, rng)
     middle = found.tables[:, :, found.tables.shape[2] // 2]
     assert np.corrcoef(middle.T)[0, 1] > 0.75
-    free = left_open(make_inputs(("a", "b"), laws, []), others, (), ("a", "b"), x, 100, rng)
+    free = left_open(make_joint(("a", "b"), laws, []), others, (), ("a", "b"), x, 100, rng)
     assert abs(np.corrcoef(free.tables[:, :, 160].T)[0, 1]) < 0.4
     # 20,000 Gaussian samples of 100 with rank correlation 0.89: Fisher's transform scatters by 1.13/sqrt(97)
     ranks = [6.0 / np.pi * np.arcsin(0.5 * one.correlation[0, 1]) for one in found.inputs]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.joint import Inputs, conditional_normal, correlation_from_spearman, physical_from_normal, to_physical
+from uqsphere.uq.joint import Joint, correlation_from_spearman
 from uqsphere.uq.law import LawError, make_law
 
 NAMES = ("E", "nu", "strength")
@@ -21,7 +21,7 @@ LAWS = (
 
 def test_independent_inputs_are_column_wise_quantiles() -> None:
     uniforms = np.random.default_rng(1).random((200, 3))
-    physical = to_physical(Inputs(names=NAMES, laws=LAWS), uniforms)
+    physical = Joint(names=NAMES, laws=LAWS).physical(stats.norm.ppf(uniforms))
     for column, law in enumerate(LAWS):
         np.testing.assert_allclose(physical[:, column], law.ppf(uniforms[:, column]), rtol=1e-12)
 
@@ -32,8 +32,7 @@ def test_the_copula_has_the_rank_correlation_that_was_asked_for(spearman: float)
     assert correlation is not None
     assert correlation[0, 2] == pytest.approx(2.0 * math.sin(math.pi * spearman / 6.0), rel=1e-14)
     n = 40_000
-    physical = physical_from_normal(
-        Inputs(names=NAMES, laws=LAWS, correlation=correlation),
+    physical = Joint(names=NAMES, laws=LAWS, correlation=correlation).physical(
         np.random.default_rng(2).standard_normal((n, 3)),
     )
     ranks = stats.spearmanr(physical).statistic
@@ -47,13 +46,13 @@ def test_conditional_score_of_the_strength() -> None:
     names = ("a", "b", "c", "s")
     laws_ = (make_law("normal", {"mean": 0.0, "sd": 1.0}),) * 4
     correlation = correlation_from_spearman(names, [(("a", "s"), 0.5), (("b", "s"), -0.3), (("a", "b"), 0.2)])
-    inputs = Inputs(names=names, laws=laws_, correlation=correlation)
-    weights, sd = conditional_normal(inputs, "s", ("a", "b", "c"))
-    z = physical_from_normal(inputs, np.random.default_rng(3).standard_normal((50_000, 4)))
+    inputs = Joint(names=names, laws=laws_, correlation=correlation)
+    weights, sd = inputs.regression("s", ("a", "b", "c"))
+    z = inputs.physical(np.random.default_rng(3).standard_normal((50_000, 4)))
     residual = z[:, 3] - z[:, :3] @ weights
     assert residual.std() == pytest.approx(sd, rel=4.0 / math.sqrt(2 * 50_000))
     assert np.abs(np.corrcoef(residual, z[:, :3].T)[0, 1:]).max() < 4.0 / math.sqrt(50_000)
-    alone, one = conditional_normal(Inputs(names=names, laws=laws_), "s", ("a", "b"))
+    alone, one = Joint(names=names, laws=laws_).regression("s", ("a", "b"))
     assert (alone.tolist(), one) == ([0.0, 0.0], 1.0)
 
 
@@ -95,9 +94,9 @@ def test_dependences_that_cannot_hold_are_refused(groups, key, text) -> None:
 )
 def test_a_matrix_that_is_no_correlation_is_refused(correlation: np.ndarray) -> None:
     with pytest.raises(LawError):
-        Inputs(names=NAMES, laws=LAWS, correlation=correlation)
+        Joint(names=NAMES, laws=LAWS, correlation=correlation)
 
 
 def test_names_must_match_laws() -> None:
     with pytest.raises(LawError, match="different names"):
-        Inputs(names=("a", "a", "b"), laws=LAWS)
+        Joint(names=("a", "a", "b"), laws=LAWS)

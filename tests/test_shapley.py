@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqsphere.uq.joint import Dependence, Inputs, make_inputs
+from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.shapley import BLOCK, orders_of, shapley_estimates, subset_design, subset_points
 
 R = 16
 
 
-def gaussian(sds, correlation) -> Inputs:
+def gaussian(sds, correlation) -> Joint:
     laws = tuple(make_law("normal", {"mean": 0.0, "sd": float(sd)}) for sd in sds)
-    return Inputs(names=tuple(f"x{k}" for k in range(len(laws))), laws=laws, correlation=correlation)
+    return Joint(names=tuple(f"x{k}" for k in range(len(laws))), laws=laws, correlation=correlation)
 
 
-def evaluated(model, inputs: Inputs, *, count: int, seed: int = 1, exact: bool | None = None):
+def evaluated(model, inputs: Joint, *, count: int, seed: int = 1, exact: bool | None = None):
     design = subset_design(len(inputs.names), exact=exact)
     shared = {"count": count, "seed": seed, "task": "shapley"}
     points = np.stack([subset_points(design, inputs, replicate=r, **shared) for r in range(R)])
@@ -123,7 +123,7 @@ def test_kucherenko_portfolio() -> None:
     tied[0, 1] = tied[1, 0] = r12
     tied[2, 3] = tied[3, 2] = r34
     laws = tuple(make_law("normal", {"mean": m, "sd": s}) for m, s in zip(means, sds, strict=True))
-    inputs = Inputs(names=("x1", "x2", "x3", "x4"), laws=laws, correlation=tied)
+    inputs = Joint(names=("x1", "x2", "x3", "x4"), laws=laws, correlation=tied)
     found = evaluated(lambda x: x[..., 0] * x[..., 2] + x[..., 1] * x[..., 3], inputs, count=2048)
     s1, s2, s3, s4 = sds
     m3, m4 = means[2:]
@@ -143,7 +143,7 @@ def test_kucherenko_portfolio() -> None:
 
 def test_independent_effects_lie_between_first_and_total() -> None:
     laws = tuple(make_law("uniform", {}, -math.pi, math.pi) for _ in range(3))
-    inputs = Inputs(names=("a", "b", "c"), laws=laws)
+    inputs = Joint(names=("a", "b", "c"), laws=laws)
     found = evaluated(
         lambda x: np.sin(x[..., 0]) + 7.0 * np.sin(x[..., 1]) ** 2 + 0.1 * x[..., 2] ** 4 * np.sin(x[..., 0]),
         inputs,
@@ -163,7 +163,7 @@ def test_other_copulas_against_counted_conditional_means(kind: str, exact: bool)
     """Y = a² + b + a d with a, b tied: conditional means over a fine grid of the pair's own density."""
     unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
     tie = Dependence(of=("b", "a"), copula=kind, kendall=0.5)
-    inputs = make_inputs(("a", "b", "c", "d"), (unit,) * 4, [tie])
+    inputs = make_joint(("a", "b", "c", "d"), (unit,) * 4, [tie])
     found = evaluated(lambda x: x[..., 0] ** 2 + x[..., 1] + x[..., 0] * x[..., 3], inputs, count=512, exact=exact)
     theta = inputs.groups[0].copula.theta
     z = np.linspace(-8.0, 8.0, 1601)

@@ -9,8 +9,7 @@ import pytest
 from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq.elliptical import conditional_score
-from uqsphere.uq.joint import Dependence, Inputs, make_inputs, normal_scores
+from uqsphere.uq.joint import Dependence, Joint, conditional_score, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sensitivity import saltelli_points
@@ -160,9 +159,9 @@ def test_sway_is_the_derivative_of_the_closed_form() -> None:
 def test_sway_with_ties_is_the_difference_of_two_runs(kind: str) -> None:
     """Moving the centre of one of two tied inputs, against the same samples with that input moved."""
     dof = 5.0 if kind == "student_t" else None
-    inputs = make_inputs(("a", "b", "c"), (UNIT,) * 3, [Dependence(of=("b", "a"), copula=kind, kendall=0.5, dof=dof)])
+    inputs = make_joint(("a", "b", "c"), (UNIT,) * 3, [Dependence(of=("b", "a"), copula=kind, kendall=0.5, dof=dof)])
     z = sampled(1024)
-    scores = normal_scores(inputs, z.reshape(-1, 3))
+    scores = inputs.scores(z.reshape(-1, 3))
     found = sway_estimates(probability(scores.reshape(z.shape)), score_gradients(inputs, scores).reshape(z.shape))
     for column in range(3):
         h = np.zeros(3)
@@ -174,12 +173,12 @@ def test_sway_with_ties_is_the_difference_of_two_runs(kind: str) -> None:
 
 def test_gradients_of_independent_inputs_are_their_scores() -> None:
     z = sampled(16).reshape(-1, 3)
-    assert np.array_equal(score_gradients(Inputs(names=("a", "b", "c"), laws=(UNIT,) * 3), z), z)
+    assert np.array_equal(score_gradients(Joint(names=("a", "b", "c"), laws=(UNIT,) * 3), z), z)
 
 
 def test_gradients_agree_with_a_conditional_density() -> None:
     """Along one member, ln f differs from that of its conditional law by what does not depend on it."""
-    inputs = make_inputs(("a", "b"), (UNIT,) * 2, [Dependence(of=("a", "b"), copula="gumbel", kendall=0.4)])
+    inputs = make_joint(("a", "b"), (UNIT,) * 2, [Dependence(of=("a", "b"), copula="gumbel", kendall=0.4)])
     copula = inputs.groups[0].copula
     known = np.array([[0.7]])
     values, h = np.array([-1.0, 0.2, 1.7]), 1e-3

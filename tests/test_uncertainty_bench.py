@@ -185,7 +185,6 @@ def test_plain_least_squares_finds_a_polynomial_and_refuses_too_many_terms() -> 
 
 def test_the_contact_time_jumps_and_the_engine_sees_it(tmp_path: Path) -> None:
     from uqsphere.runner.evaluate import draw
-    from uqsphere.uq.joint import sub_inputs
 
     path = tmp_path / "grazing.toml"
     path.write_text(rough.study_text(20_000), encoding="utf-8")
@@ -194,7 +193,7 @@ def test_the_contact_time_jumps_and_the_engine_sees_it(tmp_path: Path) -> None:
     below, above = rough._times(study, np.stack([np.full(2, 5.0), lengths], axis=1))
     assert above > 1.2 * below
     assert below < rough.LEVEL * 1e-6 < above
-    points = draw(sub_inputs(study.inputs(), ("striker.speed", "striker.length")), seed=5, task="test", start=0,
+    points = draw(study.inputs().only(("striker.speed", "striker.length")), seed=5, task="test", start=0,
                   count=192, replicates=1)  # fmt: skip
     times = rough._times(study, points.inputs[0])
     true = float((times > rough.LEVEL * 1e-6).mean())

@@ -30,7 +30,7 @@ from tests.campaigns.coverage import (
 from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_data
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.joint import Dependence, Inputs, make_inputs, physical_from_normal
+from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
 
@@ -63,7 +63,7 @@ class GivenModel:
     """
 
     name: str
-    inputs: Inputs
+    inputs: Joint
     function: Callable[[Array], Array]
     transform: Callable[[Array], Array] | None = None
     mean: float
@@ -112,9 +112,9 @@ def closed_effects(correlation: Array, linear: Array, square: Array) -> dict[tup
 _CENTRE, _SCALE = 3.0, 0.4
 
 
-def _normals(names: int, ties: list[Dependence]) -> Inputs:
+def _normals(names: int, ties: list[Dependence]) -> Joint:
     law = make_law("normal", {"mean": _CENTRE, "sd": _SCALE})
-    return make_inputs([f"x{k + 1}" for k in range(names)], [law] * names, ties)
+    return make_joint([f"x{k + 1}" for k in range(names)], [law] * names, ties)
 
 
 def _scores(x: Array) -> Array:
@@ -186,7 +186,7 @@ def _pair(kind: str, spearman: float, one: float, other: float) -> tuple[Array, 
     """Values and weights (n, n) of one z1 + other z2 on the midpoints of a grid, z1 and z2 tied by a copula."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.elliptical import conditional_scores, make_copula
+    from uqsphere.uq.joint import conditional_scores, make_copula
 
     copula = make_copula(kind, 2, spearman=spearman)
     nodes, weights = np.polynomial.legendre.leggauss(160)
@@ -309,7 +309,7 @@ def _independent(model: CoverageModel) -> GivenModel:
         make_law("normal", {"mean": 3.0, "sd": 0.4}) if germ == "normal" else make_law("uniform", {}, -1.0, 4.0)
         for germ in model.germs
     ]
-    inputs = Inputs(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
+    inputs = Joint(names=tuple(f"x{j + 1}" for j in range(model.dimension)), laws=tuple(laws))
 
     def function(x: Array) -> Array:
 
@@ -367,7 +367,7 @@ def _answers(model: GivenModel, found: dict[str, Any]) -> Iterator[tuple[str, st
 def _runs(model: GivenModel, n: int, seed: int) -> Data:
     """Independent draws of the inputs."""
     generator = random_generator(seed=seed, task=f"given runs {model.name} {n}")
-    x = physical_from_normal(model.inputs, generator.standard_normal((n, len(model.inputs.names))))
+    x = model.inputs.physical(generator.standard_normal((n, len(model.inputs.names))))
     if model.transform is not None:
         x = model.transform(x)
     names = tuple(f"x{j + 1}" for j in range(x.shape[1]))

@@ -107,11 +107,10 @@ def _truth(study: Study, count: int) -> tuple[dict[str, tuple[float, float]], Ar
     from uqsphere.uq.describe import describe
     from uqsphere.uq.estimate import Estimate, from_replicates
     from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
-    from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
-    inputs, blocks = sub_inputs(study.inputs(), _INPUTS), Blocks(inputs_count=2)
+    inputs, blocks = study.inputs().only(_INPUTS), Blocks(inputs_count=2)
     physical = np.stack([
-        blocks.mix(*(physical_from_normal(inputs, np.asarray(ndtri(half))) for half in
+        blocks.mix(*(inputs.physical(np.asarray(ndtri(half))) for half in
                      uniform_halves(blocks, count=count, seed=77, task="rough: truth", replicate=k)))
         for k in range(REPLICATES)
     ])  # fmt: skip
@@ -167,7 +166,6 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study
     from uqsphere.uq.expansion import fit_chaos, judge, predict, validation_error
-    from uqsphere.uq.joint import physical_from_normal, sub_inputs
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grazing.toml"
@@ -176,7 +174,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
         notice("rough: the truth")
         truth, times = _truth(study, 256 if quick else 4096)
         notice("rough: expansions")
-        inputs = sub_inputs(study.inputs(), _INPUTS)
+        inputs = study.inputs().only(_INPUTS)
         points = draw(inputs, seed=1, task="rough: fit", start=0, count=POINTS, replicates=1)
         held = draw(inputs, seed=1, task="rough: held out", start=0, count=POINTS * 4, replicates=1)
         germs, unseen = points.scores[0], held.scores[0]
@@ -192,7 +190,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
         found, values = _answers_of(plain[degree])
         scores = np.linspace(-3.0, 3.0, 481)
         line = np.stack([np.zeros_like(scores), scores], axis=1)
-        along = physical_from_normal(inputs, line)
+        along = inputs.physical(line)
         curve = {"length": along[:, 1], "truth": _times(study, along), "plain": predict(plain[degree], line),
                  "own": predict(own, line)}  # fmt: skip
     shares = np.linspace(0.002, 0.998, 250)

@@ -24,7 +24,7 @@ HELD_OUT: Final = 4096
 def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     """1 - Q² on held-out points, the error that each fit reports, and the verdict, by number of points and seed."""
     from uqsphere.model import answer
-    from uqsphere.runner.evaluate import draw, sub_inputs
+    from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study, shipped_studies
     from uqsphere.uq.expansion import fit_chaos, germ_points, judge, validation_error
     from uqsphere.uq.law import germs_of
@@ -33,7 +33,7 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     names = tuple(name for name in study.random if not name.startswith("limits."))
     # as a run chooses them
     germs = germs_of(study.random[name] for name in names)
-    inputs = sub_inputs(study.inputs(), names)
+    inputs = study.inputs().only(names)
     sizes = _SIZES[:2] if quick else _SIZES
     seeds = range(1, 3 if quick else 11)
 

@@ -54,12 +54,12 @@ def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0, seed: i
 def _granite(count: int) -> Scene:
     """Rows of the shipped granite study, drawn from its own distributions."""
     from uqsphere.model import scene_of
-    from uqsphere.runner.evaluate import draw, sub_inputs
+    from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study, shipped_studies
 
     study = load_study(shipped_studies()["granite"])
     names = tuple(name for name in study.random if not name.startswith("limits."))
-    points = draw(sub_inputs(study.inputs(), names), seed=1, task="bench", start=0, count=count, replicates=1)
+    points = draw(study.inputs().only(names), seed=1, task="bench", start=0, count=count, replicates=1)
     return scene_of(study, {name: points.inputs[0, :, k] for k, name in enumerate(names)}, count)
 
 

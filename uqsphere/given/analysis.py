@@ -16,7 +16,7 @@ from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pa
 from uqsphere.given.table import Data, combinations
 from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.joint import Inputs
+from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law, LawError, germs_of
 
 __all__ = ["analyse_data", "known_laws"]
@@ -43,12 +43,12 @@ class _Laws:
     """The laws of the inputs that vary, by their columns, with what the runs leave open; why there are none."""
 
     columns: tuple[int, ...]
-    inputs: Inputs | None
+    inputs: Joint | None
     others: tuple[tuple[Law, ...], ...]
     reason: str = ""
 
 
-def known_laws(path: Path, names: Sequence[str]) -> Inputs:
+def known_laws(path: Path, names: Sequence[str]) -> Joint:
     """Laws and dependence of the inputs that the runs were drawn from, out of a study.
 
     Raises
@@ -59,16 +59,15 @@ def known_laws(path: Path, names: Sequence[str]) -> Inputs:
         For an input that has no law there.
     """
     from uqsphere.study import load_study
-    from uqsphere.uq.joint import sub_inputs
 
     study = load_study(path)
     missing = [name for name in names if name not in study.random]
     if missing:
         raise UsageError(f"{path} has no law of {missing[0]!r}; random there: {', '.join(study.random) or 'nothing'}")
-    return sub_inputs(study.inputs(), tuple(names))
+    return study.inputs().only(tuple(names))
 
 
-def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> dict[str, Any]:
+def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> dict[str, Any]:
     """Everything that the table tells, ready for JSON: marginal laws with their fit and what it leaves open, rank
     correlations, distributions of the outputs, first-order indices by ranks, and what an expansion tells.
 
@@ -81,7 +80,7 @@ def analyse_data(data: Data, *, known: Inputs | None = None, seed: int = 0) -> d
         return _analysed(data, known, seed)
 
 
-def _analysed(data: Data, known: Inputs | None, seed: int) -> dict[str, Any]:
+def _analysed(data: Data, known: Joint | None, seed: int) -> dict[str, Any]:
 
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
     varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
@@ -137,7 +136,7 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
         others.append((law,) * _LAWS if law.family.observed else tuple(open_))
     names = tuple(data.inputs[k] for k in columns)
     reason = f"no law was found for {', '.join(unknown)}" if unknown else "" if names else "no input varies"
-    inputs = None if reason else Inputs(names=names, laws=tuple(laws))
+    inputs = None if reason else Joint(names=names, laws=tuple(laws))
     return marginals, _Laws(columns=tuple(columns), inputs=inputs, others=tuple(others), reason=reason)
 
 
@@ -212,7 +211,7 @@ def _parameters(law: Law) -> dict[str, float]:
     return {**dict(law.parameters), **bounds}
 
 
-def _given(data: Data, known: Inputs) -> tuple[dict[str, Any], _Laws]:
+def _given(data: Data, known: Joint) -> tuple[dict[str, Any], _Laws]:
     """Laws that the runs were drawn from, and whether the runs look like it."""
     from uqsphere.uq.fitting import kolmogorov_p_value
 
@@ -376,7 +375,7 @@ def _expansion(
         return refused(str(error))
     if not trusted.usable:
         return refused(trusted.reason, min(trusted.error, 1.0))
-    dependent = laws.inputs.correlation is not None or bool(laws.inputs.groups)
+    dependent = laws.inputs.dependent
     notes = []
     if dependent:
         tied = sorted({data.inputs[i] for tie in ties for i in tie.columns}) or list(laws.inputs.names)

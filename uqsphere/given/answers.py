@@ -18,13 +18,14 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.uq.archimedean import Archimedean
 from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust
 from uqsphere.uq.augmented_indices import with_reach
-from uqsphere.uq.elliptical import independent_scores, members_of
+from uqsphere.uq.elliptical import Elliptical
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points, predict
 from uqsphere.uq.indices import Blocks
-from uqsphere.uq.joint import Inputs, blocks_of, normal_scores
+from uqsphere.uq.joint import Joint, independent_scores
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.released import believed
@@ -174,7 +175,7 @@ class LeftOpen:
     """
 
     tables: Array
-    inputs: tuple[Inputs, ...]
+    inputs: tuple[Joint, ...]
     low: Array
     high: Array
 
@@ -221,7 +222,7 @@ def trusted_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Trusted
     return trust(fit_chaos(points, outputs, germs), points, outputs, before)
 
 
-def odd_pairs(inputs: Inputs, scores: Array) -> list[tuple[str, str, str]]:
+def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
     """Pairs that their copula does not tie, by dependent scores (n, d): names and the copula that was taken.
 
     The squares of normal scores with correlation r have correlation r², and where the copula is another one, its
@@ -229,19 +230,19 @@ def odd_pairs(inputs: Inputs, scores: Array) -> list[tuple[str, str, str]]:
     """
     n = len(scores)
     found = []
-    for columns, copula in blocks_of(inputs):
+    for columns, copula in inputs.blocks():
         for one, i in enumerate(columns):
             for j in columns[one + 1 :]:
-                if copula.correlation is not None and copula.correlation[one, columns.index(j)] == 0.0:
+                if isinstance(copula, Elliptical) and copula.correlation[one, columns.index(j)] == 0.0:
                     continue
                 pair = scores[:, [i, j]]
-                if copula.correlation is None:
-                    pair = independent_scores(members_of(copula, [one, columns.index(j)]), pair)
+                if isinstance(copula, Archimedean):
+                    pair = independent_scores(copula.among([one, columns.index(j)]), pair)
                 a, b = (pair - pair.mean(axis=0)).T
                 r = float(np.corrcoef(a, b)[0, 1])
                 squares = float(np.corrcoef(a * a, b * b)[0, 1])
                 if abs(squares - r * r) > 3.5 * math.sqrt((1.0 + 10.0 * r * r) / n):
-                    found.append((inputs.names[i], inputs.names[j], _CALLED[copula.kind]))
+                    found.append((inputs.names[i], inputs.names[j], _CALLED[copula.name]))
     return found
 
 
@@ -250,7 +251,7 @@ def odd_pairs(inputs: Inputs, scores: Array) -> list[tuple[str, str, str]]:
 
 def given_answers(
     trusted: Trusted,
-    inputs: Inputs,
+    inputs: Joint,
     left_open: LeftOpen | None,
     *,
     quantiles: Sequence[float],
@@ -262,10 +263,10 @@ def given_answers(
     `inputs` are the laws that its scores were taken by; `left_open` is None where they are known.  With dependent
     inputs there are "shapley", "first" and "total" (Kucherenko's) in place of Sobol' indices.
     """
-    dependent = inputs.correlation is not None or bool(inputs.groups)
+    dependent = inputs.dependent
     moved = _moved(trusted.chaos, inputs, left_open, seed)
     under = () if left_open is None else left_open.inputs
-    copulas = [tuple((group.members, group.copula.kind) for group in one.groups) for one in under]
+    copulas = [tuple((group.members, group.copula.name) for group in one.groups) for one in under]
     answers = {"statistics": _statistics(trusted, inputs, moved, copulas, quantiles, seed, task)}
     if trusted.chaos.constant:
         nothing = absent("the output does not vary with the inputs, or the expansion is a constant", METHOD,
@@ -277,7 +278,7 @@ def given_answers(
     return answers | shares
 
 
-def _moved(chaos: Chaos, inputs: Inputs, left_open: LeftOpen | None, seed: int) -> list[Array]:
+def _moved(chaos: Chaos, inputs: Joint, left_open: LeftOpen | None, seed: int) -> list[Array]:
     """The surrogate (n, columns) under the laws as fitted, first, and under every other, at the same points.
 
     Of independent inputs the columns are those of `Blocks`, of dependent ones there is one.
@@ -287,11 +288,11 @@ def _moved(chaos: Chaos, inputs: Inputs, left_open: LeftOpen | None, seed: int) 
     d, values = len(inputs.names), _surrogate(chaos, left_open)
     points, blocks = _drawn(2 * d, _POINTS, 0, "pairs", seed), Blocks(inputs_count=d)
     halves = points[:, :d], points[:, d:]
-    tied = inputs.correlation is not None or bool(inputs.groups)
+    tied = inputs.dependent
     found = []
     for which in (-1, *_numbers(left_open)):
         if tied:
-            scores = normal_scores(_under(inputs, left_open, which), np.concatenate(halves))
+            scores = _under(inputs, left_open, which).scores(np.concatenate(halves))
         else:
             scores = blocks.mix(*halves).reshape(-1, d)
         found.append(values(scores, which).reshape(-1, 1 if tied else d + 2))
@@ -329,7 +330,7 @@ def _going_on(chaos: Chaos, points: Array, ends: Array) -> Array:
     return values
 
 
-def _under(inputs: Inputs, left_open: LeftOpen | None, which: int | None) -> Inputs:
+def _under(inputs: Joint, left_open: LeftOpen | None, which: int | None) -> Joint:
     return inputs if which is None or which < 0 or left_open is None else left_open.inputs[which]
 
 
@@ -378,7 +379,7 @@ def _answer(
 
 def _statistics(
     trusted: Trusted,
-    inputs: Inputs,
+    inputs: Joint,
     moved: Sequence[Array],
     copulas: Sequence[Hashable],
     quantiles: Sequence[float],
@@ -387,7 +388,7 @@ def _statistics(
 ) -> dict[str, Answer]:
     d = len(inputs.names)
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
-    scores = np.clip(normal_scores(inputs, large), -_FURTHEST, _FURTHEST)
+    scores = np.clip(inputs.scores(large), -_FURTHEST, _FURTHEST)
     generator = random_generator(seed=seed, task=f"given: residuals {task}")
     points, shape = germ_points(scores, trusted.chaos.germs), (_REPLICATES, _LARGE)
     middle = believed(trusted, points, shape, generator, quantiles).description
@@ -413,7 +414,7 @@ def _statistics(
     return found
 
 
-def _indices(trusted: Trusted, inputs: Inputs, moved: Sequence[Array]) -> Answers:
+def _indices(trusted: Trusted, inputs: Joint, moved: Sequence[Array]) -> Answers:
     """Sobol' indices of independent inputs."""
     d = len(inputs.names)
     rows = [_pick_freeze(outputs, d) for outputs in moved]
@@ -436,7 +437,7 @@ def _pick_freeze(outputs: Array, d: int) -> Array:
     return np.array([np.mean(b * (mixed - a), axis=0), 0.5 * np.mean((a - mixed) ** 2, axis=0)]) / variance
 
 
-def _shared(trusted: Trusted, inputs: Inputs, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
+def _shared(trusted: Trusted, inputs: Joint, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
     """Shapley effects, and Kucherenko's first and total indices, of inputs that depend on each other."""
     d, n = len(inputs.names), len(trusted.residuals)
     values = _surrogate(trusted.chaos, left_open)

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.given.answers import LAWS, LeftOpen, score_table
-from uqsphere.uq.elliptical import Copula, log_density, make_copula
+from uqsphere.uq.archimedean import ARCHIMEDEAN, Archimedean
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.joint import Dependence, Group, Inputs, correlation_from_spearman, make_inputs, normal_scores
+from uqsphere.uq.joint import Dependence, Group, Joint, correlation_from_spearman, make_copula, make_joint
 from uqsphere.uq.law import Law, LawError
 
 __all__ = ["CHOICES", "TiedPair", "left_open", "rank_correlations", "rank_influence", "tied", "ties_of", "with_ties"]
@@ -112,7 +112,7 @@ def _weights(x: Array, spearman: float) -> tuple[str, dict[str, float]]:
     told = {}
     for kind in CHOICES:
         try:
-            told[kind] = float(log_density(make_copula(kind, 2, spearman=spearman), scores).sum())
+            told[kind] = float(make_copula(kind, 2, spearman=spearman).log_density(scores).sum())
         except LawError:
             continue
     best = max(told, key=lambda kind: told[kind])
@@ -122,20 +122,20 @@ def _weights(x: Array, spearman: float) -> tuple[str, dict[str, float]]:
     return taken, {kind: weight / whole for kind, weight in weights.items()}
 
 
-def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair], every: Sequence[str]) -> Inputs:
+def with_ties(names: Sequence[str], laws: Sequence[Law], ties: Sequence[TiedPair], every: Sequence[str]) -> Joint:
     """Inputs with their ties; `every` names the columns of the table.  Raises LawError where they cannot hold."""
     dependences = [
         Dependence(of=(every[tie.columns[0]], every[tie.columns[1]]), spearman=tie.spearman, copula=tie.copula)
         for tie in ties
     ]
-    return make_inputs(names, laws, dependences)
+    return make_joint(names, laws, dependences)
 
 
 # --- what is left open ------------------------------------------------------------------------------------------
 
 
 def left_open(
-    inputs: Inputs,
+    inputs: Joint,
     others: Sequence[Sequence[Law]],
     ties: Sequence[TiedPair],
     every: Sequence[str],
@@ -156,7 +156,7 @@ def left_open(
     pairs = [(at[every[tie.columns[0]]], at[every[tie.columns[1]]]) for tie in ties]
     tables = [score_table(law, open_[:_OFFERED]) for law, open_ in zip(inputs.laws, others, strict=True)]
     rows = min(n, _ROWS)
-    drawn = normal_scores(inputs, generator.standard_normal((LAWS * rows, len(inputs.names))))
+    drawn = inputs.scores(generator.standard_normal((LAWS * rows, len(inputs.names))))
     rehearsed = drawn.reshape(LAWS, rows, -1)
     ranked = [_ranked(rehearsed[:, :, list(pair)]) for pair in pairs]
     told = np.column_stack([rehearsed.mean(axis=1), rehearsed.std(axis=1), *ranked])
@@ -251,40 +251,36 @@ def rank_influence(pair: Array) -> Array:
     return np.asarray((moved - moved.mean()) / (1.0 - r * r))
 
 
-def _open(tie: TiedPair, shifts: Array, generator: np.random.Generator) -> list[tuple[str, float, float]]:
-    """Copulas that other runs would have shown: kind, Spearman's correlation, and strength of an Archimedean one."""
+def _open(tie: TiedPair, shifts: Array, generator: np.random.Generator) -> list[tuple[float, Archimedean | None]]:
+    """Spearman's correlation and copula that other runs would have shown, None for the Gaussian."""
     values = np.tanh(math.atanh(min(max(tie.spearman, -0.99), 0.99)) - shifts)
     kinds = list(tie.weights)
     drawn = generator.choice(len(kinds), size=len(values), p=list(tie.weights.values()))
-    strengths = np.zeros(len(values))
+    copulas: list[Archimedean | None] = [None] * len(values)
     said = [kinds[k] for k in drawn]
     for kind in set(said) - {"gaussian"}:
         # the Archimedean copulas have none of the other sign
-        rows = np.array([k for k, one in enumerate(said) if one == kind and values[k] * tie.spearman > 0.01])
-        if rows.size:
+        rows = [k for k, one in enumerate(said) if one == kind and values[k] * tie.spearman > 0.01]
+        if rows:
             some = np.clip(values[rows], -0.985, 0.985)
             grid = np.linspace(float(some.min()), float(some.max()), 5 if np.ptp(some) > 1e-6 else 1)
-            # strengths are dear to solve for and smooth
-            solved = [make_copula(kind, 2, spearman=float(value)).theta for value in grid]
-            strengths[rows] = np.interp(some, grid, solved)
-    return [
-        (kind if theta else "gaussian", float(value), float(theta))
-        for kind, value, theta in zip(said, values, strengths, strict=True)
-    ]
+            # strengths are expensive to solve for and smooth
+            solved = [make_copula(kind, 2, spearman=float(value)) for value in grid]
+            thetas = np.interp(some, grid, [one.theta for one in solved if isinstance(one, Archimedean)])
+            for k, theta in zip(rows, thetas, strict=True):
+                copulas[k] = Archimedean(generator=ARCHIMEDEAN[kind], size=2, theta=float(theta)) if theta else None
+    return list(zip(map(float, values), copulas, strict=True))
 
 
 def _moved(
-    inputs: Inputs, ties: Sequence[Sequence[tuple[str, float, float]]], names: Sequence[tuple[str, str]]
-) -> list[Inputs]:
+    inputs: Joint, ties: Sequence[Sequence[tuple[float, Archimedean | None]]], names: Sequence[tuple[str, str]]
+) -> list[Joint]:
     """The inputs with every set of ties in turn; as they are where those cannot hold together."""
     found = []
     for row in zip(*ties, strict=True):
-        gaussian = [(pair, value) for pair, (kind, value, _) in zip(names, row, strict=True) if kind == "gaussian"]
-        groups = tuple(
-            Group(members=pair, copula=Copula(kind=kind, size=2, theta=theta))
-            for pair, (kind, _, theta) in zip(names, row, strict=True)
-            if kind != "gaussian"
-        )
+        told = list(zip(names, row, strict=True))
+        gaussian = [(pair, value) for pair, (value, copula) in told if copula is None]
+        groups = tuple(Group(members=pair, copula=copula) for pair, (_, copula) in told if copula is not None)
         try:
             found.append(replace(inputs, correlation=correlation_from_spearman(inputs.names, gaussian), groups=groups))
         except LawError:

@@ -17,7 +17,7 @@ from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.design_margins import study_at
-from uqsphere.runner.evaluate import Work, draw, sub_inputs
+from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.fidelity import check_table
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import axis_of
@@ -65,7 +65,7 @@ def _checks_at(work: Work, limit: Limit, value: float) -> list[dict[str, Any]] |
         return None
     moved = placed[0]
     points = draw(
-        sub_inputs(moved.all_inputs, moved.scene_names),
+        moved.all_inputs.only(moved.scene_names),
         seed=moved.study.seed, task="pilot", start=0, count=count, replicates=1,
     )  # fmt: skip
     rows = {name: points.input(name)[0] for name in moved.scene_names}

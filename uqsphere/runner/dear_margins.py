@@ -24,7 +24,6 @@ from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.fragility import fit_lognormal_curve
-from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.law import LawError
 from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.points import random_generator, sobol_points
@@ -170,7 +169,7 @@ def _row(work: Work, normals: Array, value: float) -> Array:
     d = len(work.scene_names)
     scores = np.zeros((1, len(moved.drawn.names)))
     scores[0, :d] = normals
-    return np.asarray(physical_from_normal(moved.drawn, scores)[0, :d])
+    return np.asarray(moved.drawn.physical(scores)[0, :d])
 
 
 def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int) -> MarginAnswer:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.runner.evaluate import Work, sub_inputs
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity, Shared
@@ -22,7 +22,6 @@ from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.fitting import count_tests
 from uqsphere.uq.indices import Blocks, sampled_indices
-from uqsphere.uq.joint import normal_scores, tied_names
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
 from uqsphere.uq.points import random_generator
@@ -157,7 +156,7 @@ def _strength_name(limit: Limit) -> str:
 
 
 def _depends(work: Work, name: str) -> bool:
-    return name in tied_names(work.all_inputs)
+    return name in work.all_inputs.tied()
 
 
 def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> Array:
@@ -228,7 +227,7 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
 
     seed, names = work.study.seed, work.scene_names
     if subsets is not None:
-        inputs = sub_inputs(work.all_inputs, names)
+        inputs = work.all_inputs.only(names)
         return np.stack(
             [subset_scores(subsets, inputs, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)]
         )
@@ -277,7 +276,7 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
     """A strength drawn at every point from its law given the inputs and that the aim is missed."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.elliptical import conditional_scores
+    from uqsphere.uq.joint import conditional_scores
 
     generator = random_generator(seed=work.study.seed, task=f"target.{limit.name}")
     # the tail that misses the aim, cut at a random share of it; never exactly none
@@ -303,7 +302,7 @@ def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitS
     if not 0.0 < p < 1.0:
         return {**about, "reason": "no sample decides: all miss the aim, or none"}
     names = work.drawn.names
-    scores = normal_scores(work.drawn, sample.scores.reshape(-1, len(names)))
+    scores = work.drawn.scores(sample.scores.reshape(-1, len(names)))
     gradients = score_gradients(work.drawn, scores).reshape(sample.scores.shape)
     sways = dict(zip(names, sway_estimates(chance, gradients, _tied_moves(limit, state, len(names))), strict=True))
     laws: dict[str, Law | float] = dict(zip(names, work.drawn.laws, strict=True))

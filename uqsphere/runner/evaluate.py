@@ -28,7 +28,7 @@ from uqsphere.runner.schedule import REPLICATES
 from uqsphere.runner.workers import Engine, Executor
 from uqsphere.store import Store
 from uqsphere.study import Study
-from uqsphere.uq.joint import Inputs, physical_from_normal, sub_inputs
+from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import germs_of
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
@@ -44,7 +44,6 @@ __all__ = [
     "evaluate_points",
     "evaluate_sample",
     "none_answered",
-    "sub_inputs",
     "with_answered",
 ]
 
@@ -176,21 +175,21 @@ class Work:
         return germs_of(self.study.random.values())
 
     @cached_property
-    def all_inputs(self) -> Inputs:
+    def all_inputs(self) -> Joint:
         """Every random variable, strengths included."""
         return self.study.inputs()
 
     @cached_property
-    def drawn(self) -> Inputs:
+    def drawn(self) -> Joint:
         """The variables that are drawn: model inputs and model factors.  Strengths are integrated exactly."""
         factors = [
             name for name in self.all_inputs.names if name.startswith("limits.") and name.endswith(".model_factor")
         ]
         names = [*self.scene_names, *factors]
-        return sub_inputs(self.all_inputs, names)
+        return self.all_inputs.only(names)
 
 
-def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replicates: int = REPLICATES) -> Sample:
+def draw(inputs: Joint, *, seed: int, task: str, start: int, count: int, replicates: int = REPLICATES) -> Sample:
     """Points `start` to `start + count` of every replicate of a task."""
     from scipy.special import ndtri
 
@@ -202,7 +201,7 @@ def draw(inputs: Inputs, *, seed: int, task: str, start: int, count: int, replic
         ]
     )
     normals = np.asarray(ndtri(uniforms))
-    physical = physical_from_normal(inputs, normals.reshape(replicates * count, dimension)).reshape(normals.shape)
+    physical = inputs.physical(normals.reshape(replicates * count, dimension)).reshape(normals.shape)
     return Sample.at(inputs.names, normals, physical)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.runner.chunks import remembered
-from uqsphere.runner.evaluate import Work, draw, sub_inputs
+from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
 from uqsphere.study import Study
 
@@ -231,7 +231,7 @@ def first_look(work: Work) -> Pilot:
     study = work.study
     if study.black_box:
         return Pilot(chosen="black box", why="the model is the user's own")
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
+    inputs = work.all_inputs.only(work.scene_names)
     count = pilot_points(study.analysis.budget.evaluations) if work.scene_names else 1
     compared = max(count // 2, 1)
     points = draw(inputs, seed=study.seed, task="pilot", start=0, count=count, replicates=1)

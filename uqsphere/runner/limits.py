@@ -15,7 +15,6 @@ from uqsphere.study import Limit
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import Estimate, absent, exact
 from uqsphere.uq.failure_indices import BY_DIRECTION, failure_shares
-from uqsphere.uq.joint import conditional_normal, normal_scores, strength_tie
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import (
     LimitState,
@@ -151,7 +150,7 @@ def state_of(work: Work, limit: Limit, sample: Sample) -> LimitState:
     )
     if not isinstance(limit.strength, Law) or not work.study.dependence:
         return state
-    scores = normal_scores(work.drawn, sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
+    scores = work.drawn.scores(sample.scores.reshape(-1, len(names))).reshape(sample.scores.shape)
     return tie_strength(work, limit, state, names, scores)
 
 
@@ -160,9 +159,9 @@ def tie_strength(work: Work, limit: Limit, state: LimitState, names: Sequence[st
     if not isinstance(limit.strength, Law):
         return state
     strength = f"limits.{limit.name}.strength"
-    weights, remaining = conditional_normal(work.all_inputs, strength, names)
+    weights, remaining = work.all_inputs.regression(strength, names)
     shift = scores @ weights if np.any(weights) else None
-    tie = strength_tie(work.all_inputs, strength, names, scores)
+    tie = work.all_inputs.tie(strength, names, scores)
     return replace(state, shift=shift, remaining_sd=remaining, weights=tuple(weights.tolist()), tie=tie)
 
 

@@ -13,7 +13,6 @@ from uqsphere.runner.evaluate import Work, evaluate_points, with_answered
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Axis, Limit
-from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
@@ -63,7 +62,7 @@ def draw_points(work: Work, *, start: int, count: int) -> Sample:
     """The points `start` to `start + count` of every replicate, not evaluated."""
     normals = _normals(len(work.drawn.names), work.study.seed, start, count)
     flat = normals.reshape(normals.shape[0] * normals.shape[1], normals.shape[2])
-    physical = physical_from_normal(work.drawn, flat).reshape(normals.shape)
+    physical = work.drawn.physical(flat).reshape(normals.shape)
     return Sample.at(work.drawn.names, normals, physical)
 
 

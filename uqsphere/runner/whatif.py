@@ -22,7 +22,6 @@ from uqsphere.study import Limit
 from uqsphere.study.axis import spaced, strength_name
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
-from uqsphere.uq.joint import conditional_normal, tied_names
 from uqsphere.uq.law import Law, LawError
 from uqsphere.uq.limit_state import LimitState, miss, target_met
 from uqsphere.uq.points import random_generator
@@ -121,7 +120,7 @@ def _weights(work: Work, fitted: dict[str, Law], sample: Sample) -> dict[str, Ar
     """Weights (laws, R, n) of the rows under other laws of each input.  Raises LawError where there are none."""
     found = {}
     for name, law in fitted.items():
-        if name in tied_names(work.drawn):
+        if name in work.drawn.tied():
             # a strength may depend on inputs, these are weighted one by one
             raise LawError(f"{name} depends on other inputs, and the tests say nothing of their dependence", name)
         column = sample.input(name)
@@ -190,7 +189,7 @@ def _others(work: Work, limit: Limit, answer: LimitAnswer, sample: Sample, fitte
     inputs = {name: law for name, law in fitted.items() if name != key}
     weights, shifts = _weights(work, inputs, sample), {}
     if state.shift is not None:
-        ties = dict(zip(work.drawn.names, conditional_normal(work.all_inputs, key, work.drawn.names)[0], strict=True))
+        ties = dict(zip(work.drawn.names, work.all_inputs.regression(key, work.drawn.names)[0], strict=True))
         for name in (name for name in inputs if ties[name]):
             column = sample.input(name)
             after = possible_tails(inputs[name], column.ravel(), LAWS, _generator(work, name))[0]

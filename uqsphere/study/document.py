@@ -23,7 +23,7 @@ from uqsphere.mechanics.pulses import PRESETS
 from uqsphere.study.faults import Findings, Place, nearest, one_of, shown, suggestion
 from uqsphere.study.numbers import fixed_value
 from uqsphere.units import UNITS, Quantity, bare_number
-from uqsphere.uq.elliptical import COPULAS, LEAST_DOF, MOST_DOF
+from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
 
 __all__ = [
     "MOST_GAUGES",

@@ -355,7 +355,7 @@ def _check_strength(table: Dependence, place: Place, findings: Findings) -> None
 
 def _check_together(tables: Sequence[Dependence], random: Sequence[str], findings: Findings) -> None:
     """Refuse the first dependence that contradicts those before it."""
-    from uqsphere.uq.joint import make_inputs
+    from uqsphere.uq.joint import make_joint
 
     # Only the names that are tied matter, and a study can have many more.
     tied = [name for name in random if any(name in table.of for table in tables)]
@@ -363,7 +363,7 @@ def _check_together(tables: Sequence[Dependence], random: Sequence[str], finding
     unit = make_law("normal", {"mean": 0.0, "sd": 1.0})
     for count in range(1, len(ties) + 1):
         try:
-            make_inputs(tied, [unit] * len(tied), ties[:count])
+            make_joint(tied, [unit] * len(tied), ties[:count])
         except LawError as error:
             key = error.key
             if key == "spearman" and ties[count - 1].spearman is None:

@@ -17,7 +17,7 @@ from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     from uqsphere.uq.joint import Dependence as Tie
-    from uqsphere.uq.joint import Inputs
+    from uqsphere.uq.joint import Joint
 
 __all__ = [
     "EndImpedance",
@@ -160,12 +160,12 @@ class Study:
                     laws[f"limits.{limit.name}.{part}"] = value
         return laws
 
-    def inputs(self) -> Inputs:
+    def inputs(self) -> Joint:
         """The random variables of `laws` with their dependence, as the uncertainty side reads them."""
-        from uqsphere.uq.joint import make_inputs
+        from uqsphere.uq.joint import make_joint
 
         laws = self.laws()
-        return make_inputs(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
+        return make_joint(tuple(laws), tuple(laws.values()), [tie_of(group) for group in self.dependence])
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""

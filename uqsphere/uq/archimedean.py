@@ -9,19 +9,26 @@ member at 1e-300 and one at 1 - 1e-16 are as exact as one at 1/2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from uqsphere.arrays import Array
 
-__all__ = ["FARTHEST", "LARGEST_FRANK", "conditional_score", "inverse_score", "log_copula_density", "score_from_logs"]
+__all__ = ["ARCHIMEDEAN", "FARTHEST", "Archimedean", "differences", "log_marginal", "score_from_logs"]
 
 #: scores are kept within these bounds: the tail beyond is less than 1e-315
 FARTHEST = 38.0
 #: exp of it is far from the largest number
-LARGEST_FRANK = 500.0
+_LARGEST_FRANK = 500.0
+#: step of differences of a log-density by a score
+_STEP = 1e-4
+
+#: what the sum of the given members' t leaves, in logarithms
+State: TypeAlias = tuple[Array, ...]
 
 
 def score_from_logs(log_lower: Array, log_upper: Array) -> Array:
@@ -66,7 +73,7 @@ def _log_ratio(weights: Array, powers: Array, step: Array) -> Array:
 # --- Clayton: ψ(t) = (1 + t)^(-1/θ), t = u^-θ - 1 ------------------------------------------------------
 
 
-def _clayton_sum(theta: float, known: Array) -> tuple[Array, ...]:
+def _clayton_sum(theta: float, known: Array) -> State:
     """log(1 + T) of the given members."""
     from scipy.special import log_ndtr
 
@@ -74,7 +81,7 @@ def _clayton_sum(theta: float, known: Array) -> tuple[Array, ...]:
     return (np.logaddexp(0.0, _log_sum(terms)),)
 
 
-def _clayton_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+def _clayton_forward(theta: float, count: int, state: State, score: Array) -> Array:
     from scipy.special import log_ndtr
 
     step = np.logaddexp(0.0, _log_exp_less_one(-theta * log_ndtr(score)) - state[0])
@@ -82,7 +89,7 @@ def _clayton_forward(theta: float, count: int, state: tuple[Array, ...], score: 
     return score_from_logs(log_p, _log_one_less_exp(log_p))
 
 
-def _clayton_inverse(theta: float, count: int, state: tuple[Array, ...], normal: Array) -> Array:
+def _clayton_inverse(theta: float, count: int, state: State, normal: Array) -> Array:
     """Closed form: u^-θ - 1 = (1 + T) (p^(-θ/(1 + jθ)) - 1)."""
     from scipy.special import log_ndtr
 
@@ -91,7 +98,7 @@ def _clayton_inverse(theta: float, count: int, state: tuple[Array, ...], normal:
     return score_from_logs(log_u, _log_one_less_exp(log_u))
 
 
-def _clayton_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+def _clayton_derivative(theta: float, count: int, state: State) -> Array:
     """log |ψ^(j)|, with t measured in units in which ψ'(0) = -1/θ."""
     factor = sum(math.log(1.0 / theta + i) for i in range(count))
     return factor - (1.0 / theta + count) * state[0]
@@ -112,7 +119,7 @@ def _gumbel_logs(alpha: float, count: int) -> tuple[float, ...]:
     return tuple(math.log(a) if a > 0.0 else -1e300 for a in row[1:])
 
 
-def _gumbel_sum(theta: float, known: Array) -> tuple[Array, ...]:
+def _gumbel_sum(theta: float, known: Array) -> State:
     """log T of the given members."""
     from scipy.special import log_ndtr
 
@@ -120,7 +127,7 @@ def _gumbel_sum(theta: float, known: Array) -> tuple[Array, ...]:
         return (_log_sum(np.maximum(theta * np.log(-log_ndtr(known)), -1e290)),)
 
 
-def _gumbel_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+def _gumbel_forward(theta: float, count: int, state: State, score: Array) -> Array:
     from scipy.special import log_ndtr
 
     alpha, log_t = 1.0 / theta, state[0]
@@ -135,7 +142,7 @@ def _gumbel_forward(theta: float, count: int, state: tuple[Array, ...], score: A
     return score_from_logs(log_p, _log_one_less_exp(log_p))
 
 
-def _gumbel_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Array:
+def _gumbel_inverse(theta: float, count: int, state: State, normal: Array) -> Array:
     """Given one member v: x = -ln v, and w = e^λ x that of the pair's copula; then -ln u = x (e^(θλ) - 1)^(1/θ).
 
     λ solves x (e^λ - 1) + (θ - 1) λ = -ln p, which is convex and increasing: Newton's steps from above never pass it.
@@ -157,7 +164,7 @@ def _gumbel_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Ar
     return score_from_logs(log_u, _log_one_less_exp(log_u))
 
 
-def _gumbel_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+def _gumbel_derivative(theta: float, count: int, state: State) -> Array:
     alpha, log_t = 1.0 / theta, state[0]
     powers = np.arange(1.0, count + 1.0)
     weights = np.array(_gumbel_logs(alpha, count)) + alpha * log_t[:, None] * powers
@@ -187,7 +194,7 @@ def _frank_share(theta: float, score: Array) -> tuple[Array, Array]:
     return np.where(lower < 0.5, small, np.log1p(-np.exp(np.where(lower < 0.5, -1.0, log_rest)))), log_rest
 
 
-def _frank_sum(theta: float, known: Array) -> tuple[Array, ...]:
+def _frank_sum(theta: float, known: Array) -> State:
     """log x and log(1 - x), x = (1 - e^-θ) Π r; the first member brings the constant with it."""
     from scipy.special import ndtr
 
@@ -197,7 +204,7 @@ def _frank_sum(theta: float, known: Array) -> tuple[Array, ...]:
     return log_x, _log_one_less_exp(log_x)
 
 
-def _frank_forward(theta: float, count: int, state: tuple[Array, ...], score: Array) -> Array:
+def _frank_forward(theta: float, count: int, state: State, score: Array) -> Array:
     log_x, log_rest_x = state
     log_r, log_rest = _frank_share(theta, score)
     log_p = log_r - count * np.logaddexp(0.0, log_x + log_rest - log_rest_x)
@@ -209,7 +216,7 @@ def _frank_forward(theta: float, count: int, state: tuple[Array, ...], score: Ar
     return score_from_logs(log_p, _log_one_less_exp(log_p))
 
 
-def _frank_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Array:
+def _frank_inverse(theta: float, count: int, state: State, normal: Array) -> Array:
     """Closed form given one member: r = p/(1 - x + p x)."""
     from scipy.special import log_ndtr, ndtri
 
@@ -226,7 +233,7 @@ def _frank_inverse(theta: float, state: tuple[Array, ...], normal: Array) -> Arr
     return np.clip(score, -FARTHEST, FARTHEST)
 
 
-def _frank_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Array:
+def _frank_derivative(theta: float, count: int, state: State) -> Array:
     log_x, log_rest_x = state
     found = log_x - count * log_rest_x - math.log(theta)
     if count > 2:
@@ -235,59 +242,157 @@ def _frank_derivative(theta: float, count: int, state: tuple[Array, ...]) -> Arr
     return np.asarray(found)
 
 
+def _frank_strength(tau: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda theta: _frank_tau(theta) - tau, 1e-6, _LARGEST_FRANK, xtol=1e-13, rtol=1e-14))
+
+
+@lru_cache(maxsize=1)
+def _legendre() -> tuple[Array, Array]:
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    return nodes, weights
+
+
+def _frank_tau(theta: float) -> float:
+    """1 - 4 (1 - D_1(θ))/θ with Debye's function D_1."""
+    nodes, weights = _legendre()
+    t = 0.5 * theta * (nodes + 1.0)
+    debye = float(0.5 * weights @ (t / np.expm1(t)))
+    return 1.0 - 4.0 * (1.0 - debye) / theta if theta > 1e-3 else theta / 9.0
+
+
 # --- what all have in common ---------------------------------------------------------------------------
 
-_SUMS: dict[str, Callable[[float, Array], tuple[Array, ...]]] = {
-    "clayton": _clayton_sum,
-    "gumbel": _gumbel_sum,
-    "frank": _frank_sum,
-}
-_FORWARD: dict[str, Callable[[float, int, tuple[Array, ...], Array], Array]] = {
-    "clayton": _clayton_forward,
-    "gumbel": _gumbel_forward,
-    "frank": _frank_forward,
-}
-_DERIVATIVES: dict[str, Callable[[float, int, tuple[Array, ...]], Array]] = {
-    "clayton": _clayton_derivative,
-    "gumbel": _gumbel_derivative,
-    "frank": _frank_derivative,
-}
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Generator:
+    """One of the families.
 
-def conditional_score(kind: str, theta: float, known: Array, score: Array) -> Array:
-    """Normal score of P(member <= `score` | the members `known`), for scores (n,) and known (n, j), j >= 1.
-
-    A negative theta is that of a Frank pair: the copula of one member and the other turned upside down.
+    Attributes
+    ----------
+    total : (theta, scores (n, j)) -> what conditional distributions need of the given members
+    forward : (theta, j, total, scores (n,)) -> conditional scores (n,)
+    backward : the inverse of `forward`, in closed form for `closed` given members at the most
+    derivative : (theta, j, total) -> log |ψ^(j)|, in one unit of t
+    strength : Kendall's tau > 0 -> theta (Nelsen 2006, chapter 5)
+    negative : pairs may depend negatively
     """
-    if theta < 0.0:
-        return -conditional_score(kind, -theta, known, -score)
-    return _FORWARD[kind](theta, known.shape[1], _SUMS[kind](theta, known), np.asarray(score, dtype=float))
+
+    name: str
+    total: Callable[[float, Array], State]
+    forward: Callable[[float, int, State, Array], Array]
+    backward: Callable[[float, int, State, Array], Array]
+    closed: float
+    derivative: Callable[[float, int, State], Array]
+    strength: Callable[[float], float]
+    negative: bool = False
 
 
-def inverse_score(kind: str, theta: float, known: Array, normal: Array) -> Array:
-    """Score (n,) of a member whose conditional score given `known` (n, j) is `normal` (n,)."""
-    if theta < 0.0:
-        return -inverse_score(kind, -theta, known, -normal)
-    count, state = known.shape[1], _SUMS[kind](theta, known)
-    if kind == "clayton":
-        return _clayton_inverse(theta, count, state, normal)
-    if kind == "frank" and count == 1:
-        return _frank_inverse(theta, state, normal)
-    if kind == "gumbel" and count == 1:
-        return _gumbel_inverse(theta, state, normal)
-    forward = _FORWARD[kind]
-    return _root(lambda score: forward(theta, count, state, score) - normal, normal.size)
+ARCHIMEDEAN: Final[dict[str, Generator]] = {
+    generator.name: generator
+    for generator in (
+        Generator(
+            name="clayton",
+            total=_clayton_sum,
+            forward=_clayton_forward,
+            backward=_clayton_inverse,
+            closed=math.inf,
+            derivative=_clayton_derivative,
+            strength=lambda tau: 2.0 * tau / (1.0 - tau),
+        ),
+        Generator(
+            name="gumbel",
+            total=_gumbel_sum,
+            forward=_gumbel_forward,
+            backward=_gumbel_inverse,
+            closed=1,
+            derivative=_gumbel_derivative,
+            strength=lambda tau: 1.0 / (1.0 - tau),
+        ),
+        Generator(
+            name="frank",
+            total=_frank_sum,
+            forward=_frank_forward,
+            backward=_frank_inverse,
+            closed=1,
+            derivative=_frank_derivative,
+            strength=_frank_strength,
+            negative=True,
+        ),
+    )
+}
 
 
-def log_copula_density(kind: str, theta: float, scores: Array) -> Array:
-    """Logarithm of the copula's density at the scores (n, k): ψ^(k)(T) Π 1/ψ'(t_i)."""
-    if theta < 0.0:
-        return log_copula_density(kind, -theta, scores * np.array([1.0, -1.0]))
-    derivative, total = _DERIVATIVES[kind], _SUMS[kind]
-    found = derivative(theta, scores.shape[1], total(theta, scores))
-    for column in range(scores.shape[1]):
-        found = found - derivative(theta, 1, total(theta, scores[:, column : column + 1]))
-    return np.asarray(found)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Archimedean:
+    """A copula of `size` exchangeable members; a negative theta is that of a Frank pair, one member upside down."""
+
+    generator: Generator
+    theta: float
+    size: int
+
+    @property
+    def name(self) -> str:
+        return self.generator.name
+
+    def among(self, members: Sequence[int]) -> Archimedean:
+        """The copula of some of the members."""
+        return replace(self, size=len(members))
+
+    def _mirrored(self) -> Archimedean:
+        return replace(self, theta=-self.theta)
+
+    def conditional_score(self, target: int, given: Sequence[int], known: Array, score: Array) -> Array:
+        """Conditional score (n,) of a member at `score` (n,), other members at the scores `known` (n, j), j >= 1."""
+        if self.theta < 0.0:
+            return -self._mirrored().conditional_score(target, given, known, -score)
+        family, theta = self.generator, self.theta
+        return family.forward(theta, known.shape[1], family.total(theta, known), np.asarray(score, dtype=float))
+
+    def score_at(self, target: int, given: Sequence[int], known: Array, normal: Array) -> Array:
+        """Score (n,) of a member whose conditional score given `known` (n, j) is `normal` (n,)."""
+        if self.theta < 0.0:
+            return -self._mirrored().score_at(target, given, known, -normal)
+        family, theta, count = self.generator, self.theta, known.shape[1]
+        state = family.total(theta, known)
+        if count <= family.closed:
+            return family.backward(theta, count, state, normal)
+        return _root(lambda score: family.forward(theta, count, state, score) - normal, normal.size)
+
+    def _log_copula(self, scores: Array) -> Array:
+        """Logarithm of the copula's density at the scores (n, k): ψ^(k)(T) Π 1/ψ'(t_i)."""
+        if self.theta < 0.0:
+            return self._mirrored()._log_copula(scores * np.array([1.0, -1.0]))
+        family, theta = self.generator, self.theta
+        found = family.derivative(theta, scores.shape[1], family.total(theta, scores))
+        for column in range(scores.shape[1]):
+            found = found - family.derivative(theta, 1, family.total(theta, scores[:, column : column + 1]))
+        return np.asarray(found)
+
+    def log_density(self, scores: Array) -> Array:
+        """Logarithm of the joint density (n,) of the normal scores (n, size)."""
+        scores = np.asarray(scores, dtype=float)
+        return np.asarray(self._log_copula(scores) + log_marginal(scores))
+
+    def score_gradient(self, scores: Array) -> Array:
+        """-∂ ln f/∂s (n, size) of the joint density f of the scores s (n, size)."""
+        return differences(self.log_density, scores)
+
+
+def log_marginal(scores: Array) -> Array:
+    """Logarithm of the density (n,) of independent normal scores (n, size)."""
+    return np.asarray(-0.5 * np.sum(scores**2, axis=1) - 0.5 * scores.shape[1] * math.log(2.0 * math.pi))
+
+
+def differences(log_density: Callable[[Array], Array], scores: Array) -> Array:
+    """Negative derivatives (n, size) of a log-density by every score (n, size), by central differences."""
+    found = np.empty_like(scores)
+    for k in range(scores.shape[1]):
+        step = np.zeros(scores.shape[1])
+        step[k] = _STEP
+        found[:, k] = -(log_density(scores + step) - log_density(scores - step)) / (2.0 * _STEP)
+    return found
 
 
 def _root(gap: Callable[[Array], Array], size: int) -> Array:

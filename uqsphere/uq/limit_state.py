@@ -16,8 +16,8 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.archimedean import FARTHEST
 from uqsphere.uq.describe import quantile_estimates
-from uqsphere.uq.elliptical import Tie, conditional_score
 from uqsphere.uq.estimate import Estimate, absent, student
+from uqsphere.uq.joint import Tie, conditional_score
 from uqsphere.uq.law import Law
 
 __all__ = [

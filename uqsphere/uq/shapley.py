@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
-from uqsphere.uq.joint import Inputs, normal_scores, physical_from_scores, rest_given
+from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 
 __all__ = [
@@ -99,18 +99,18 @@ def orders_of(design: SubsetDesign, *, count: int, start: int = 0, seed: int, ta
 
 
 def subset_points(
-    design: SubsetDesign, inputs: Inputs, *, count: int, start: int = 0, seed: int, task: str, replicate: int
+    design: SubsetDesign, inputs: Joint, *, count: int, start: int = 0, seed: int, task: str, replicate: int
 ) -> Array:
     """Points (count, rows, d) in SI of one randomisation: the base row, then a row for every subset held.
 
     `start` continues the same design; it and `count` are multiples of `BLOCK` where the design is not exact.
     """
     scores = subset_scores(design, inputs, count=count, start=start, seed=seed, task=task, replicate=replicate)
-    return physical_from_scores(inputs, scores.reshape(-1, design.inputs)).reshape(scores.shape)
+    return inputs.marginal(scores.reshape(-1, design.inputs)).reshape(scores.shape)
 
 
 def subset_scores(
-    design: SubsetDesign, inputs: Inputs, *, count: int, start: int = 0, seed: int, task: str, replicate: int
+    design: SubsetDesign, inputs: Joint, *, count: int, start: int = 0, seed: int, task: str, replicate: int
 ) -> Array:
     """The same points as dependent normal scores."""
     from scipy.special import ndtri
@@ -120,18 +120,18 @@ def subset_scores(
         raise ValueError(f"the design is for {d} inputs, found {len(inputs.names)}")
     points = sobol_points(dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate)
     normals = np.asarray(ndtri(points))
-    base, fresh = normal_scores(inputs, normals[:, :d]), normals[:, d:]
+    base, fresh = inputs.scores(normals[:, :d]), normals[:, d:]
     scores = np.empty((count, design.rows, d))
     scores[:, 0] = base
     for row, subset in enumerate(design.subsets, start=1):
-        scores[:, row] = rest_given(inputs, subset, base, fresh)
+        scores[:, row] = inputs.given(subset, base, fresh)
     if not design.exact:
         first = 1 + len(design.subsets)
         orders = orders_of(design, count=count, start=start, seed=seed, task=task, replicate=replicate)
         for at in range(0, count, BLOCK):
             block = slice(at, at + BLOCK)
             for row, size in enumerate(_chain(d), start=first):
-                scores[block, row] = rest_given(inputs, orders[at, :size].tolist(), base[block], fresh[block])
+                scores[block, row] = inputs.given(orders[at, :size].tolist(), base[block], fresh[block])
     return scores
 
 

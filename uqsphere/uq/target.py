@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.elliptical import log_density
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
-from uqsphere.uq.joint import Inputs, blocks_of
+from uqsphere.uq.joint import Joint
 
 __all__ = [
     "GivenFailure",
@@ -33,7 +32,6 @@ __all__ = [
 #: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
 #: as the intervals are those of ratios
 LEAST_FAILURES = 200.0
-_STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,24 +183,15 @@ def _weighted_quantiles(
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def score_gradients(inputs: Inputs, scores: Array) -> Array:
+def score_gradients(inputs: Joint, scores: Array) -> Array:
     """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d).
 
     The scores themselves where inputs are independent, R⁻¹ s under the Gaussian copula, differences of ln f under
     the others.
     """
     found = np.array(scores, dtype=float)
-    for columns, copula in blocks_of(inputs):
-        part = scores[:, list(columns)]
-        if copula.kind == "gaussian":
-            assert copula.correlation is not None
-            found[:, list(columns)] = np.linalg.solve(copula.correlation, part.T).T
-            continue
-        for k, column in enumerate(columns):
-            step = np.zeros(len(columns))
-            step[k] = _STEP
-            apart = log_density(copula, part + step) - log_density(copula, part - step)
-            found[:, column] = -apart / (2.0 * _STEP)
+    for columns, copula in inputs.blocks():
+        found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
     return found
 
 

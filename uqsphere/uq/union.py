@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.archimedean import FARTHEST
-from uqsphere.uq.elliptical import conditional_scores
 from uqsphere.uq.estimate import Estimate, none_of, student
+from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, tails
 

@@ -28,7 +28,6 @@ from uqsphere.runner.questions.probabilities import DOUBTFUL, narrower
 from uqsphere.runner.schedule import FRACTURE, FRACTURE_CURVE, RARE, REPLICATES, SPECIMENS
 from uqsphere.study import Limit, Study
 from uqsphere.uq.estimate import Estimate, absent, student
-from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, exceedance, pick_replicates
 from uqsphere.uq.margins import fragility
@@ -144,7 +143,7 @@ def _limit_function(work: Work, limits: Sequence[Limit], factor: Array) -> Any:
     def g(normals: Array) -> Array:
         if work.ledger.elapsed > work.seconds:
             raise OutOfBudget
-        physical = physical_from_normal(work.drawn, normals)
+        physical = work.drawn.physical(normals)
         rows = physical[:, :d] if d else physical[:1, :d]
         answered = evaluate_points(work, f"rare-events.union.{next(calls)}", work.scene_names, rows)
         # a limit state is of two replicates at least: the same one twice

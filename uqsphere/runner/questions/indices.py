@@ -22,7 +22,7 @@ from uqsphere.runner.campaign import (
     indices_missed,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, SpeedRow, Work, evaluate_points
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES
@@ -39,7 +39,6 @@ from uqsphere.uq.heavy_tails import (
     widened_share,
 )
 from uqsphere.uq.indices import METHOD, WORTHLESS, Blocks, SampledIndices, ordered, sampled_indices, uniform_halves
-from uqsphere.uq.joint import tied_names
 from uqsphere.uq.sample import without
 
 # --- variances that are not there, or rest on a handful of samples -------------------------------------------
@@ -162,14 +161,12 @@ def pick_and_freeze(work: Work, key: str, start: int, count: int, blocks: Blocks
 
     Without `blocks` those of first and total indices alone, d + 2.
     """
-    from uqsphere.uq.joint import physical_from_normal
 
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
+    inputs = work.all_inputs.only(work.scene_names)
     blocks = blocks or Blocks(inputs_count=len(inputs.names))
     # the inputs are independent here, so the halves are mapped once and mixed afterwards
     rows = [
-        blocks.mix(*(physical_from_normal(inputs, half) for half in halves))
-        for halves in _normal_halves(work, start, count, blocks)
+        blocks.mix(*(inputs.physical(half) for half in halves)) for halves in _normal_halves(work, start, count, blocks)
     ]
     answered = evaluate_points(work, key, work.scene_names, np.stack(rows).reshape(-1, blocks.inputs_count))
     shape = (REPLICATES, count, blocks.count)
@@ -291,7 +288,7 @@ class Shared:
 
 def dependent_names(work: Work) -> list[str]:
     """Model inputs that depend on another model input."""
-    return tied_names(sub_inputs(work.all_inputs, work.scene_names))
+    return work.all_inputs.only(work.scene_names).tied()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,6 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, RARE
 from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.joint import conditional_normal, normal_scores, physical_from_normal, strength_tie
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import strength_tails
 from uqsphere.uq.rare.active import METHOD as ACTIVE
@@ -173,7 +172,7 @@ def tied_strength(work: Work, limit: Limit) -> bool:
     names = work.drawn.names
     nowhere = np.zeros((1, len(names)))
     strength = f"limits.{limit.name}.strength"
-    return isinstance(limit.strength, Law) and strength_tie(work.all_inputs, strength, names, nowhere) is not None
+    return isinstance(limit.strength, Law) and work.all_inputs.tie(strength, names, nowhere) is not None
 
 
 def _asked(work: Work, *names: str) -> bool:
@@ -221,7 +220,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     k, d = work.quantities.index(limit.quantity), len(work.scene_names)
     weights, remaining = np.zeros(len(names)), 1.0
     if isinstance(limit.strength, Law):
-        weights, remaining = conditional_normal(work.all_inputs, f"limits.{limit.name}.strength", names)
+        weights, remaining = work.all_inputs.regression(f"limits.{limit.name}.strength", names)
     factor = names.index(f"limits.{limit.name}.model_factor") if isinstance(limit.model_factor, Law) else None
     fixed = 1.0 if isinstance(limit.model_factor, Law) else limit.model_factor
     calls = iter(range(10**9))
@@ -230,7 +229,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
     def g(normals: Array) -> Array:
         if work.out_of_time:
             raise OutOfBudget
-        physical = physical_from_normal(work.drawn, normals)
+        physical = work.drawn.physical(normals)
         scale = fixed if factor is None else physical[:, factor]
         censored = np.zeros(len(normals), dtype=bool)
         if demand is not None:
@@ -240,7 +239,7 @@ def limit_space(work: Work, limit: Limit, at: int, demand: Callable[[Array], Arr
             demands = np.where(is_answered(answered.status), answered.values[:, k] * scale, np.nan)
             censored = answered.censored[:, k]
         if isinstance(limit.strength, Law):
-            shift = normal_scores(work.drawn, normals) @ weights if np.any(weights) else None
+            shift = work.drawn.scores(normals) @ weights if np.any(weights) else None
             below, above = strength_tails(limit.strength, np.nan_to_num(demands), shift, remaining)
             value = -_score(below, above)
         else:
@@ -343,11 +342,11 @@ def physical_values(work: Work, point: DesignPoint, space: LimitSpace) -> dict[s
     """Values of the inputs, and of a random strength, at a design point; SI."""
     d = len(work.drawn.names)
     normals = point.point[None, :d]
-    values = physical_from_normal(work.drawn, normals)[0]
+    values = work.drawn.physical(normals)[0]
     found = {name: float(value) for name, value in zip(work.drawn.names, values, strict=True)}
     if isinstance(space.limit.strength, Law):
         own = -float(point.point[d]) if space.flipped else float(point.point[d])
-        score = float((normal_scores(work.drawn, normals) @ space.weights)[0]) + space.remaining * own
+        score = float((work.drawn.scores(normals) @ space.weights)[0]) + space.remaining * own
         found[f"limits.{space.limit.name}.strength"] = float(space.limit.strength.from_normal(np.array([score]))[0])
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
@@ -523,7 +522,7 @@ def _confirmed(
     allowed: float,
 ) -> LimitAnswer:
     """The answer with its design point, normal scores (1, D), where one run of the model agrees, else that before."""
-    physical = physical_from_normal(work.drawn, normals)
+    physical = work.drawn.physical(normals)
     d = len(work.scene_names)
     try:
         run = evaluate_points(replace(work, spare=True), f"design-point.{at}", work.scene_names, physical[:, :d])

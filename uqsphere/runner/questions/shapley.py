@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from uqsphere.model import is_answered
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
-from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points
 from uqsphere.runner.index_control import IndexControl
 from uqsphere.runner.multifidelity import Plan
 from uqsphere.runner.questions.distributions import Sampled
@@ -53,7 +53,7 @@ def orders_at(work: Work, design: SubsetDesign, count: int) -> npt.NDArray[np.in
 def _evaluate(work: Work, design: SubsetDesign, start: int, count: int) -> Pairs:
     """Outputs of more points of the design."""
     d = len(work.scene_names)
-    inputs = sub_inputs(work.all_inputs, work.scene_names)
+    inputs = work.all_inputs.only(work.scene_names)
     points = np.stack(
         [
             subset_points(

@@ -10,9 +10,8 @@ import numpy as np
 from uqsphere.model import Answered, is_answered
 from uqsphere.results import ToleranceEntry
 from uqsphere.runner.campaign import Accuracy, campaign
-from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points, sub_inputs
+from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points
 from uqsphere.study.document import ToleranceRequest
-from uqsphere.uq.joint import physical_from_normal
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.tolerance import tolerance_limits
 
@@ -38,9 +37,9 @@ class Tolerance:
         if self.answered is not None or self.request.runs > room:
             return False
         work = self.work
-        inputs = sub_inputs(work.all_inputs, work.scene_names)
+        inputs = work.all_inputs.only(work.scene_names)
         rng = random_generator(seed=work.study.seed, task="tolerance")
-        rows = physical_from_normal(inputs, rng.standard_normal((self.request.runs, len(inputs.names))))
+        rows = inputs.physical(rng.standard_normal((self.request.runs, len(inputs.names))))
         self.answered = evaluate_points(work, "tolerance", work.scene_names, rows)
         return True
 
