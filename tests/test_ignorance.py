@@ -28,6 +28,7 @@ TRUTHS = {
     "gumbel": stats.gumbel_r(3.0, 1.0),
     "frechet": stats.invweibull(6.0, scale=2.0),
     "exponential": stats.expon(scale=3.0),
+    "rayleigh": stats.rayleigh(scale=3.0),
 }
 
 

@@ -33,6 +33,7 @@ PAIRS = {
     "gumbel": (make_law("gumbel", {"location": 1.0, "scale": 2.0}), stats.gumbel_r(1.0, 2.0)),
     "frechet": (make_law("frechet", {"shape": 3.5, "scale": 2.0}), stats.invweibull(3.5, scale=2.0)),
     "exponential": (make_law("exponential", {"rate": 4.0}), stats.expon(scale=0.25)),
+    "rayleigh": (make_law("rayleigh", {"scale": 3.0}), stats.rayleigh(scale=3.0)),
     "student_t": (make_law("student_t", {"dof": 4.5, "location": 1.0, "scale": 2.0}), stats.t(4.5, 1.0, 2.0)),
 }
 
@@ -55,6 +56,7 @@ BY_MOMENTS = [
         float(stats.weibull_min(12.0).std() / stats.weibull_min(12.0).mean()) * 4e9,
     ),
     ("exponential", {"mean": 3.0}, None, None, 3.0, 3.0),
+    ("rayleigh", {"mean": 3.0}, None, None, 3.0, 3.0 * math.sqrt(4.0 / math.pi - 1.0)),
 ]
 
 

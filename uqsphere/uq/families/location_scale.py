@@ -390,6 +390,34 @@ EXPONENTIAL: Final = Family(
 )
 
 
+RAYLEIGH: Final = Family(
+    name="rayleigh",
+    label="Rayleigh",
+    alternatives=(("scale",), ("mean",)),
+    dimensional=frozenset({"scale", "mean", "lower", "upper"}),
+    canonical=lambda given, lower, upper: {
+        "scale": given["scale"] if "scale" in given else positive_mean("rayleigh", given) * math.sqrt(2.0 / math.pi)
+    },
+    # Weibull with the modulus 2
+    resolve=lambda own, lower, upper: (0.0, own["scale"] * math.sqrt(2.0), (2.0,)),
+    cdf=_weibull_cdf,
+    sf=_weibull_sf,
+    ppf=_weibull_ppf,
+    isf=_weibull_isf,
+    pdf=_weibull_pdf,
+    mean=_weibull_mean,
+    sd=_weibull_sd,
+    least=lambda own, lower, upper: 0.0,
+    fit=lambda data, lower, upper: {"scale": math.sqrt(0.5 * float(np.mean(data**2)))},
+    positive=True,
+    # of n observations the sum of (x/scale)² is chi-squared with 2 n degrees of freedom
+    pivots=lambda own, n, count, generator: {
+        "scale": own["scale"] * np.sqrt(2.0 * n / generator.chisquare(2 * n, count))
+    },
+    kin="lognormal",
+)
+
+
 def _frechet_power(y: Array, shapes: tuple[float, ...]) -> Array:
     return np.asarray(np.maximum(y, 0.0) ** -shapes[0])
 
@@ -492,4 +520,4 @@ GUMBEL: Final = Family(
 )
 
 
-FAMILIES: Final = (NORMAL, LOGNORMAL, WEIBULL, EXPONENTIAL, FRECHET, GUMBEL)
+FAMILIES: Final = (NORMAL, LOGNORMAL, WEIBULL, EXPONENTIAL, RAYLEIGH, FRECHET, GUMBEL)
