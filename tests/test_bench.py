@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.campaigns import sweep
-from tests.campaigns.composite import peak_errors
 from uqsphere.bench import run_bench
 from uqsphere.bench.machine import describe_machine
 from uqsphere.bench.measure import Entry, ratio_at_error
@@ -110,9 +109,3 @@ def test_the_sweep_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> 
     assert "wrong and silent: 0 rows" in capsys.readouterr().out
     assert sweep.main(["5", "--seed", "4", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["wrong_and_silent"] == []
-
-
-def test_the_composite_solution_is_as_good_as_the_page_says() -> None:
-    light, worst, _ = peak_errors(1e-4, count=10)
-    assert light > 1e-3
-    assert worst < 5e-5

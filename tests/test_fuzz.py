@@ -8,34 +8,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.campaigns import fuzz_folders as folders
-from tests.campaigns import fuzz_studies as studies
-from tests.campaigns.fuzz_mutate import damage_bytes, damage_json, damage_text
-from tests.campaigns.fuzz_watch import Outcome, faults_of, guarded, watched
+from tests.campaigns import fuzz
+from tests.campaigns.fuzz import Outcome, damage_bytes, damage_json, damage_text, faults_of, guarded, watched
 
 #: numbered from elsewhere than a long run begins
 START = 10**9
 
 
 def test_damaged_studies_give_their_exit_codes_and_nothing_else() -> None:
-    found = studies.fuzz(250, float("inf"), 1, START, None)
+    found = fuzz.fuzz("studies", 250, start=START)
     assert found["failures"] == 0
     assert found["done"] == 250
-    assert set(found["codes"]) == {0, 2}  # type: ignore[arg-type]
+    assert set(found["codes"]) == {0, 2}
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_damaged_folders_give_their_exit_codes_and_nothing_else() -> None:
-    found = folders.fuzz(80, float("inf"), 1, START, False)
+    found = fuzz.fuzz("folders", 80, start=START)
     assert found["failures"] == 0
     assert found["done"] == 80
     assert {0, 5} <= set(found["codes"]) <= {0, 5, 6}
 
 
 def test_the_same_seed_gives_the_same_damage() -> None:
-    texts = studies.seeds()
-    assert studies.make_study(7, 1, texts) == studies.make_study(7, 1, texts)
-    assert len({studies.make_study(k, 1, texts) for k in range(50)}) == 50
+    texts = fuzz.seeds()
+    assert fuzz.make_study(7, 1, texts) == fuzz.make_study(7, 1, texts)
+    assert len({fuzz.make_study(k, 1, texts) for k in range(50)}) == 50
 
 
 def test_damage_is_damage() -> None:
@@ -71,15 +69,15 @@ def test_faults_of_a_command_are_seen(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr("uqsphere.cli.main", stumble)
     assert faults_of(watched(["show"], tmp_path))
     fine = {"arguments": ("show",), "code": 0, "out": "text\n", "err": "", "seconds": 0.1, "forbidden": ()}
-    assert faults_of(Outcome(**fine)) == []  # type: ignore[arg-type]
+    assert faults_of(Outcome(**fine)) == []
     for change in ({"code": 1, "err": "x"}, {"code": 5}, {"out": "\x1b[2J"}, {"seconds": 9.0}, {"forbidden": ("open",)},
                    {"err": "Traceback"}):  # fmt: skip
-        assert faults_of(Outcome(**(fine | change)))  # type: ignore[arg-type]
+        assert faults_of(Outcome(**(fine | change)))
 
 
 def test_a_hang_is_cut_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import time
 
-    monkeypatch.setattr("tests.campaigns.fuzz_watch.PATIENCE", 0.2)
+    monkeypatch.setattr("tests.campaigns.fuzz.PATIENCE", 0.2)
     monkeypatch.setattr("uqsphere.cli.main", lambda arguments: time.sleep(60) or 0)
     assert faults_of(watched(["show"], tmp_path)) == ["hangs"]

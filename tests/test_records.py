@@ -282,7 +282,7 @@ def test_a_record_drives_the_model_as_its_ideal_pulse_does(tmp_path: Path) -> No
 
 
 def test_the_integrators_follow_the_cubics_alike(tmp_path: Path) -> None:
-    from tests.independent.integrator import integrate_plain
+    from uqsphere.bench.rivals import solve_scipy
     from uqsphere.mechanics.integrator.solve import solve
     from uqsphere.model import scene_of
 
@@ -291,8 +291,7 @@ def test_the_integrators_follow_the_cubics_alike(tmp_path: Path) -> None:
     tight = solve(scene, tolerance=1e-10, quantities=("p_max",)).values["p_max"]
     loose = solve(scene, tolerance=1e-6, quantities=("p_max",)).values["p_max"]
     assert np.abs(loose / tight - 1.0).max() < 5e-6
-    plain = integrate_plain(scene, tolerance=1e-8, fidelity="full", quantities=("p_max",), threads=1)
-    other = scene.scales.force * plain.answers[:, 0] ** 1.5
+    other = scene.scales.force * solve_scipy(scene, 2, "DOP853", 1e-10, contact=False)[:, 0] ** 1.5
     force = solve(scene, tolerance=1e-8, quantities=("P_max",)).values["P_max"]
     assert np.abs(other / force - 1.0).max() < 5e-8
 

@@ -2,20 +2,25 @@
 
 Moments and indices are closed forms, those of the borehole apart; quantiles are closed where the law of the
 output is one, and otherwise converged references that `reference` recomputes.
+
+    python -m tests.campaigns.coverage [sampling] [expansion] [expensive] [--repetitions N]
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 import numpy as np
 
+from tests.campaigns import table, tell
 from uqsphere.arrays import Array
-from uqsphere.runner.evaluate import REPLICATES as REPLICATES_evaluate
+from uqsphere.runner.evaluate import REPLICATES
 from uqsphere.uq.augmented import Trusted, trust
 from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.describe import Description, describe
@@ -24,26 +29,6 @@ from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points
 from uqsphere.uq.indices import Blocks, SampledIndices, sampled_indices, uniform_halves
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.released import Believed, believed, held
-
-if TYPE_CHECKING:
-    from uqsphere.uq.expansion import Chaos
-
-__all__ = [
-    "MODELS",
-    "QUANTILES",
-    "SIZES",
-    "CoverageModel",
-    "CoverageRow",
-    "Hit",
-    "coverage_models",
-    "coverage_rows",
-    "coverage_table",
-    "coverage_text",
-    "dear_rows",
-    "pooled",
-    "reference",
-    "surrogate_rows",
-]
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with 2^20 points each of 16
@@ -429,7 +414,7 @@ def coverage_rows(
                 sobol_points(
                     dimension=2 * inputs, count=count, seed=seed + repetition, task="coverage", replicate=replicate
                 )
-                for replicate in range(REPLICATES_evaluate)
+                for replicate in range(REPLICATES)
             ]
         )
         for model in chosen:
@@ -501,7 +486,7 @@ def _controlled(model: CoverageModel, chaos: Chaos, seed: int) -> SampledIndices
 
     blocks = Blocks(inputs_count=model.dimension)
     outputs, others = [], []
-    for replicate in range(REPLICATES_evaluate):
+    for replicate in range(REPLICATES):
         halves = uniform_halves(blocks, count=CONTROL_POINTS, seed=seed, task="controlled", replicate=replicate)
         outputs.append(model.function(blocks.mix(*halves)))
         others.append(chaos_outputs(chaos, blocks, [np.asarray(ndtri(half)) for half in halves]))
@@ -573,55 +558,14 @@ def pooled(rows: Sequence[CoverageRow]) -> list[CoverageRow]:
     return found
 
 
-def coverage_text(rows: Sequence[CoverageRow], *, cells: bool = True) -> str:
-    """The table as Markdown: pooled rows, then the cells outside what is due (all of them if `cells`)."""
-    head = "| kind | way | model | answer | points | repetitions | nominal | covered | width over 1.96 errors |"
-    lines = [head, "|---|---|---|---|---:|---:|---:|---:|---:|"]
-    due = pooled(rows)
-    for row in [*due, *(r for r in rows if cells or (r.covered < LEAST and not r.exact))]:
-        width = "exact" if row.exact else "-" if row.width is None else f"{row.width:.2f}"
-        lines.append(
-            f"| {row.kind} | {row.way} | {row.model} | {row.answer} | {row.points} | {row.repetitions:,} | "
-            f"{NOMINAL:.0%} | {row.covered:.1%} | {width} |"
-        )
-    return "\n".join(lines)
-
-
-def coverage_table(
-    *, quick: bool, notice: Callable[[str], None] = lambda text: None
-) -> tuple[list[CoverageRow], list[dict[str, Any]], str]:
-    """The whole table: cells, the same with pooled rows for JSON, and Markdown.
-
-    300 repetitions of each of the seven models make 2,100 for every kind, 340 of the six that an expansion alone may
-    speak for 2,040, and 290 of the seven as dear models 2,030; `quick` takes 8, and 2 with expansions.
-    """
-    repetitions = 8 if quick else 300
-
-    def progress(done: int) -> None:
-        if done % 50 == 0:
-            notice(f"coverage: {done} of {repetitions} repetitions")
-
-    rows = coverage_rows(repetitions=repetitions, progress=progress)
-    notice("coverage of intervals off polynomial chaos")
-    rows += surrogate_rows(repetitions=2 if quick else 340)
-    from tests.campaigns import coverage as dear
-
-    notice("coverage of the surrogate way of dear models")
-    if quick:
-        rows += dear.dear_rows(repetitions=2, models=("linear", "product"), sizes=(64,), notice=notice)
-    else:
-        rows += dear.dear_rows(repetitions=290, notice=notice)
-    return rows, [asdict(row) for row in [*pooled(rows), *rows]], coverage_text(rows)
-
-
 # --- Whether the intervals of the surrogate way hold the truth: repetitions on analytical models at a few dozen runs.
 
 #: models with a known truth: smooth, sharp, kinked, of eight inputs, with true zeros, and two that a fit has exactly
 MODELS = ("ishigami", "g-function", "kinked", "lognormal", "borehole", "linear", "product")
 SIZES = (64, 128, 256)
 WAY, REFUSED = "surrogate", "refused: its runs sampled"
-#: the design that the surrogate is evaluated on: replicates and points of each
-REPLICATES, POINTS = 16, 1024
+#: points in each replicate of the design that the surrogate is evaluated on
+POINTS = 1024
 
 
 def _large(model: CoverageModel, seed: int) -> Array:
@@ -707,3 +651,62 @@ def dear_rows(
             tally.add(_repeat(known[name], sizes, _large(known[name], seed), seed))
         notice(f"coverage of the surrogate way: {name} done")
     return tally.rows()
+
+
+# --- the table ------------------------------------------------------------------------------------
+
+
+def coverage_text(rows: Sequence[CoverageRow], *, cells: bool = True) -> str:
+    """The table as Markdown: pooled rows, then the cells outside what is due (all of them if `cells`)."""
+    header = ("kind", "way", "model", "answer", "points", "repetitions", "covered", "width over 1.96 errors")
+    shown = [*pooled(rows), *(r for r in rows if cells or (r.covered < LEAST and not r.exact))]
+    return table(header, [
+        (r.kind, r.way, r.model, r.answer, r.points, f"{r.repetitions:,}", f"{r.covered:.1%}",
+         "exact" if r.exact else "-" if r.width is None else f"{r.width:.2f}") for r in shown
+    ])  # fmt: skip
+
+
+def summary(rows: Sequence[CoverageRow]) -> str:
+    """Pooled rows and the cells that are too low, with a verdict."""
+    living = [row for row in rows if not row.exact]
+    lowest = min(living, key=lambda row: row.covered)
+    due, (low, high) = pooled(rows), POOLED
+    inside = sum(low <= row.covered <= high for row in due)
+    return (
+        f"Pooled rows, the mean over {len({row.model for row in rows})} models, then every cell below {LEAST:.0%}.\n\n"
+        f"{coverage_text(rows, cells=False)}\n\n"
+        f"Pooled between {low:.1%} and {high:.1%}: {inside} of {len(due)} kinds. Lowest of {len(living)} cells: "
+        f"{lowest.covered:.1%} ({lowest.kind}, {lowest.way}, {lowest.model} {lowest.answer}, {lowest.points} points, "
+        f"{lowest.repetitions:,} repetitions); {sum(row.covered < LEAST for row in living)} below {LEAST:.0%}."
+    )
+
+
+#: what is counted, and the repetitions that make 2,000 of every kind: seven models, six that an expansion alone may
+#: speak for, and seven that are expensive
+WAYS: Final[dict[str, tuple[int, Callable[..., list[CoverageRow]]]]] = {
+    "sampling": (300, coverage_rows),
+    "expansion": (340, surrogate_rows),
+    "expensive": (290, dear_rows),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the table of the ways asked for; progress goes to stderr."""
+    from threadpoolctl import threadpool_limits
+
+    parser = argparse.ArgumentParser(description="coverage of nominal 95 % intervals on models with known answers")
+    parser.add_argument("ways", nargs="*", choices=[*WAYS, []], help="which of them (default: all)")
+    parser.add_argument("--repetitions", type=int, help="of every model (default: some 300)")
+    asked = parser.parse_args(arguments)
+    rows: list[CoverageRow] = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for way in asked.ways or WAYS:
+            repetitions, count = WAYS[way]
+            tell(f"coverage: {way}")
+            rows += count(repetitions=asked.repetitions or repetitions)
+    print(summary(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,30 +2,32 @@
 
 Outputs are quadratic forms of normal scores, y = c + b·z + z·A z, so that conditional means are quadratic as well and
 every closed effect Var(E[y | z_u]) follows in closed form; Shapley effects and Kucherenko's indices are sums of those.
+
+    python -m tests.campaigns.given [--quick]
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from tests.campaigns import tell
 from tests.campaigns.coverage import (
-    LEAST,
-    POOLED,
     CoverageModel,
     CoverageRow,
     Hit,
     Tally,
     coverage_hit,
     coverage_models,
-    coverage_text,
-    pooled,
+    summary,
 )
 from uqsphere.arrays import Array
 from uqsphere.given import Data, analyse_data
@@ -33,23 +35,6 @@ from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.joint import Dependence, Joint, make_joint
 from uqsphere.uq.law import make_law
 from uqsphere.uq.points import random_generator
-
-if TYPE_CHECKING:
-    from uqsphere.report.figures.canvas import Picture
-
-__all__ = [
-    "BUILT",
-    "MODELS",
-    "SIZES",
-    "GivenModel",
-    "closed_effects",
-    "figures",
-    "given_rows",
-    "measure",
-    "model_of",
-    "shares_of",
-    "text",
-]
 
 _QUANTILES: Final = (0.05, 0.5, 0.95)
 
@@ -294,10 +279,9 @@ MODELS: Final = (
     "linear, Clayton tie", "linear, Gumbel tie", "two humps, kernel density",
 )  # fmt: skip
 SIZES: Final = (100, 400)
-#: repetitions of a cell, from this seed on, and those of a quick look
+#: repetitions of a cell, from this seed on
 REPETITIONS: Final = 200
 FIRST_SEED: Final = 1000
-_QUICK: Final = 3
 #: share of the tables of a model that have to give an answer for it to be counted
 _FEWEST: Final = 0.05
 _WAYS: Final = {False: "laws fitted", True: "laws known"}
@@ -423,25 +407,8 @@ def given_rows(
     return tally.rows()
 
 
-# --- the part of the benchmark ----------------------------------------------------------------------------------
-
-
-def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
-    """All models with fitted laws; `quick` has two of them, a few repetitions and the smaller size."""
-    few: dict[str, Any] = {"repetitions": _QUICK, "models": ("linear", "linear, Gaussian ties"), "sizes": SIZES[:1]}
-    told: list[str] = []
-
-    def tell(line: str) -> None:
-        told.append(line)
-        notice(line)
-
-    rows = given_rows(**(few if quick else {"repetitions": REPETITIONS}), known=(False,), first_seed=FIRST_SEED,
-                      notice=tell)  # fmt: skip
-    return content_of(rows, told)
-
-
-def content_of(rows: Sequence[CoverageRow], told: Sequence[str]) -> dict[str, Any]:
-    """What JSON holds of cells and of what was told of them.
+def given_text(rows: Sequence[CoverageRow], told: Sequence[str]) -> str:
+    """The table as Markdown, what lies outside of what is due, and how often there was an expansion.
 
     An answer that fewer than a twentieth of the tables of a model give is left out: what was told says how many had an
     expansion.
@@ -450,44 +417,30 @@ def content_of(rows: Sequence[CoverageRow], told: Sequence[str]) -> dict[str, An
     for row in rows:
         most[row.model, row.points] = max(row.repetitions, most.get((row.model, row.points), 0))
     rows = [row for row in rows if row.repetitions >= _FEWEST * most[row.model, row.points]]
-    return {
-        "cells": [asdict(row) for row in rows],
-        "pooled": [asdict(row) for row in pooled(rows)],
-        "told": list(told),
-    }
-
-
-def text(content: dict[str, Any]) -> str:
-    """The table as Markdown, what lies outside of what is due, and how often there was an expansion."""
-    cells = [CoverageRow(**row) for row in content["cells"]]
-    living = [row for row in cells if not row.exact]
-    lowest = min(living, key=lambda row: row.covered)
-    low, high = POOLED
-    due = pooled(cells)
-    inside = sum(low <= row.covered <= high for row in due)
     return "\n".join([
         "How often the nominal 95 % intervals of `uqsphere analyse` hold the truth: runs drawn at random, laws and "
-        "dependence fitted to the same runs. Pooled rows first, the mean over the models, then every cell below "
-        f"{LEAST:.0%}.",
-        "",
-        coverage_text(cells, cells=False),
-        "",
-        f"Pooled between {low:.1%} and {high:.0%}: {inside} of {len(due)} kinds. Lowest of {len(living)} cells: "
-        f"{lowest.covered:.1%} ({lowest.kind}, {lowest.way}, {lowest.model} {lowest.answer}, {lowest.points} runs, "
-        f"{lowest.repetitions:,} repetitions); {sum(row.covered < LEAST for row in living)} below {LEAST:.0%}.",
-        "",
-        *(f"- {line}" for line in content["told"]),
+        f"dependence fitted to the same runs.\n\n{summary(rows)}\n", *(f"- {line}" for line in told),
     ])  # fmt: skip
 
 
-def figures(content: dict[str, Any]) -> list[Picture]:
-    """Shares of every cell, kind by kind."""
-    from dataclasses import replace
+def main(arguments: Sequence[str] | None = None) -> int:
+    """All models with fitted laws; `--quick` has two of them, a few repetitions and the smaller size."""
+    parser = argparse.ArgumentParser(description="coverage of the intervals of `uqsphere analyse`")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--repetitions", type=int, default=REPETITIONS)
+    asked = parser.parse_args(arguments)
+    told: list[str] = []
 
-    from tests.campaigns.uncertainty import coverage_figure
+    def notice(line: str) -> None:
+        told.append(line)
+        tell(line)
 
-    # names beside the axis leave it room
-    short = {"laws fitted, inputs dependent": "tied", "laws fitted": "free", "kernel density": "kernels"}
-    rows = [CoverageRow(**row) for row in content["cells"]]
-    rows = [replace(row, way=short.get(row.way, row.way), kind=row.kind.replace("runs alone", "alone")) for row in rows]
-    return [replace(coverage_figure(rows), name="given_coverage", title="Coverage of intervals from given runs")]
+    few: dict[str, Any] = {"repetitions": 2, "models": ("linear", "linear, Gaussian ties"), "sizes": SIZES[:1]}
+    rows = given_rows(**(few if asked.quick else {"repetitions": asked.repetitions}), known=(False,),
+                      first_seed=FIRST_SEED, notice=notice)  # fmt: skip
+    print(given_text(rows, told))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

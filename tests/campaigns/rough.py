@@ -2,24 +2,25 @@
 
 Near a grazing separation the spheres just lose contact, or just keep it until the next swing: the contact time jumps.
 A plain expansion is smooth there, and says nothing of it.
+
+    python -m tests.campaigns.rough [--quick]
 """
 
 from __future__ import annotations
 
+import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from tests.campaigns import table, tell
 from uqsphere.arrays import Array
 
 if TYPE_CHECKING:
-    from uqsphere.report.figures.canvas import Picture
     from uqsphere.study import Study
-
-__all__ = ["figures", "measure", "plain_chaos", "text"]
+    from uqsphere.uq.expansion import Chaos
 
 #: infinite bars, so that nothing but the pulse and the sphere's own swing decides
 STUDY: Final = """title = "Alumina ball, 20 mm, between PMMA bars: a grazing separation"
@@ -161,19 +162,19 @@ def _engine(study: Study) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     }  # fmt: skip
 
 
-def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
+def measure(quick: bool) -> str:
     """Truth by heavy sampling, the best plain expansion, the engine's own expansion, and a run of the engine."""
     from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study
-    from uqsphere.uq.expansion import fit_chaos, judge, predict, validation_error
+    from uqsphere.uq.expansion import fit_chaos, judge, validation_error
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "grazing.toml"
         path.write_text(study_text(40_000 if quick else 300_000), encoding="utf-8")
         study = load_study(path)
-        notice("rough: the truth")
+        tell("the truth")
         truth, times = _truth(study, 256 if quick else 4096)
-        notice("rough: expansions")
+        tell("expansions")
         inputs = study.inputs().only(_INPUTS)
         points = draw(inputs, seed=1, task="rough: fit", start=0, count=POINTS, replicates=1)
         held = draw(inputs, seed=1, task="rough: held out", start=0, count=POINTS * 4, replicates=1)
@@ -184,16 +185,9 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
         degree = min(errors, key=lambda k: errors[k])
         own = fit_chaos(germs, fitted, ("normal", "normal"))
         own_error = validation_error(own, unseen, checked)
-        verdict = judge(own, own_error)
-        notice("rough: a run of the engine")
+        tell("a run of the engine")
         engine, about = _engine(study)
         found, values = _answers_of(plain[degree])
-        scores = np.linspace(-3.0, 3.0, 481)
-        line = np.stack([np.zeros_like(scores), scores], axis=1)
-        along = inputs.physical(line)
-        curve = {"length": along[:, 1], "truth": _times(study, along), "plain": predict(plain[degree], line),
-                 "own": predict(own, line)}  # fmt: skip
-    shares = np.linspace(0.002, 0.998, 250)
     # values that no scene has: in the widest gap between neighbouring true ones, ends left out
     ordered = np.sort(times)
     inner = ordered[len(ordered) // 50 : -(len(ordered) // 50)]
@@ -201,17 +195,25 @@ def measure(quick: bool, notice: Callable[[str], None]) -> dict[str, Any]:
     low, high = float(inner[at]), float(inner[at + 1])
     margin = 0.02 * (high - low)
     inside = float(np.mean((values > low + margin) & (values < high - margin)))
-    return {
-        "points": POINTS, "degree": degree, "plain_error": errors[degree], "truth_evaluations": 2 * times.size,
-        "own": {"error": own_error, "reported": own.cross_validation_error, "solver": own.solver,
-                "usable": verdict.usable, "reason": verdict.reason},
-        "level": LEVEL * 1e-6, "gap": [low, high], "in_gap": inside, "engine": about,
-        "answers": {name: {"truth": truth[name][0], "truth_half_width": truth[name][1], "plain": found[name],
-                           "engine": engine[name]} for name in truth},
-        "curve": {name: column.tolist() for name, column in curve.items()},
-        "distribution": {"share": shares.tolist(), "truth": np.quantile(times, shares).tolist(),
-                         "plain": np.quantile(values, shares).tolist()},
-    }  # fmt: skip
+    rows = []
+    for name, (true, width) in truth.items():
+        shown = f"P(contact time > {LEVEL:g} us)" if name == "probability" else name
+        ours = engine[name]
+        rows.append((shown, f"{_shown(name, true)} ± {_shown(name, width)}", _shown(name, found[name]),
+                     _off(name, found[name], true), _shown(name, ours["value"]),
+                     f"{_shown(name, ours['low'])} to {_shown(name, ours['high'])}",
+                     _off(name, ours["value"], true)))  # fmt: skip
+    header = ("answer", "truth", "plain", "off by", "engine", "95 % interval", "off by")
+    return "\n".join([
+        f"The contact time jumps from {low * 1e6:.0f} to {high * 1e6:.0f} us. Plain: least squares of total degree "
+        f"{degree}, the best of 1 to {_DEGREES[-1]}, from {POINTS} points; it leaves {errors[degree]:.2g} of the "
+        f"variance and has {inside:.1%} of its values where there are none. Engine: a run with "
+        f"{about['evaluations']:,} evaluations. Truth: {2 * times.size:,} evaluations.",
+        "", table(header, rows), "",
+        f"The engine's own expansion ({own.solver}) leaves {own_error:.2g}; its verdict: "
+        f"{judge(own, own_error).reason}. In the run: {about['surrogate']['reason']}.",
+        *(f"Not reached: {told}." for told in about["missed"]),
+    ])  # fmt: skip
 
 
 def _shown(name: str, value: float | None) -> str:
@@ -224,54 +226,8 @@ def _off(name: str, value: float | None, truth: float) -> str:
     """An index is off by a share of the variance, the rest relative to the truth."""
     if value is None:
         return "-"
-    if name.startswith(("first", "total")):
-        return f"{abs(value - truth):.4f}"
-    return f"{abs(value / truth - 1.0):.2%}"
+    return f"{abs(value - truth):.4f}" if name.startswith(("first", "total")) else f"{abs(value / truth - 1.0):.2%}"
 
 
-def text(content: dict[str, Any]) -> str:
-    """What it is, the table, and the worst of the plain answers."""
-    low, high = content["gap"]
-    own, engine = content["own"], content["engine"]
-    lines = [
-        f"{STUDY.splitlines()[0].split(chr(34))[1]}; speed and length of the striker scatter by 2 %. The contact time "
-        f"jumps from {low * 1e6:.0f} to {high * 1e6:.0f} us. Plain: least squares of total degree "
-        f"{content['degree']}, the best of 1 to {_DEGREES[-1]}, from {content['points']} points; it leaves "
-        f"{content['plain_error']:.2g} of the variance and has {content['in_gap']:.1%} of its values where there are "
-        f"none. Engine: a run with {engine['evaluations']:,} evaluations. Truth: {content['truth_evaluations']:,} "
-        "evaluations.",
-        "",
-        "| answer | truth | plain | off by | engine | 95 % interval | off by |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    worst = ("", 0.0)
-    for name, row in content["answers"].items():
-        shown = f"P(contact time > {content['level'] * 1e6:g} us)" if name == "probability" else name
-        ours = row["engine"]
-        if not name.startswith(("first", "total")) and abs(row["plain"] / row["truth"] - 1.0) > worst[1]:
-            worst = (shown, abs(row["plain"] / row["truth"] - 1.0))
-        cells = (
-            shown, f"{_shown(name, row['truth'])} ± {_shown(name, row['truth_half_width'])}",
-            _shown(name, row["plain"]), _off(name, row["plain"], row["truth"]), _shown(name, ours["value"]),
-            f"{_shown(name, ours['low'])} to {_shown(name, ours['high'])}", _off(name, ours["value"], row["truth"]),
-        )  # fmt: skip
-        lines.append("| " + " | ".join(cells) + " |")
-    lines += [
-        "",
-        f"The plain expansion is off by {worst[1]:.0%} in {worst[0]}, and says nothing of it. The engine's own "
-        f"expansion ({own['solver']}) leaves {own['error']:.2g}; its verdict: {own['reason']}. In the run: "
-        f"{engine['surrogate']['reason']}.",
-    ]  # fmt: skip
-    lines += [f"Not reached: {told}." for told in engine["missed"]]
-    return "\n".join(lines)
-
-
-def figures(content: dict[str, Any]) -> list[Picture]:
-    """The picture."""
-    from tests.campaigns.uncertainty import rough_figure
-
-    return [rough_figure(content)]
-
-
-if TYPE_CHECKING:
-    from uqsphere.uq.expansion import Chaos
+if __name__ == "__main__":
+    print(measure("--quick" in sys.argv))

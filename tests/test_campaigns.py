@@ -1,0 +1,329 @@
+"""The campaigns count what they say: truths of their models, references, verdicts, and what is kept of them."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.campaigns import chaos, coverage, engine, errata, given, links, publish, rough
+from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
+from tests.campaigns.instability import MU, exact_difference, fixed_steps
+from uqsphere.errors import UsageError
+from uqsphere.given import analyse_data
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.stress import tables
+from uqsphere.report.figures.canvas import style
+from uqsphere.study import load_study, shipped_studies
+from uqsphere.uq.expansion import chaos_moments, fit_chaos, judge, predict
+
+MODELS = {model.name: model for model in (*coverage_models(), *engine.five_inputs())}
+KEPT = Path(__file__).parent.parent / "reports"
+
+# --- coverage -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_exact_answers_are_those_of_many_points(name: str) -> None:
+    """Closed forms and stored references against 2^14 points in each of eight replicates."""
+    model = MODELS[name]
+    truths = {
+        "moments": (model.mean, model.sd),
+        "quantiles": tuple(model.quantiles.get(p, math.nan) for p in QUANTILES),
+        "first": model.first,
+        "total": model.total,
+    }
+    for kind, answers in reference(model, count=2**14, replicates=8).items():
+        for (value, error), truth in zip(answers, truths[kind], strict=True):
+            # 5 errors of eight replicates, and the last digit of a stored reference
+            assert math.isnan(truth) or abs(value - truth) <= 5.0 * error + 2e-6 * max(1e-3, abs(truth)), kind
+
+
+@pytest.fixture(scope="module")
+def rows():
+    chosen = [MODELS[name] for name in ("ishigami", "g-function", "linear", "lognormal")]
+    return coverage_rows(repetitions=25, models=chosen, sample_sizes=(128,), index_sizes=(64,), seed=77)
+
+
+def test_intervals_of_a_run_hold_the_truth_as_often_as_they_say(rows) -> None:
+    for row in pooled(rows):
+        # inputs of a model share their points: 100 repetitions are what is independent
+        error = math.sqrt(0.95 * 0.05 / row.repetitions)
+        assert POOLED[0] - 4.0 * error <= row.covered <= min(1.0, POOLED[1] + 4.0 * error), row
+        assert 0.85 < row.width < 1.5
+    for row in rows:
+        assert row.covered >= LEAST - 4.0 * math.sqrt(LEAST * (1.0 - LEAST) / row.repetitions), row
+    assert "| all |" in coverage.summary(rows)
+
+
+def test_true_zeros_are_exact_and_not_counted_among_the_others(rows) -> None:
+    inert = [r for r in rows if r.model == "g-function" and r.answer in ("x5", "x6") and "index" in r.kind]
+    assert len(inert) == 8
+    assert all(r.exact and r.covered == 1.0 for r in inert)
+    assert pooled(rows) == pooled([r for r in rows if not r.exact])
+    # an input without an effect to speak of, whose interval is hundreds of times its error, does not make the width
+    first = [r for r in rows if r.kind == "first index" and r.way == "sampling, d + 2" and not r.exact]
+    assert 0.85 < pooled([replace(first[0], width=797.0, error=1e-6), *first[1:]])[0].width < 1.5
+
+
+def test_a_wrong_truth_is_seen() -> None:
+    moved = replace(MODELS["linear"], mean=MODELS["linear"].mean + 0.1)
+    found = coverage_rows(repetitions=5, models=[moved], sample_sizes=(128,), index_sizes=(64,), seed=1)
+    assert next(r for r in found if r.kind == "mean").covered == 0.0
+
+
+def test_surrogates_are_counted_alone_and_as_control() -> None:
+    found = coverage.surrogate_rows(repetitions=3, models=[MODELS["linear"], MODELS["kinked"]])
+    # the hold-out refuses the kinked model: its expansion has no interval of its own
+    assert {r.model for r in found if r.way == "chaos alone"} == {"linear"}
+    assert {r.model for r in found if r.way == "chaos as control"} == {"linear", "kinked"}
+    assert all(r.covered == 1.0 for r in found if r.model == "linear")
+
+
+def test_sampling_goes_on_until_every_index_is_known() -> None:
+    model = engine.five_inputs()[0]
+    run = engine.ours(model, 3)
+    assert run["half_width"] <= engine.ASKED
+    assert 0.0 < run["error"] < 3.0 * run["half_width"]
+    theirs = engine.peer(model, 3, 1024)
+    assert theirs["evaluations"] == 7 * 1024
+    assert theirs["error"] < 0.02
+
+
+# --- given data -----------------------------------------------------------------------------------
+
+
+def test_shares_by_hand() -> None:
+    """A sum with a tie; and a product of independent scores, whose first indices are zero."""
+    correlation = np.array([[1.0, 0.7, 0.0], [0.7, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = given.shares_of(given.closed_effects(correlation, np.ones(3), np.zeros((3, 3))), 3)
+    for order, truths in (("shapley", (1.7, 1.7, 1.0)), ("first", (2.89, 2.89, 1.0)), ("total", (0.51, 0.51, 1.0))):
+        assert found[order] == pytest.approx(np.array(truths) / 4.4)
+    product = given.shares_of(given.closed_effects(np.eye(2), np.zeros(2), np.array([[0.0, 0.5], [0.5, 0.0]])), 2)
+    assert product["first"] == pytest.approx((0.0, 0.0))
+    assert product["shapley"] == pytest.approx((0.5, 0.5))
+
+
+@pytest.mark.parametrize("name", ["product, Gaussian ties", "linear, Clayton tie", "two humps, kernel density"])
+def test_models_with_ties_have_the_answers_that_they_state(name: str) -> None:
+    model = given.model_of(name)
+    y = given._runs(model, 40_000, 1).y[:, 0]
+    assert abs(y.mean() - model.mean) < 4.0 * model.sd / 200.0
+    assert y.std() == pytest.approx(model.sd, rel=0.02)
+    for p, truth in model.quantiles.items():
+        assert np.mean(y <= truth) == pytest.approx(p, abs=4.0 * np.sqrt(p * (1.0 - p) / 40_000))
+    assert sum(model.indices.get("shapley", (1.0,))) == pytest.approx(1.0)
+
+
+def test_given_runs_are_counted_with_known_laws_and_fitted_ones() -> None:
+    """Two repetitions: that truth and answers belong together; what is covered, many repetitions have to say."""
+    told: list[str] = []
+    rows = given.given_rows(repetitions=2, models=("linear",), sizes=(100,), notice=told.append)
+    assert [text.split(": ")[1] for text in told] == ["expansion used 2 of 2, disagreement 0"] * 2
+    known = [row for row in rows if row.way == "laws known" and row.kind in ("first index", "total index", "mean")]
+    assert len(known) == 11
+    assert all(row.covered == 1.0 for row in known)
+    errors = {row.way: row.error for row in rows if row.kind == "first index" and row.answer == "x1"}
+    assert errors["laws known"] < 1e-9 < errors["laws fitted"] < 0.3
+    assert "- one" in given.given_text(rows, ["one"])
+
+
+def test_an_expansion_over_a_kernel_density_is_refused() -> None:
+    """Of 11 tables whose laws were kernel densities the sd of the expansion held in 5."""
+    found = analyse_data(given._runs(given.model_of("two humps, kernel density"), 200, 3))
+    assert "kde" in {entry["chosen"] for entry in found["inputs"].values()}
+    expansion = found["sensitivity"]["y"]["chaos"]
+    assert not expansion["usable"]
+    assert "kernel density" in expansion["reason"]
+    assert found["outputs"]["y"]["expansion"] is None
+    assert found["outputs"]["y"]["sd"]["value"] is not None
+
+
+# --- expansions beside a peer ---------------------------------------------------------------------
+
+
+def rival(model: str, samples: int, true: float, told: tuple[float, ...] = (0.0,) * 4) -> chaos.Rival:
+    """A stored run."""
+    return chaos.Rival(model=model, samples=samples, seed=1, true=true, seconds=3.0, fits=7, degree=3, norm=0.75,
+                       version="1.0", told=told)  # fmt: skip
+
+
+def test_a_fingerprint_tells_designs_and_models_apart() -> None:
+    model = chaos.MODELS["Ishigami"]
+    points = chaos.design(model, 64, 1)
+    outputs = model(points)
+    known = rival("Ishigami", 64, 1e-3, chaos.fingerprint(points, outputs))
+    assert chaos.same_design(known, points, outputs * (1.0 + 1e-14))  # another machine's rounding
+    other = chaos.design(model, 64, 2)
+    moved = points.copy()
+    moved[5, 2] += 1e-3
+    for design, answers in ((other, model(other)), (points[::-1], model(points[::-1])), (points, 2.0 * outputs),
+                            (points, outputs + 1e-3 * points[:, 0]), (moved, outputs)):  # fmt: skip
+        assert not chaos.same_design(known, design, answers)
+
+
+def test_what_is_stored_is_used_for_its_own_design_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = chaos.design(chaos.MODELS["product"], 64, 1)
+    found = rival("product", 64, 0.125, chaos.fingerprint(points, chaos.MODELS["product"](points)))
+    path = tmp_path / "runs.json"
+    path.write_text(json.dumps([asdict(found), asdict(rival("product", 65, 0.5))]), encoding="utf-8")
+    monkeypatch.setattr(chaos, "stored", lambda read=chaos.stored: read(path))
+    first, second, another = chaos.measure(["product"], [64, 65], [1, 2])[:3]
+    assert (first.rival_true, first.rival_seconds) == (0.125, 3.0)
+    assert second.rival_true is None  # of the first seed alone
+    assert another.rival_true is None  # stored for another design
+
+
+def test_the_stored_runs_are_those_of_the_designs_of_today() -> None:
+    known = chaos.stored()
+    assert {model for model, _, _ in known} == set(chaos.MODELS)
+    for (name, samples, seed), one in known.items():
+        points = chaos.design(chaos.MODELS[name], samples, seed)
+        assert chaos.same_design(one, points, chaos.MODELS[name](points)), (name, samples)
+
+
+def test_no_worse_and_better_are_counted_with_the_tolerance_that_is_said() -> None:
+    pairs = [(1e-3, 2e-3), (1.04e-3, 1e-3), (1.06e-3, 1e-3), (2e-11, 1e-11), (1e-12, 1e-9), (1.0, None)]
+    found = [chaos.Measured(model="a", samples=64, seed=1, true=ours, reported=ours, seconds=0.1, chosen="",
+                            rival_true=theirs) for ours, theirs in pairs]  # fmt: skip
+    assert chaos.verdicts(found) == (4, 2, 5)
+
+
+# --- a contact time that jumps --------------------------------------------------------------------
+
+
+def test_plain_least_squares_finds_a_polynomial_and_refuses_too_many_terms() -> None:
+    points = np.random.default_rng(4).standard_normal((40, 2))
+    outputs = 2.0 + points[:, 0] + 0.5 * (points[:, 1] ** 2 - 1.0)
+    plain = rough.plain_chaos(points, outputs, 2)
+    assert predict(plain, points) == pytest.approx(outputs, abs=1e-12)
+    assert chaos_moments(plain) == pytest.approx((2.0, math.sqrt(1.5)), rel=1e-12)
+    assert rough._answers_of(plain)[0]["first striker.speed"] == pytest.approx(2.0 / 3.0)
+    with pytest.raises(ValueError, match="more terms than"):
+        rough.plain_chaos(points[:10], outputs[:10], 9)
+
+
+def test_the_contact_time_jumps_and_the_engine_sees_it(tmp_path: Path) -> None:
+    from uqsphere.runner.evaluate import draw
+
+    path = tmp_path / "grazing.toml"
+    path.write_text(rough.study_text(20_000), encoding="utf-8")
+    study = load_study(path)
+    below, above = rough._times(study, np.array([[5.0, 0.130], [5.0, 0.133]]))
+    assert above > 1.2 * below
+    assert below < rough.LEVEL * 1e-6 < above
+    points = draw(study.inputs().only(("striker.speed", "striker.length")), seed=5, task="test", start=0,
+                  count=192, replicates=1)  # fmt: skip
+    times = rough._times(study, points.inputs[0])
+    true = float((times > rough.LEVEL * 1e-6).mean())
+    found, _ = rough._answers_of(rough.plain_chaos(points.scores[0], times, 4))
+    assert abs(found["probability"] / true - 1.0) > 0.1
+    assert not judge(fit_chaos(points.scores[0], times, ("normal", "normal"))).usable
+
+
+# --- the weakest link -----------------------------------------------------------------------------
+
+
+def test_the_rim_is_nearly_all_that_the_principal_tension_sees() -> None:
+    found = links.compare_links(links.principal_field(0.14, 0.22, 30), 0.14, 9.0)
+    # the hoop tension is that of the tables, to the error of the trapezoidal rule
+    assert found.hoop == pytest.approx(float(tables.ratio("volume", 0.14, 0.22, 9.0)), rel=0.04)
+    assert found.surface_hoop == pytest.approx(float(tables.ratio("surface", 0.14, 0.22, 9.0)), rel=0.04)
+    assert found.principal > 3.0 * found.hoop
+    assert found.in_zone > 0.999
+    # where the rim is left out, the two say nearly the same
+    assert found.hoop * 0.99 < found.beyond < 1.1 * found.hoop
+
+
+def test_the_force_of_even_odds() -> None:
+    case = links.CASES[0]
+    ratio = 0.5 * np.pi * case.pressure / case.reduced
+    # a field that is as dangerous at all contacts, and twice as dangerous as the other: half the pressure
+    found = links.even_odds(case, ratio * np.array([0.1, 1.0]), np.array([2.0, 2.0]), 1.0)
+    assert found == pytest.approx(0.5 * case.pressure, rel=1e-12)
+    force = links.force_at(case.pressure, case.radius, case.reduced)
+    assert float(contact.pressure_at_force(force, case.reduced, case.radius)) == pytest.approx(case.pressure, rel=1e-12)
+
+
+# --- the paper's equations ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("bars", "limit"), [(True, 2.852), (False, 2.0 * math.sqrt(2.0))])
+def test_longest_stable_step_of_the_numerical_instability(bars: bool, limit: float) -> None:
+    swing = math.sqrt(2.0 / MU - (0.25 if bars else 0.0))
+
+    def runs_away(step: float) -> bool:
+        """Whether the error grows over a thousand steps rather than staying of the order of the swing."""
+        times, values = fixed_steps(MU, step, 1000.0 * step, bars=bars)
+        return bool(np.abs(values - exact_difference(MU, times, bars=bars)).max() > 1.0)
+
+    assert runs_away(1.01 * limit / swing)
+    assert not runs_away(0.99 * limit / swing)
+    errors = []
+    for step in (0.004, 0.002):
+        times, values = fixed_steps(MU, step, 1.0, bars=bars)
+        errors.append(np.abs(values - exact_difference(MU, times, bars=bars)).max())
+    assert errors[0] < 1e-4
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.15)
+
+
+def test_the_figure_of_the_errata_shows_what_they_say() -> None:
+    with style():
+        massless, linear, pressure = errata.errata_figure().figure.axes
+        right, printed, tail = (line.get_xydata() for line in massless.lines)
+        assert printed[:, 1].max() == pytest.approx(1.0, abs=1e-3)
+        assert printed[-1, 1] == 0.0 < right[-1, 1]
+        # as if twice the time had passed
+        at = np.interp(errata.THETA + 2.0, right[:, 0], right[:, 1])
+        assert np.interp(errata.THETA + 1.0, tail[:, 0], tail[:, 1]) == pytest.approx(at, abs=1e-3)
+        swinging = linear.lines[1].get_xydata()
+        late = swinging[swinging[:, 0] > 3.0, 1]
+        assert late.max() - late.min() == pytest.approx(2.0 * 0.197, abs=0.03)
+        assert linear.lines[2].get_xydata()[-1, 1] == pytest.approx(2.0 * linear.lines[0].get_xydata()[-1, 1], rel=0.02)
+        assert pressure.lines[0].get_xydata()[0, 1] == pytest.approx(0.5**0.5)
+        assert pressure.lines[1].get_xydata()[0, 1] == pytest.approx(0.5)
+
+
+# --- published reports ----------------------------------------------------------------------------
+
+
+def test_one_is_made_with_what_it_needs_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = publish.Published(study="as_printed", evaluations=3_000, about="a question")
+    monkeypatch.setattr(publish, "REPORTS", {"small": small})
+    pages = publish.publish(tmp_path / "reports", ["small"])
+    folder = tmp_path / "reports" / "small"
+    assert pages == [folder / "report.html"]
+    assert {path.name for path in folder.iterdir()} == {"report.html", "results.json", "study.toml", "tables"}
+    text = pages[0].read_text("utf-8")
+    assert str(tmp_path) not in text
+    for table in re.findall(r"tables/([\w.-]+\.csv)", text):
+        assert (folder / "tables" / table).is_file(), table
+    assert "[small](small/report.html) | a question |" in (tmp_path / "reports" / "README.md").read_text("utf-8")
+    with pytest.raises(UsageError, match="granit"):
+        publish.publish(tmp_path, ["granit"])
+
+
+@pytest.mark.parametrize("name", publish.REPORTS)
+def test_what_is_kept_is_of_the_shipped_study(name: str) -> None:
+    entry, folder = publish.REPORTS[name], KEPT / name
+    results = json.loads((folder / "results.json").read_text("utf-8"))
+    study = load_study(shipped_studies()[entry.study],
+                       [f"analysis.budget.evaluations={entry.evaluations}", 'analysis.budget.time="12 h"'])  # fmt: skip
+    assert results["study"]["hash"] == study.hash, "the study was changed: python -m tests.campaigns.publish"
+    assert sum(results["model"]["evaluations"].values()) <= entry.evaluations
+    page = (folder / "report.html").read_text("utf-8")
+    assert len(page.encode()) < 1_200_000
+    title = study.title.replace("'", "’")  # as the page sets it
+    assert title in html.unescape(page).replace("\u00a0", " ")
+    assert not list(folder.rglob("*.npy"))
+
+
+def test_the_list_is_that_of_the_reports() -> None:
+    assert (KEPT / "README.md").read_text("utf-8") == publish.index_text(KEPT)
+    assert (KEPT / publish.BENCHMARK / "bench.md").is_file()
