@@ -115,17 +115,17 @@ def test_a_share_says_of_its_variance_what_is_said_of_the_deviation(reason: Abse
 def test_errors_say_what_they_are_over() -> None:
     samples = np.random.default_rng(1).normal(size=(16, 256))
     found = describe(samples)
-    kinds = [row["error_kind"] for row in speed_rows({"y": found}, {}, 4096)]
+    kinds = [row.error_kind for row in speed_rows({"y": found}, {}, 4096)]
     assert kinds
     assert all(kind.endswith("over the standard deviation") for kind in kinds)
     gone = without_moments(found, tail(1.5, 1.0, 0.0), samples)
     rows = speed_rows({"y": gone}, {}, 4096)
     assert len(rows) == len(kinds)
-    assert all(row["error_kind"].endswith("over half the 16-84 % range") for row in rows)
-    history: Any = SimpleNamespace(history=rows)
+    assert all(row.error_kind.endswith("over half the 16-84 % range") for row in rows)
+    part: Any = SimpleNamespace(name="sampling", found=SimpleNamespace(history=rows))
     # the part that took longest names its answer whatever this is over
-    assert _slowest(history, "sampling").endswith(" of y")
-    assert rows[0]["error"] == pytest.approx(gone.mean.half_width / half_range(samples))
+    assert _slowest(part).endswith(" of y")
+    assert rows[0].error == pytest.approx(gone.mean.half_width / half_range(samples))
 
 
 def test_without_a_deviation_the_scale_is_the_range_that_it_is_called() -> None:

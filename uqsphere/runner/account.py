@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from uqsphere.quantities import format_value
-from uqsphere.results import Curve, FractureEntry, GivenFailureEntry, MarginEntry, MemberEntry, Results, SpeedRow
+from uqsphere.results import (
+    Curve,
+    FractureEntry,
+    GivenFailureEntry,
+    MarginEntry,
+    MemberEntry,
+    PartEntry,
+    QuestionRow,
+    Results,
+    SpeedRow,
+)
 from uqsphere.results.entries import Est
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
@@ -18,13 +29,14 @@ from uqsphere.runner.forecast import CHEAPER, forecast
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
-    from uqsphere.runner.questions.indices import Sensitivity
+    from uqsphere.runner.margins import MarginAnswer
     from uqsphere.runner.results import Findings
+    from uqsphere.study.document import Accuracy as Accuracies
+    from uqsphere.uq.describe import Description
 
 __all__ = [
     "FACTOR",
     "FURTHER",
-    "SMALL",
     "account",
     "further_rows",
     "questions",
@@ -38,8 +50,45 @@ _CHEAPER: Final = dict(zip(("sampling", "sensitivity"), CHEAPER, strict=True))
 _ANSWERS: Final = {QUANTILE_KIND: "The worst quantile", MEAN_KIND: "The mean", MISS_KIND: "The probability"}
 
 
-def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affordable: int) -> list[dict[str, Any]]:
-    """Every part with the evaluations that were likely, the most, and those taken, for results.json.
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """What a part was likely to evaluate and what it took, of a run that found this."""
+
+    name: str
+    likely: int
+    taken: int
+    found: Findings
+    planned: bool
+    surrogate: bool
+
+    @property
+    def more(self) -> bool:
+        return self.taken > self.likely
+
+    @property
+    def ended(self) -> str:
+        """Why its stages ended before the accuracy was reached."""
+        stop = self.found.stops.get("sensitivity" if self.name == "sensitivity" else "sampling", "")
+        return {
+            "evaluations": "the next stage would have passed the budget",
+            "time": "the time was over, or the run was stopped",
+            "out of reach": "what is left was seen to be out of the budget's reach and given up",
+            "failures": "rows without an answer ended it",
+        }.get(stop, "")
+
+    def why(self) -> str:
+        """Why it took much more or less than was likely, in a sentence; nothing where it did not."""
+        if max(self.likely, 1) <= FACTOR * max(self.taken, 1) and max(self.taken, 1) <= FACTOR * max(self.likely, 1):
+            return ""
+        if self.planned and not self.surrogate and self.name != "surrogate" and not self.likely:
+            return "A surrogate was not good enough, and the model was sampled."
+        if self.name in _WHY:
+            return _WHY[self.name](self)
+        return "Nothing was left for it." if not self.taken else ""
+
+
+def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affordable: int) -> tuple[PartEntry, ...]:
+    """Every part with the evaluations that were likely, the most, and those taken.
 
     Parameters
     ----------
@@ -51,91 +100,41 @@ def account(work: Work, found: Findings, *, planned: bool, surrogate: bool, affo
     parts = {part.name: part for part in forecast(work.study, affordable, planned)}
     taken = {name: sum(spent.values()) for name, spent in work.ledger.parts.items()}
     # models beside the one that was chosen are no samples of their own
+    answering = (found.pilot.chosen,) if found.pilot.fallback is None else (found.pilot.chosen, "full")
     for name, called in _CHEAPER.items():
         by = work.ledger.parts.get(name, {})
-        beside = sum(n for fidelity, n in by.items() if fidelity not in _answering(found))
+        beside = sum(n for fidelity, n in by.items() if fidelity not in answering)
         if beside:
             taken[name] -= beside
             taken[called] = beside
-    names = [*parts, *(name for name in taken if name not in parts and taken[name])]
     rows = []
-    for name in names:
-        part, spent = parts.get(name), taken.get(name, 0)
-        likely, most = (part.likely, part.most) if part else (0, 0)
-        row = {"part": name, "likely": likely, "most": most, "taken": spent}
-        rows.append({**row, "why": _why(name, likely, spent, found, planned=planned, surrogate=surrogate)})
-    return rows
+    for name in [*parts, *(name for name in taken if name not in parts and taken[name])]:
+        likely, most = (parts[name].likely, parts[name].most) if name in parts else (0, 0)
+        part = _Part(name=name, likely=likely, taken=taken.get(name, 0), found=found, planned=planned,
+                     surrogate=surrogate)  # fmt: skip
+        rows.append(PartEntry(part=name, likely=likely, most=most, taken=part.taken, why=part.why()))
+    return tuple(rows)
 
 
-def _answering(found: Findings) -> tuple[str, ...]:
-    """The models that the rows of sampling themselves were answered by."""
-    chosen = found.pilot.chosen
-    return (chosen,) if found.pilot.fallback is None else (chosen, "full")
+def _of_stages(part: _Part) -> str:
+    if part.more:
+        late = f"; it ended since {part.ended}" if part.ended else ""
+        return f"{_slowest(part)} took more points than a smooth, nearly normal quantity does{late}."
+    if part.ended:
+        return f"It ended early: {part.ended}."
+    if not part.taken:
+        return "No runs were paired for the indices." if part.name == "sensitivity" else "Nothing was sampled."
+    return "The quantities are smoother than was assumed, and their errors fell faster."
 
 
-def _why(name: str, likely: int, taken: int, found: Findings, *, planned: bool, surrogate: bool) -> str:
-    """Why a part took much more or less than was likely, in a sentence; nothing where it did not."""
-    if max(likely, 1) <= FACTOR * max(taken, 1) and max(taken, 1) <= FACTOR * max(likely, 1):
-        return ""
-    more = taken > likely
-    if planned and not surrogate and name != "surrogate" and not likely:
-        return "A surrogate was not good enough, and the model was sampled."
-    stop = found.stops.get("sensitivity" if name == "sensitivity" else "sampling", "")
-    ended = {
-        "evaluations": "the next stage would have passed the budget",
-        "time": "the time was over, or the run was stopped",
-        "out of reach": "what is left was seen to be out of the budget's reach and given up",
-        "failures": "rows without an answer ended it",
-    }.get(stop, "")
-    if name in _CHEAPER.values():
-        text = found.sampled.control.text if name == _CHEAPER["sampling"] else found.index_control.text
-        return f"{text}." if text and taken else "A control variate was tried." if taken else "None was worth a trial."
-    if name in ("sampling", "sensitivity"):
-        if more:
-            late = f"; it ended since {ended}" if ended else ""
-            worst = _slowest(found, name)
-            return f"{worst} took more points than a smooth, nearly normal quantity does{late}."
-        if ended:
-            return f"It ended early: {ended}."
-        if not taken:
-            return "No runs were paired for the indices." if name == "sensitivity" else "Nothing was sampled."
-        return "The quantities are smoother than was assumed, and their errors fell faster."
-    if name == "rare events":
-        if more:
-            searched = any(row["method"] in ("importance sampling", "subset simulation") for row in found.history)
-            if searched:
-                return "A probability was too small for plain sampling, and its failures were searched for."
-            return "The search for the design points took more than the least that it can."
-        return "Sampling had the probabilities well enough already."
-    if name == "surrogate":
-        if not surrogate:
-            return "The surrogate was found too rough, and no more runs were made for it."
-        if ended and not more:
-            return f"It ended early: {ended}."
-        if more and any(one.kind == "surrogate" for one in found.sampled.missed):
-            return "What is too rough for a surrogate took the runs that the budget had room for."
-        if more:
-            return "The model is less smooth than was assumed, and the surrogate needed more runs."
-        return "The model is smoother than was assumed, and fewer runs gave the accuracy."
-    if name == "margins":
-        if more:
-            return "The bands, or the values asked for, took more rows than the first ones, or a demand jumps."
-        return "The first rows were enough." if taken else "No curve was computed."
-    if name == "fracture":
-        return "The moment of fracture takes rows of the full model, at the value planned or along the load."
-    if name == "pilot":
-        return "Fewer models were compared than there are." if not more else "The first runs of the model were timed."
-    return "Nothing was left for it." if not taken else ""
-
-
-def _slowest(found: Findings, name: str) -> str:
+def _slowest(part: _Part) -> str:
     """The answer of a part with the largest error over its standard deviation, as it is called."""
-    told = {INDEX_KIND: "The indices"} if name == "sensitivity" else _ANSWERS
+    told = {INDEX_KIND: "The indices"} if part.name == "sensitivity" else _ANSWERS
     last = {
-        (row["quantity"], head): float(row["error"])
-        for row in found.history
+        (row.quantity, head): float(row.error or 0.0)
+        for row in part.found.history
         for head in told
-        if row["error_kind"].startswith(head)
+        if row.error_kind.startswith(head)
     }
     if not last:
         return "It"
@@ -143,77 +142,142 @@ def _slowest(found: Findings, name: str) -> str:
     return f"{told[head]} of {quantity.removeprefix('limits.')}"
 
 
+def _of_rare_events(part: _Part) -> str:
+    if not part.more:
+        return "Sampling had the probabilities well enough already."
+    if any(row.method in ("importance sampling", "subset simulation") for row in part.found.history):
+        return "A probability was too small for plain sampling, and its failures were searched for."
+    return "The search for the design points took more than the least that it can."
+
+
+def _of_surrogate(part: _Part) -> str:
+    if not part.surrogate:
+        return "The surrogate was found too rough, and no more runs were made for it."
+    if not part.more:
+        early = f"It ended early: {part.ended}." if part.ended else ""
+        return early or "The model is smoother than was assumed, and fewer runs gave the accuracy."
+    if any(one.kind == "surrogate" for one in part.found.sampled.missed):
+        return "What is too rough for a surrogate took the runs that the budget had room for."
+    return "The model is less smooth than was assumed, and the surrogate needed more runs."
+
+
+def _of_margins(part: _Part) -> str:
+    if part.more:
+        return "The bands, or the values asked for, took more rows than the first ones, or a demand jumps."
+    return "The first rows were enough." if part.taken else "No curve was computed."
+
+
+def _of_cheaper(part: _Part) -> str:
+    found = part.found
+    text = found.sampled.control.text if part.name == CHEAPER[0] else found.index_control.text
+    if not part.taken:
+        return "None was worth a trial."
+    return f"{text}." if text else "A control variate was tried."
+
+
+_WHY: Final[dict[str, Callable[[_Part], str]]] = {
+    "pilot": lambda part: "The first runs of the model were timed." if part.more else _FEWER_MODELS,
+    "sampling": _of_stages,
+    "sensitivity": _of_stages,
+    "rare events": _of_rare_events,
+    "surrogate": _of_surrogate,
+    "margins": _of_margins,
+    "fracture": lambda _: (
+        "The moment of fracture takes rows of the full model, at the value planned or along the load."
+    ),
+    **dict.fromkeys(CHEAPER, _of_cheaper),
+}
+_FEWER_MODELS: Final = "Fewer models were compared than there are."
+
+
 # --- Every accuracy that a run was asked for: what was reached, and what the rest would take.
 
-SMALL: Final = "so small that nothing hangs on it: no accuracy is pursued"
+NO_MATTER: Final = "so small that nothing hangs on it: no accuracy is pursued"
 
 
-def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> list[dict[str, Any]]:
-    """A row for every question: quantity, question, asked, reached, met, evaluations, needed, and the sentence.
+def questions(work: Work, found: Findings, missed: Sequence[Missed]) -> tuple[QuestionRow, ...]:
+    """A row for every accuracy: asked, reached, met, the evaluations behind it, those needed, and the sentence.
 
     `reached` is the half-width of the 95 % interval in the unit of what was asked; `met` is None where nothing hangs
     on it.  `needed` and the sentence are those of the accuracies that were `missed`; `needed` is None where it is not
     known of one of them.
     """
-    rows = []
-    for quantity, question, asked, reached, evaluations, told, exempt in _asked(work, found, missed):
-        known = [one.cost.needed for one in told if one.cost.needed is not None]
-        late = bool(told) or reached is None or reached > asked
-        rows.append(
-            {
-                "quantity": quantity,
-                "question": question,
-                "asked": asked,
-                "reached": reached,
-                "met": None if late and not told and exempt else not late,
-                "evaluations": evaluations,
-                "needed": max(known) if known and len(known) == len(told) else None,
-                "text": "; ".join(one.text for one in told) if told else (exempt if late else ""),
-            }
-        )
-    return rows
-
-
-_Row = tuple[str, str, float, float | None, int | None, Sequence[Missed], str]
-
-
-def _asked(work: Work, found: Findings, missed: Sequence[Missed]) -> Iterator[_Row]:
-    """What is asked, what of it was missed, and why a shortfall without a sentence is none."""
-    asked = work.study.analysis.accuracy
     told: defaultdict[tuple[str, str], list[Missed]] = defaultdict(list)
     for one in missed:
         told[one.subject, one.kind].append(one)
+    asked = work.study.analysis.accuracy
+    rows: list[QuestionRow] = []
     for name, described in found.sampled.descriptions.items():
-        if not described.scale > 0.0:
-            continue
-        counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
-        if described.mean.value is not None:
-            yield (name, f"mean, over {described.scale_name}", asked.mean, *_worst([described.mean], described.scale),
-                   told[name, "mean"], "")  # fmt: skip
-        if counted:
-            yield (name, f"worst quantile, over {described.scale_name}", asked.quantile,
-                   *_worst(counted, described.scale), told[name, "quantile"], "")  # fmt: skip
+        rows += _of_description(name, described, asked, told)
     for name, indices in found.sensitivity.items():
         refused = indices.text if not indices.missed else ""
-        yield (name, "worst index", asked.sobol, *_worst(_indices(indices), 1.0), told[name, "indices"], refused)
+        reached = _worst(indices.estimates(), 1.0)
+        rows.append(_row(name, "worst index", asked.sobol, reached, told[name, "indices"], refused))
     for name, limit in found.sampled.limits.items():
         for which in ("exceedance", "miss") if limit.aim == "break" else ("miss",):
             estimate: Estimate = getattr(limit, which)
             said = "of missing the aim" if which == "miss" else "of exceedance"
             reached = _worst([estimate], estimate.value or math.nan)
-            yield (f"limits.{name}", f"probability {said}, over itself", asked.probability, *reached,
-                   told[f"limits.{name}", which], SMALL if limit.beneath(which) else "")  # fmt: skip
+            late, exempt = told[f"limits.{name}", which], NO_MATTER if limit.beneath(which) else ""
+            rows.append(
+                _row(f"limits.{name}", f"probability {said}, over itself", asked.probability, reached, late, exempt)
+            )
     for name, margin in found.margins.items():
-        for at, band in {"": margin.band, **margin.bands}.items():
-            if band is not None:
-                curve = _curve(name, at, "band", band.missed(), band.table()["needed"])
-                yield (curve.subject, "band of the curve, over the smaller side", band.asked, band.half_width,
-                       band.course[-1].evaluations, [curve] * bool(band.missed()), "")  # fmt: skip
-        for at, steps in {"": margin.coarse, **margin.steps}.items():
-            if steps is not None:
-                curve = _curve(name, at, "steps", steps.missed(), rounded(steps.needed))
-                yield (curve.subject, "largest step of the curve, in normal scores", steps.asked, steps.step,
-                       steps.evaluations, [curve], "")  # fmt: skip
+        rows += _of_curves(name, margin)
+    return tuple(rows)
+
+
+def _row(
+    quantity: str,
+    question: str,
+    asked: float,
+    reached: tuple[float | None, int | None],
+    told: Sequence[Missed],
+    exempt: str = "",
+) -> QuestionRow:
+    """One accuracy; `exempt` says why a shortfall without a sentence is none."""
+    known = [one.cost.needed for one in told if one.cost.needed is not None]
+    width, evaluations = reached
+    late = bool(told) or width is None or width > asked
+    return QuestionRow(
+        quantity=quantity,
+        question=question,
+        asked=asked,
+        reached=width,
+        met=None if late and not told and exempt else not late,
+        evaluations=evaluations,
+        needed=max(known) if known and len(known) == len(told) else None,
+        text="; ".join(one.text for one in told) if told else (exempt if late else ""),
+    )
+
+
+def _of_description(
+    name: str, described: Description, asked: Accuracies, told: Mapping[tuple[str, str], list[Missed]]
+) -> Iterator[QuestionRow]:
+    if not described.scale > 0.0:
+        return
+    scale, over = described.scale, described.scale_name
+    if described.mean.value is not None:
+        reached = _worst([described.mean], scale)
+        yield _row(name, f"mean, over {over}", asked.mean, reached, told.get((name, "mean"), []))
+    counted = [e for p, e in described.quantiles.items() if p not in described.exempt]
+    if counted:
+        reached = _worst(counted, scale)
+        yield _row(name, f"worst quantile, over {over}", asked.quantile, reached, told.get((name, "quantile"), []))
+
+
+def _of_curves(name: str, margin: MarginAnswer) -> Iterator[QuestionRow]:
+    for at, band in {"": margin.band, **margin.bands}.items():
+        if band is not None:
+            curve = _curve(name, at, "band", band.missed(), band.table()["needed"])
+            reached = band.half_width, band.course[-1].evaluations
+            text = "band of the curve, over the smaller side"
+            yield _row(curve.subject, text, band.asked, reached, [curve] * bool(band.missed()))
+    for at, steps in {"": margin.coarse, **margin.steps}.items():
+        if steps is not None:
+            curve = _curve(name, at, "steps", steps.missed(), rounded(steps.needed))
+            text = "largest step of the curve, in normal scores"
+            yield _row(curve.subject, text, steps.asked, (steps.step, steps.evaluations), [curve])
 
 
 def _curve(name: str, at: str, kind: str, text: str, needed: int | None) -> Missed:
@@ -227,11 +291,6 @@ def _worst(estimates: Sequence[Estimate], scale: float) -> tuple[float | None, i
     known = [(e.half_width / scale, e.evaluations) for e in estimates if e.value is not None and scale > 0.0]
     known = [pair for pair in known if math.isfinite(pair[0])]
     return max(known, default=(None, None))
-
-
-def _indices(found: Sensitivity) -> list[Estimate]:
-    rows = [found.first, found.total, found.second, found.group_first, found.group_total, found.shapley]
-    return [e for row in (*rows, *found.kucherenko.values()) for e in row.values()]
 
 
 # --- Rows of the speed-error table for the answers that no stage pursues: they have the error that they come out with.

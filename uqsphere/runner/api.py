@@ -16,7 +16,6 @@ from uqsphere.store import open_store
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
-    from uqsphere.runner.evaluate import SpeedRow
     from uqsphere.runner.finished import Run
     from uqsphere.runner.workers import Executor
 
@@ -39,7 +38,7 @@ def run(
     progress: Callable[[str, int, int], None] | None = None,
     notice: Callable[[str], None] | None = None,
     stop: Callable[[], bool] | None = None,
-    reached: Callable[[list[SpeedRow]], None] | None = None,
+    reached: Callable[[list[dict[str, Any]]], None] | None = None,
 ) -> Run:
     """Run a study and write its result folder.
 

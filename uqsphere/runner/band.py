@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import evaluations_needed, rounded
 from uqsphere.runner.curve_rows import half_widths
-from uqsphere.runner.evaluate import SpeedRow
 from uqsphere.units import told_apart
 
 __all__ = ["ASKED", "KIND", "METHOD", "Band", "Stage", "stage_of"]

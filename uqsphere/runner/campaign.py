@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Protocol
 
-from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
+from uqsphere.results import SpeedRow
+from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.schedule import CAUTION
 from uqsphere.units import told_apart
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import INDEX_KIND, MOST_NAMED, NO_NUMBER, Cost, Missed, cost_of, speed_rows_of
 from uqsphere.runner.dear_answers import Answers, widest
-from uqsphere.runner.evaluate import SpeedRow, Work
+from uqsphere.runner.evaluate import Work
 from uqsphere.runner.price import Priced
 from uqsphere.runner.questions.distributions import METHOD, shortfalls, speed_rows
 from uqsphere.uq import augmented
@@ -73,9 +74,9 @@ class Course:
     def errors(self, quantity: str, kind: str) -> Errors:
         """Errors of one kind, as they are."""
         return [
-            (row["evaluations"], row["error"])
+            (row.evaluations, row.error)
             for row in self.history
-            if row["quantity"] == quantity and row["error_kind"] == kind
+            if row.quantity == quantity and row.error_kind == kind and row.error is not None
         ]
 
     def priced(self, missed: Sequence[Missed], priced: Priced, learned: Mapping[str, int]) -> list[Missed]:

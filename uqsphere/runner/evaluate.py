@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from uqsphere.model import (
     is_answered,
     status_text,
 )
+from uqsphere.results import SpeedRow
 from uqsphere.runner.chunks import CHUNK, chosen_columns, collect
 from uqsphere.runner.remote import Task
 from uqsphere.runner.schedule import REPLICATES
@@ -38,7 +39,6 @@ __all__ = [
     "Executor",
     "Ledger",
     "OutOfBudget",
-    "SpeedRow",
     "Work",
     "draw",
     "evaluate_points",
@@ -56,16 +56,6 @@ MOST_DROPPED = 0.01
 MANY, BY_CHANCE = 1000, 0.025
 #: evaluations without a single answer after which no policy goes on, unless the budget has no more to begin with
 NONE_ANSWERED = 1000
-
-
-class SpeedRow(TypedDict):
-    """A row of the speed-error table: what error of which question a method had reached after so many evaluations."""
-
-    method: str
-    quantity: str
-    evaluations: int
-    error: float
-    error_kind: str
 
 
 class OutOfBudget(Exception):
@@ -132,7 +122,7 @@ class Work:
     #: asked between calls of the model; true ends the run as its time budget would, with what is there
     stop: Callable[[], bool] | None = None
     #: told the errors of a stage, the rows of the speed-error table
-    reached: Callable[[list[SpeedRow]], None] | None = None
+    reached: Callable[[list[dict[str, Any]]], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
 
@@ -152,12 +142,12 @@ class Work:
             return True
         return False
 
-    def tell(self, rows: list[SpeedRow], seconds: Sequence[float] | None = None) -> None:
+    def tell(self, rows: Sequence[SpeedRow], seconds: Sequence[float] | None = None) -> None:
         """Note the errors that a stage has reached, and pass them on; `seconds`: when, if not now."""
         self.ledger.rows += rows
         self.ledger.times += [self.ledger.elapsed] * len(rows) if seconds is None else seconds
         if self.reached is not None and rows:
-            self.reached(rows)
+            self.reached([row.document() for row in rows])
 
     @property
     def quantities(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from uqsphere.results import PlanEntry
 from uqsphere.results.entries import PricesEntry
 from uqsphere.runner.account import account, further_rows
 from uqsphere.runner.courses import save_courses
@@ -26,13 +27,13 @@ def finish(work: Work, store: Store, priced: Priced, dear: Dear | None, found: F
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way = priced.way
     taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
-    plan = {
-        "way": taken,
-        "why": way.why if dear is None else dear.why,
-        "sampling_evaluations": way.sampling,
-        "surrogate_evaluations": way.runs,
-        "parts": account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
-    }
+    plan = PlanEntry(
+        way=taken,
+        why=way.why if dear is None else dear.why,
+        sampling_evaluations=way.sampling,
+        surrogate_evaluations=way.runs,
+        parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
+    )
     found = replace(found, plan=plan)
     store.settle()
     save_points(work, store, found.sampled)

@@ -10,13 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import format_value
+from uqsphere.results import SpeedRow
 from uqsphere.runner.band import Band
 from uqsphere.runner.curve_rows import CurveRows
 from uqsphere.runner.curve_values import POINTS, refined_values
 from uqsphere.runner.curves import find_rows
 from uqsphere.runner.design_margins import Where, describe_margin
 from uqsphere.runner.energy_curve import EnergyCurve, energy_curve, energy_table, not_known
-from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work
+from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.moved import axis_of
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import REPLICATES

@@ -12,13 +12,13 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import Results, ToleranceEntry
+from uqsphere.results import PlanEntry, Results, SpeedRow, ToleranceEntry
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files
 from uqsphere.runner.drivers import Drivers
-from uqsphere.runner.evaluate import Ledger, SpeedRow, Work
+from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
@@ -59,7 +59,7 @@ class Findings:
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
     fracture: dict[str, Any] | None = None
-    plan: dict[str, Any] = field(default_factory=dict)
+    plan: PlanEntry = field(default_factory=PlanEntry)
 
 
 def _share(p: float) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from uqsphere.errors import UsageError
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import (
     MEAN_KIND,
     MISS_KIND,
@@ -18,7 +19,7 @@ from uqsphere.runner.campaign import (
     campaign,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, draw, evaluate_sample
+from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits, limits_missed, takes_over
 from uqsphere.runner.multifidelity import Control, affordable_rows, follow
 from uqsphere.runner.schedule import REPLICATES, SAMPLING

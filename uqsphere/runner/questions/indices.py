@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import (
     INDEX_KIND,
     Accuracy,
@@ -22,7 +23,7 @@ from uqsphere.runner.campaign import (
     indices_missed,
     speed_rows_of,
 )
-from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, SpeedRow, Work, evaluate_points
+from uqsphere.runner.evaluate import MOST_DROPPED, OutOfBudget, Work, evaluate_points
 from uqsphere.runner.index_control import IndexControl, sharpen
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import INDICES, REPLICATES
@@ -251,6 +252,11 @@ class Sensitivity:
     group_first: dict[str, Estimate] = field(default_factory=dict)
     group_total: dict[str, Estimate] = field(default_factory=dict)
     estimators: str = ""
+
+    def estimates(self) -> list[Estimate]:
+        """Every index that is given."""
+        rows = (self.first, self.total, self.second, self.group_first, self.group_total, self.shapley)
+        return [e for row in (*rows, *self.kucherenko.values()) for e in row.values()]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,9 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.model import is_answered
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import MISS_KIND, Accuracy, Cost, Missed, campaign, cost_of, speed_rows_of
-from uqsphere.runner.evaluate import OutOfBudget, SpeedRow, Work, evaluate_points
+from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points
 from uqsphere.runner.limits import LimitAnswer, limits_missed, takes_over
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.schedule import DESIGN_POINT, RARE

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import is_answered
+from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import INDEX_KIND, Accuracy, Cost, campaign, indices_missed, speed_rows_of
-from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points
+from uqsphere.runner.evaluate import Work, evaluate_points
 from uqsphere.runner.index_control import IndexControl
 from uqsphere.runner.multifidelity import Plan
 from uqsphere.runner.questions.distributions import Sampled

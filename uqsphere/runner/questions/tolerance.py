@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from uqsphere.model import Answered, is_answered
-from uqsphere.results import ToleranceEntry
+from uqsphere.results import SpeedRow, ToleranceEntry
 from uqsphere.runner.campaign import Accuracy, campaign
-from uqsphere.runner.evaluate import SpeedRow, Work, evaluate_points
+from uqsphere.runner.evaluate import Work, evaluate_points
 from uqsphere.study.document import ToleranceRequest
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.tolerance import tolerance_limits
