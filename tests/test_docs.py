@@ -31,8 +31,9 @@ from uqsphere.runner import campaign as stopping
 from uqsphere.runner import schedule
 from uqsphere.runner.questions import indices as sensitivity
 from uqsphere.study import load_study
-from uqsphere.study.document import LimitTable, PulseTable, SphereTable, declared
+from uqsphere.study.document import LimitTable, PulseTable, SphereTable
 from uqsphere.study.reference import with_tables
+from uqsphere.study.tables import declared
 from uqsphere.units import UNITS, units_of
 from uqsphere.uq import indices
 from uqsphere.uq.families import FAMILIES

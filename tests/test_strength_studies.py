@@ -84,7 +84,7 @@ def test_the_bias_is_taken_out_on_request(load: Load) -> None:
 @pytest.mark.parametrize(
     ("change", "csv", "says"),
     [
-        (("", ""), "F,D,stop\n", "there are no tests"),
+        (("", ""), "F,D,stop\n", "found 0 values"),
         (("", ""), "F,D,stop\n6,20,1\n7,20,1\n", "all 2 tests were stopped"),
         (("", ""), "F,D,stop\n6,20,0\n-7,20,0\n", "line 3 .*force at failure must be above 0, found -7"),
         (("", ""), "F,D,stop\n6,20,0\n7,0,0\n", "the diameter must be above 0"),
@@ -94,8 +94,8 @@ def test_the_bias_is_taken_out_on_request(load: Load) -> None:
         (("", ""), "F,D,stop\n6,20,0\nx,20,0\n", "finite number is due"),
         (('"F"', '"f"'), CSV, "strength.force: the column \"f\" is not in"),
         ((', force_unit = "kN"', ""), CSV, "add force_unit"),
-        (('"kN"', '"mm"'), CSV, "force_unit.unit: found \"mm\""),
-        ((', diameter = "D", diameter_unit = "mm"', ""), CSV, "need their diameter"),
+        (('"kN"', '"mm"'), CSV, "force_unit: found \"mm\""),
+        ((', diameter = "D", diameter_unit = "mm"', ""), CSV, "diameter is missing"),
         (("censored", "cencored"), CSV, "did you mean 'censored'"),
         ((" }", ', platens = "stel" }'), CSV, "did you mean 'steel'"),
         ((" }", ', fit = "kde" }'), CSV, "weibull"),
@@ -161,7 +161,7 @@ def test_new_keys_leave_the_hash_of_older_studies_alone(load: Load) -> None:
         (MARGINS + 'family = { path = "sphere.size", values = ["1 mm"] }\n', "is no number of this scene"),
         (MARGINS + 'family = { path = "sphere.radius", values = ["8 mm", "8 mm"] }\n', "named twice"),
         (MARGINS + 'family = { path = "sphere.radius", values = ["8 s"] }\n', "unknown unit"),
-        (MARGINS + 'family = { path = "sphere.radius" }\n', "a family needs"),
+        (MARGINS + 'family = { path = "sphere.radius" }\n', "values is missing"),
         ('[margins]\nsolve = "limits.a.strength"\nbetween = ["-1 GPa", "9 GPa"]\n', "must be above 0"),
     ],
 )

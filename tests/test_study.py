@@ -30,8 +30,8 @@ from uqsphere.study.document import (
     PulseTable,
     SphereTable,
     StrikerTable,
-    declared,
 )
+from uqsphere.study.tables import declared
 from uqsphere.uq.law import Law
 
 STUDIES = Path(__file__).parent.parent / "studies"

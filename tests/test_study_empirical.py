@@ -49,7 +49,7 @@ def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
         (('"tests.csv"', '"link.csv"'), "E\n1\n2\n", "leaves the study's folder"),
         (('"tests.csv"', '"test.csv"'), "E\n1\n2\n", "did you mean 'tests.csv'"),
         (('"tests.csv"', '"."'), "E\n1\n2\n", "cannot be read as a file"),
-        (('"tests.csv"', "3"), "E\n1\n2\n", "found 3, where a text is due"),
+        (('"tests.csv"', "3"), "E\n1\n2\n", "found 3, where a text in quotes is due"),
         (("", ""), "F,e\n1,2\n2,3\n", "column \"E\" is not in"),
         (("", ""), "E,E\n1,2\n2,3\n", "twice or more"),
         (("", ""), "E\n1\nx\n", "line 3 .*: found \"x\""),
@@ -64,7 +64,7 @@ def test_empirical_law_from_a_csv(load: Load, tmp_path: Path) -> None:
         (('"GPa"', '"mm"'), "E\n1\n2\n", "sphere.E.unit: found \"mm\""),
         (('"steps"', '"stepps"'), "E\n1\n2\n", "sphere.E.fit"),
         (('"steps"', "3"), "E\n1\n2\n", "sphere.E.fit"),
-        ((', column = "E"', ""), "E\n1\n2\n", "needs column"),
+        ((', column = "E"', ""), "E\n1\n2\n", "column is missing"),
         ((', column = "E"', ', column = "E", mean = "5 GPa"'), "E\n1\n2\n", "sphere.E.mean"),
     ],
 )  # fmt: skip

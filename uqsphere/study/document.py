@@ -1,28 +1,40 @@
 """The tables of a study file, each declared once.
 
-From a declaration follow how its table is read and what is said of its faults, the schema for editors and the tables
-of docs/study-file.md (both in `uqsphere.study.reference`), and, where nothing else enters, the frozen noun itself.
-Numbers that can scatter are taken as they come: `uqsphere.study.numbers` reads them where their quantity is known.
-How values go together is asked in `uqsphere.study.resolve`, where a fault in one part does not hide those of others.
+From a declaration follow how its table is read and what is said of its faults (`uqsphere.study.tables`), the schema for
+editors and the tables of docs/study-file.md (`uqsphere.study.reference`), and, where nothing else enters, the frozen
+noun itself.  Numbers that can scatter are taken as they come: `uqsphere.study.numbers` reads them where their quantity
+is known.  How values go together is asked in `uqsphere.study.resolve`, where a fault in one part does not hide those of
+others.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import deepcopy
-from typing import Annotated, Any, Final, get_args, get_origin
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Final
 
-from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, ValidationInfo
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
-from pydantic_core import core_schema
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS
-from uqsphere.study.faults import Findings, Place, nearest, one_of, shown, suggestion
-from uqsphere.study.numbers import fixed_value
-from uqsphere.units import UNITS, Quantity, bare_number
+from uqsphere.study.faults import Misplaced, Raw, one_of, shown
+from uqsphere.study.tables import (
+    MOST_LISTED,
+    Check,
+    Fixed,
+    Flag,
+    Node,
+    Number,
+    Real,
+    Text,
+    Whole,
+    among,
+    key,
+    several,
+    within,
+)
+from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
 
 __all__ = [
@@ -34,6 +46,7 @@ __all__ = [
     "Budget",
     "Dependence",
     "Document",
+    "EmpiricalTable",
     "FamilyTable",
     "Gauge",
     "LimitTable",
@@ -43,113 +56,23 @@ __all__ = [
     "ProductTable",
     "PulseTable",
     "SphereTable",
+    "SphereTestsTable",
     "StrikerTable",
     "ToleranceRequest",
-    "declared",
-    "read_document",
 ]
-
-Node = dict[str, Any]
 
 #: tables of a scene whose numbers are entries of `uqsphere.quantities.INPUTS`
 SCENE: Final = ("sphere", "bars", "striker", "pulse", "product")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
-#: gauges of one scene, groups of inputs, members of any other list
+#: gauges of one scene
 MOST_GAUGES: Final = 20
-_MOST_LISTED: Final = 200
 #: rows of one stored chunk, `uqsphere.runner.chunks`
 _MOST_ROWS: Final = 16_384
-_MOST_SUGGESTIONS: Final = 50
 
 
 # --- what a key can hold ----------------------------------------------------------------------------
-
-Text = Annotated[str, Strict()]
-Flag = Annotated[bool, Strict()]
-Whole = Annotated[int, Strict()]
-Real = Annotated[float, Strict()]
-#: a number of the scene as the file has it: a number, a text with a unit, or the table of a distribution
-Number = Any
-
-
-class Misplaced(ValueError):
-    """A fault of one part of a value: `at` is the way to it."""
-
-    def __init__(self, message: str, *at: int | str) -> None:
-        super().__init__(message)
-        self.at = at
-
-
-@dataclasses.dataclass(frozen=True)
-class Check:
-    """A mark on a type: `look` gives the value that stands, and raises ValueError for what cannot.
-
-    `schema` says the same to editors: beside what the type says or, where `first` has it looked at before the type, in
-    its place.
-    """
-
-    look: Callable[[Any], Any]
-    schema: Callable[[], Node] = dict
-    first: bool = False
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
-        if self.first:
-            return core_schema.no_info_before_validator_function(self.look, handler(source))
-        return core_schema.no_info_after_validator_function(self.look, handler(source))
-
-    def __get_pydantic_json_schema__(self, core: core_schema.CoreSchema, handler: Any) -> Node:
-        return {**({} if self.first else handler(core)), **self.schema()}
-
-
-@dataclasses.dataclass(frozen=True)
-class Fixed:
-    """A mark on a float: a fixed number with its unit in the file, in SI in the noun."""
-
-    quantity: Quantity
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> core_schema.CoreSchema:
-        return core_schema.with_info_plain_validator_function(self.read)
-
-    def __get_pydantic_json_schema__(self, core: core_schema.CoreSchema, handler: Any) -> Node:
-        return {"dimension": self.quantity.dimension}
-
-    def read(self, raw: Any, info: ValidationInfo[Any]) -> Any:
-        """SI value of what a file has; what Python gives is in SI already."""
-        return raw if info.context is None else fixed_value(raw, self.quantity)
-
-
-def within(low: float, high: float = math.inf, *, closed: bool = False) -> Check:
-    """A number between two bounds, which are excluded unless `closed`."""
-    if high == math.inf:
-        due = f"from {low:g} upwards" if closed else f"above {low:g}"
-    else:
-        due = f"from {low:g} to {high:g}" if closed else f"between {low:g} and {high:g}, both excluded,"
-
-    def look(value: float) -> float:
-        if not (low <= value <= high if closed else low < value < high):
-            raise ValueError(f"found {bare_number(value)}, a number {due} is due")
-        return value
-
-    least, most = ("minimum", "maximum") if closed else ("exclusiveMinimum", "exclusiveMaximum")
-    return Check(look, lambda: {least: low} | ({} if high == math.inf else {most: high}))
-
-
-def among(words: Sequence[str] | Callable[[], Iterable[str]]) -> Check:
-    """One of some words, which are looked up only where they are needed if they are given as a function."""
-
-    def known() -> list[str]:
-        return list(words() if callable(words) else words)
-
-    def look(value: Any) -> Any:
-        if not isinstance(value, str):
-            raise ValueError(f"found {shown(value)}, a word is due: {one_of(known())}")
-        if value not in known():
-            raise ValueError(f"found {shown(value)}, allowed: {one_of(known())}{suggestion(value, known())}")
-        return value
-
-    return Check(look, lambda: {"enum": known()}, first=True)
 
 
 def _signal_units() -> Iterable[str]:
@@ -158,28 +81,19 @@ def _signal_units() -> Iterable[str]:
     return SIGNAL_UNITS
 
 
-def several(least: int, what: str, most: int = _MOST_LISTED) -> Check:
-    """A list with so many entries, each once."""
+def _platens() -> Iterable[str]:
+    from uqsphere.materials import library
 
-    def look(values: tuple[Any, ...]) -> tuple[Any, ...]:
-        for index, value in enumerate(values):
-            if value in values[:index]:
-                raise Misplaced(f"{shown(value)} is named twice", index)
-        if not least <= len(values) <= most:
-            due = f"{least} or more are due" if len(values) < least else f"at most {most:,} are allowed"
-            raise ValueError(f"found {len(values)} {what}, {due}")
-        return values
-
-    return Check(look, lambda: {"minItems": least})
+    return "bars", "rigid", *library()["bars"]
 
 
 def _in_order(values: tuple[float, ...]) -> tuple[float, ...]:
-    if not 1 <= len(values) <= _MOST_LISTED:
-        raise ValueError(f"found {len(values)} numbers, from 1 to {_MOST_LISTED} are due")
+    if not 1 <= len(values) <= MOST_LISTED:
+        raise ValueError(f"found {len(values)} numbers, from 1 to {MOST_LISTED} are due")
     return tuple(sorted(set(values)))
 
 
-def _methods(value: Any) -> Any:
+def _methods(value: Raw) -> Raw:
     """The word "auto" as a list."""
     if value != "auto" and not isinstance(value, (list, tuple)):
         hint = f'; write methods = ["{value}"]' if value in METHODS else ""
@@ -210,6 +124,12 @@ def _window(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def _ends(values: tuple[Raw, ...]) -> tuple[Raw, ...]:
+    if len(values) != 2:
+        raise ValueError(f"found {len(values)} values, two are due: the lowest and the highest")
+    return values
+
+
 Share = Annotated[Real, within(0.0, 1.0)]
 Positive = Annotated[Real, within(0.0)]
 Correlation = Annotated[Real, within(-1.0, 1.0)]
@@ -227,16 +147,6 @@ Methods = Annotated[
 ]
 
 
-def key(meaning: str, default: Any = None, *, default_is: str = "", due: str = "") -> Any:
-    """A key of a table.
-
-    meaning : one clause, for the reference and for editors
-    default_is : the default in words, where its value does not say it
-    due : the key must be given: what to add where it is missing
-    """
-    return Field(default=default, description=meaning, json_schema_extra={"default_is": default_is, "due": due})
-
-
 # --- the tables -------------------------------------------------------------------------------------
 
 #: no key beyond those declared
@@ -247,9 +157,7 @@ _CLOSED: Final = ConfigDict(extra="forbid", defer_build=True)
 class SphereTable:
     """The sphere."""
 
-    material: Text | None = key(
-        "name from `uqsphere list materials`; fills `E`, `nu`, `density` that are not given", default_is="none"
-    )
+    material: Text | None = key("name from `uqsphere list materials`; fills `E`, `nu`, `density` that are not given")
     E: Number = key("Young's modulus", default_is="from the material")
     nu: Number = key("Poisson ratio, below 0.5", default_is="from the material")
     density: Number = key("density", default_is="from the material")
@@ -262,7 +170,7 @@ class SphereTable:
 class BarsTable:
     """Both bars, alike in material and diameter."""
 
-    material: Text | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given", default_is="none")
+    material: Text | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
     E: Number = key("as for the sphere", default_is="from the material")
     nu: Number = key("as for the sphere", default_is="from the material")
     density: Number = key("as for the sphere", default_is="from the material")
@@ -279,8 +187,7 @@ class BarsTable:
     receiving_end: Number = key("the same for the receiving bar", default_is='`"absorbing"`')
     receiving_damper: Text | None = key(
         "in place of `receiving_end`: a CSV beside the study with the columns `frequency` [Hz], `impedance_real` and "
-        "`impedance_imag` [kg/s] of the far end",
-        default_is="none",
+        "`impedance_imag` [kg/s] of the far end"
     )
     end_radius: Number = key("radius of rounded ends at the sphere", default_is="flat")
     infinite: Flag = key("no reflections", False)
@@ -387,7 +294,7 @@ class LimitTable:
 
     quantity: Text | None = key("a quantity of `uqsphere list quantities`", default_is="required, or `criterion`")
     criterion: Annotated[Text, Check(lambda name: name, lambda: {"enum": list(CRITERIA)})] | None = key(
-        "in place of `quantity`: a criterion of `uqsphere list criteria`, for the impact model", default_is="none"
+        "in place of `quantity`: a criterion of `uqsphere list criteria`, for the impact model"
     )
     modulus: Annotated[float, _parameter("modulus")] | None = key(
         "Weibull modulus of a weakest link; a strength that is a Weibull law has it already",
@@ -397,16 +304,13 @@ class LimitTable:
         "volume on which the strength was measured", default_is="required by `weakest_link_volume`"
     )
     reference_area: Annotated[float, _parameter("reference_area")] | None = key(
-        "area on which the strength was measured",
-        default_is="required by `weakest_link_surface`, `weakest_link_rim`",
+        "area on which the strength was measured", default_is="required by `weakest_link_surface`, `weakest_link_rim`"
     )
     largest_energy: Annotated[float, _parameter("largest_energy")] | None = key(
-        "`specific_energy`: upper bound of the fracture energy, whose law is then an upper-truncated lognormal",
-        default_is="none",
+        "`specific_energy`: upper bound of the fracture energy, whose law is then an upper-truncated lognormal"
     )
     rate_0: Annotated[float, _parameter("rate_0")] | None = key(
-        "strain rate at which the strength has doubled: strengths in tension then grow with the rate of each sample",
-        default_is="none",
+        "strain rate at which the strength has doubled: strengths in tension then grow with the rate of each sample"
     )
     strength: Number = key(
         "what it is held against: value or distribution, in the unit of the quantity",
@@ -418,7 +322,7 @@ class LimitTable:
     model_factor: Number = key(
         "factor on the quantity for what the model leaves out; value or distribution", default_is="`1`"
     )
-    target: Share | None = key("largest accepted probability of missing the aim, between 0 and 1", default_is="none")
+    target: Share | None = key("largest accepted probability of missing the aim, between 0 and 1")
     fracture: Flag | None = key(
         "whether exceeding it breaks the sphere: `true` for criteria, pressures, tensions, forces and energies; "
         "`false` for one that is no fracture, say bars that must stay elastic",
@@ -439,9 +343,9 @@ class Dependence:
     copula: Annotated[Text, among(COPULAS)] = key(
         f"how they depend: {one_of([f'`{shown(name)}`' for name in COPULAS])}", "gaussian"
     )
-    kendall: Correlation | None = key("Kendall's rank correlation, between -1 and 1", default_is="none")
+    kendall: Correlation | None = key("Kendall's rank correlation, between -1 and 1")
     dof: Annotated[Real, Check(lambda value: value, lambda: {"minimum": LEAST_DOF, "maximum": MOST_DOF})] | None = key(
-        "degrees of freedom of a Student t copula, 1 to 1000; required there, and for no other", default_is="none"
+        "degrees of freedom of a Student t copula, 1 to 1000; required there, and for no other"
     )
 
 
@@ -515,53 +419,83 @@ class Analysis:
         "abort",
     )
     second_order: Flag = key("indices of all pairs of inputs as well", False)
-    groups: Mapping[Text, Names] = key(
-        "indices of inputs taken together, each group by a name of yours", {}, default_is="none"
-    )
+    groups: Mapping[Text, Names] = key("indices of inputs taken together, each group by a name of yours", {})
     tolerance_intervals: ToleranceRequest | None = key(
         "distribution-free limits: `coverage` and `confidence`, both 0.95 unless given, and `runs`, by default the "
-        "fewest that give a two-sided interval",
-        default_is="none",
+        "fewest that give a two-sided interval"
     )
     rows_per_call: Annotated[Whole, within(1, _MOST_ROWS, closed=True)] | None = key(
         "rows in one call of a black box: [cluster.md](cluster.md)", default_is="by their number"
     )
-    time_limit: Seconds | None = key(
-        "longest time of one evaluation of a black box; one that takes longer has failed", default_is="none"
-    )
+    time_limit: Seconds | None = key("longest time of one evaluation of a black box; one that takes longer has failed")
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class FamilyTable:
     """Another number of the scene, and values of it."""
 
-    path: Text | None = None
-    values: tuple[Any, ...] | None = None
+    path: Text = key("number of the scene", due='add path = "sphere.radius"')
+    values: Annotated[tuple[Raw, ...], several(1, "values", 12)] = key(
+        "its values", (), due='add values = ["5 mm", "10 mm"]'
+    )
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class MarginsTable:
     """The inverse question."""
 
-    solve: Text | None = key('the number that is free, such as `"striker.speed"`', default_is="required")
-    between: tuple[Any, ...] | None = key("two values with units, in order", default_is="required")
+    solve: Text = key(
+        'the number that is free, such as `"striker.speed"`',
+        due='add the number that is free, such as solve = "striker.speed"',
+    )
+    between: Annotated[tuple[Raw, ...], Check(_ends, lambda: {"minItems": 2, "maxItems": 2})] = key(
+        "two values with units, in order", (), due="add the lowest and the highest value to look at"
+    )
     for_probability: Shares = key("probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99))
     for_survival: Shares | None = key(
-        "probabilities of survival, added to those: 0.99 asks for a probability of fracture of 0.01",
-        default_is="none",
+        "probabilities of survival, added to those: 0.99 asks for a probability of fracture of 0.01"
     )
-    for_fracture: Shares | None = key("probabilities of fracture, added as they are", default_is="none")
-    family: FamilyTable | None = key(
-        "a curve at each of some `values` of another number of the scene, its `path`", default_is="none"
-    )
+    for_fracture: Shares | None = key("probabilities of fracture, added as they are")
+    family: FamilyTable | None = key("a curve at each of some `values` of another number of the scene, its `path`")
     bars_elastic: Flag = key(
         "also the value at which the bars yield, in the pulse and under the sphere in 1 % of the cases; told in any "
         "case where `p_max` is asked for",
         False,
     )
-    against: Text | None = key(
-        '`"specific_energy"`: every curve also over the specific energy imposed on the sphere', default_is="none"
-    )
+    against: Text | None = key('`"specific_energy"`: every curve also over the specific energy imposed on the sphere')
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class EmpiricalTable:
+    """A distribution from a column of observations."""
+
+    dist: Text = "empirical"
+    file: Text = key("CSV beside the study", due='add file = "tests.csv"')
+    column: Text = key("column of the CSV", due='add column = "strength"')
+    unit: Text | None = key("unit of the column")
+    fit: Text | None = key("`kde` (smooth), `steps` (the observations), or a distribution that is fitted to them")
+    lower: Number = None
+    upper: Number = None
+    censored: Text | None = key("column of flags: tests stopped before a failure")
+    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class SphereTestsTable:
+    """A strength from the forces at which spheres broke."""
+
+    dist: Text = "empirical"
+    file: Text = key("CSV beside the study", due='add file = "tests.csv"')
+    force: Text = key("column of forces at failure of spheres, in place of column", due='add force = "F"')
+    force_unit: Annotated[Text, among(tuple(UNITS["force"]))] = key("unit of the forces", due='add force_unit = "kN"')
+    diameter: Text = key("column of diameters, or one length", due='add a column, or a value: diameter = "16 mm"')
+    diameter_unit: Annotated[Text, among(tuple(UNITS["length"]))] | None = key("unit of the diameters")
+    rate: Text | None = key("column of loading rates")
+    rate_unit: Annotated[Text, among(tuple(UNITS["loading_rate"]))] | None = key("unit of the loading rates")
+    censored: Text | None = key("column of flags: tests stopped before a failure")
+    platens: Annotated[Text, among(_platens)] = key("`bars`, `rigid`, or a material of bars", "bars")
+    fit: Text = key("the law that is fitted to the strengths", "weibull")
+    unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -590,128 +524,3 @@ class Document:
     gauges: tuple[Gauge, ...] = ()
     analysis: Analysis = Analysis()
     margins: MarginsTable | None = None
-
-
-# --- reading ----------------------------------------------------------------------------------------
-
-#: pydantic's name of a fault -> what is due there
-_DUE: Final = {
-    "string_type": "a text in quotes",
-    "bool_type": "true or false",
-    "int_type": "a whole number",
-    "float_type": "a number",
-    "tuple_type": "an array",
-    "mapping_type": "a table",
-    "dict_type": "a table",
-    "dataclass_type": "a table",
-    "dataclass_exact_type": "a table",
-}
-
-
-def read_document(data: dict[str, Any], findings: Findings) -> Document:
-    """The tables of the file, without those parts that were faulty; each fault is noted."""
-    adapter = TypeAdapter(Document)
-    left = deepcopy(data)
-    document = Document()
-    # Taking a faulty part out can bring up one fault more at the most per level, so that a few turns do.
-    for _ in range(8):
-        try:
-            document = adapter.validate_python(left, context=True)
-            break
-        except ValidationError as error:
-            faults = error.errors(include_url=False)
-        for count, fault in enumerate(faults):
-            place: Place = tuple(fault["loc"])
-            if not findings.touched(place):
-                _note(fault, place, findings, suggest=count < _MOST_SUGGESTIONS)
-            _take_out(left, place)
-    _note_missing(document, data, (), findings)
-    return document
-
-
-def declared(table: Any) -> dict[str, Any]:
-    """The keys of a table and what is declared of each."""
-    return dict(table.__pydantic_fields__)
-
-
-def known_keys(place: Place) -> list[str]:
-    """The keys that the table at `place` can hold."""
-    kind: Any = Document
-    named = False
-    for part in place:
-        # an entry of a mapping or a list goes by a name of the user's, or by number: the table above says what it is
-        if named or kind is None:
-            named = False
-            continue
-        annotation = declared(kind)[part].annotation if part in declared(kind) else None
-        named = get_origin(annotation) in (tuple, Mapping)
-        kind = next(_kinds(annotation), None)
-    return [] if kind is None else list(declared(kind))
-
-
-def _kinds(annotation: Any) -> Iterator[Any]:
-    """The tables that a type is made of."""
-    if isinstance(annotation, type) and dataclasses.is_dataclass(annotation):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _kinds(part)
-
-
-def _note(fault: Any, place: Place, findings: Findings, *, suggest: bool) -> None:
-    """Note one fault that pydantic found."""
-    kind, found, name = fault["type"], fault["input"], str(place[-1])
-    if kind == "value_error":
-        error = fault["ctx"]["error"]
-        findings.add((*place, *getattr(error, "at", ())), str(error))
-    elif kind == "unexpected_keyword_argument":
-        keys = known_keys(place[:-1])
-        near = suggestion(name, keys) if suggest else ""
-        findings.add(place, f"unknown key {shown(name)}{near or f'; known here: {one_of(keys)}'}")
-        # The key that was meant is not missing: it is misspelt, which has been said.
-        meant = nearest(name, keys) if suggest else None
-        findings.spoiled.update([(*place[:-1], meant)] if meant else [])
-    elif kind in _DUE:
-        findings.add(place, f"found {shown(found)}, where {_DUE[kind]} is due")
-    else:
-        findings.add(place, f"found {shown(found)}, which cannot stand here")
-
-
-def _note_missing(table: Any, raw: Any, place: Place, findings: Findings) -> None:
-    """Note every key that must be given and is not, here and in the tables below."""
-    if isinstance(table, Mapping):
-        parts = [(name, value) for name, value in table.items() if dataclasses.is_dataclass(value)]
-    elif isinstance(table, tuple):
-        parts = [(index, value) for index, value in enumerate(table) if dataclasses.is_dataclass(value)]
-    else:
-        parts = [(name, getattr(table, name)) for name in declared(table)]
-        for name, entry in declared(table).items():
-            due = (entry.json_schema_extra or {}).get("due")
-            if due and name not in raw and findings.clean((*place, name)):
-                findings.add((*place, name), f"{name} is missing: {due}")
-    for part, value in parts:
-        below = _child(raw, part)
-        if isinstance(below, (dict, list)) and (isinstance(value, (Mapping, tuple)) or dataclasses.is_dataclass(value)):
-            _note_missing(value, below, (*place, part), findings)
-
-
-def _take_out(data: Any, place: Place) -> None:
-    """Remove what stands at `place`; an array goes as a whole with one faulty element of it."""
-    node = data
-    for depth, part in enumerate(place[:-1]):
-        child = _child(node, part)
-        if isinstance(child, list) and depth + 2 == len(place):
-            index = place[-1]
-            if part in ("dependence", "gauges") and isinstance(index, int):
-                child[index] = {}
-            elif isinstance(node, dict):
-                node.pop(part, None)
-            return
-        node = child
-    if isinstance(node, dict):
-        node.pop(place[-1], None)
-
-
-def _child(node: Any, part: str | int) -> Any:
-    if isinstance(node, dict):
-        return node.get(part)
-    return node[part] if isinstance(node, list) and isinstance(part, int) and part < len(node) else None

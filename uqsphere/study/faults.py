@@ -3,19 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from uqsphere.errors import Problem
 from uqsphere.units import bare_number
 
-__all__ = ["MOST_PROBLEMS", "Findings", "Place", "nearest", "one_of", "render_place", "shown", "suggestion"]
+__all__ = [
+    "MOST_PROBLEMS",
+    "Findings",
+    "Misplaced",
+    "Place",
+    "Raw",
+    "nearest",
+    "one_of",
+    "render_place",
+    "shown",
+    "suggestion",
+]
 
+#: what TOML can hold: numbers, texts, dates, lists and tables
+Raw = Any
 #: The way to a value: keys and array indices from the top of the file, ``("dependence", 0, "of")``.
 Place = tuple[str | int, ...]
 
 #: More faults than this are counted, not listed.
 MOST_PROBLEMS = 100
+
+
+class Misplaced(ValueError):
+    """A fault of one part of a value: `at` is the way to it."""
+
+    def __init__(self, message: str, *at: int | str) -> None:
+        super().__init__(message)
+        self.at: Place = tuple(part for part in at if part != "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +57,14 @@ class Findings:
     def warn(self, place: Place, message: str) -> None:
         """Note something that a user should know and that does not stop the study."""
         self.warnings.append(f"{render_place(place)}: {message}" if place else message)
+
+    @contextmanager
+    def noting(self, place: Place) -> Iterator[None]:
+        """Note a fault of something at `place` that is raised inside, and go on behind."""
+        try:
+            yield
+        except Misplaced as error:
+            self.add((*place, *error.at), str(error))
 
     def touched(self, place: Place) -> bool:
         """Whether `place`, or something around it, was faulty already."""

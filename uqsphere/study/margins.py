@@ -8,7 +8,7 @@ from typing import Final
 
 from uqsphere.quantities import lookup
 from uqsphere.study.axis import ENERGY, SPEED, make_axis
-from uqsphere.study.document import MarginsTable
+from uqsphere.study.document import FamilyTable, MarginsTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.scene import Scene
@@ -19,10 +19,7 @@ from uqsphere.uq.law import LawError
 __all__ = ["check_moved_mean", "read_margins"]
 
 
-#: curves of a family
-MOST_MEMBERS: Final = 12
-#: what curves can be had over beside the free scalar, and the scalars that go with it
-IMPOSED: Final = "specific_energy"
+#: scalars that set the specific energy, over which curves can be had beside the free scalar
 SETS_ENERGY: Final = (SPEED, ENERGY)
 
 
@@ -34,34 +31,21 @@ def read_margins(
     findings: Findings,
     limits: Mapping[str, str],
 ) -> Margins | None:
+    """What the margins ask; `numbers` are the numbers of the study with their places, `limits` the quantities of the
+    limits by the paths of their strengths."""
     if table is None:
         return None
     probabilities = (*table.for_probability, *(table.for_fracture or ()), *map(_rest, table.for_survival or ()))
-    probabilities = tuple(sorted(set(probabilities)))
-    if black_box and table.bars_elastic:
-        findings.add(("margins", "bars_elastic"), "a black box has no bars: leave bars_elastic out")
-    elif table.bars_elastic and "bars.yield_strength" not in scene.readings and findings.clean(("bars",)):
-        findings.add(("margins", "bars_elastic"), "the bars have no yield strength: add bars.yield_strength")
+    _check_bars(table, scene, black_box, findings)
     known = _known_solve(table.solve, scene, black_box, numbers, findings, limits)
-    if table.between is None:
-        if findings.clean(("margins", "between")):
-            findings.add(("margins", "between"), "between is missing: add the lowest and the highest value to look at")
+    if not known or not findings.clean(("margins", "between")):
         return None
-    if len(table.between) != 2:
-        findings.add(
-            ("margins", "between"),
-            f"found {len(table.between)} values, two are due: the lowest and the highest",
-        )
-        return None
-    if table.solve is None or not known:
-        return None
-    family = _read_family(table, scene, black_box, findings)
+    family = None
+    if table.family is not None and findings.clean(("margins", "family")):
+        family = _read_family(table.family, table.solve, scene, black_box, findings)
     _check_against(table, black_box, findings)
     quantity = _quantity_of(table.solve, limits, black_box)
-    ends = [
-        read_fixed(raw, ("margins", "between", index), quantity, findings) for index, raw in enumerate(table.between)
-    ]
-    low, high = ends
+    low, high = (read_fixed(raw, ("margins", "between", k), quantity, findings) for k, raw in enumerate(table.between))
     if low is None or high is None:
         return None
     if not low < high:
@@ -69,9 +53,23 @@ def read_margins(
         findings.add(("margins", "between"), f"found {first} and {second}: the lower value must come first")
         return None
     return Margins(
-        axis=make_axis(table.solve, low, high, limits=limits, black_box=black_box), for_probability=probabilities,
-        family=family, bars_elastic=table.bars_elastic, against=table.against,
-    )  # fmt: skip
+        axis=make_axis(table.solve, low, high, limits=limits, black_box=black_box),
+        for_probability=tuple(sorted(set(probabilities))),
+        family=family,
+        bars_elastic=table.bars_elastic,
+        against=table.against,
+    )
+
+
+def _check_bars(table: MarginsTable, scene: Scene, black_box: bool, findings: Findings) -> None:
+    """Only bars that have a yield strength can be asked whether they stay elastic."""
+    if not table.bars_elastic:
+        return
+    place: Place = ("margins", "bars_elastic")
+    if black_box:
+        findings.add(place, "a black box has no bars: leave bars_elastic out")
+    elif "bars.yield_strength" not in scene.readings and findings.clean(("bars",)):
+        findings.add(place, "the bars have no yield strength: add bars.yield_strength")
 
 
 def _check_against(table: MarginsTable, black_box: bool, findings: Findings) -> None:
@@ -79,9 +77,7 @@ def _check_against(table: MarginsTable, black_box: bool, findings: Findings) -> 
     place: Place = ("margins", "against")
     if table.against is None:
         return
-    if table.against != IMPOSED:
-        findings.add(place, f"found {shown(table.against)}, only {shown(IMPOSED)} is allowed")
-    elif black_box:
+    if black_box:
         findings.add(place, "a black box has no specific energy: leave against out")
     elif table.solve not in SETS_ENERGY:
         why = f"the energy is set by the speed: it goes with solve = {one_of(list(SETS_ENERGY))}"
@@ -101,38 +97,27 @@ def _quantity_of(solve: str, limits: Mapping[str, str], black_box: bool) -> Quan
     return plain_quantity(solve) if black_box else lookup(solve)
 
 
-def _read_family(table: MarginsTable, scene: Scene, black_box: bool, findings: Findings) -> Family | None:
+def _read_family(table: FamilyTable, solve: str, scene: Scene, black_box: bool, findings: Findings) -> Family | None:
     """Another number of the scene and its values; None, with the faults noted, if there is none."""
-    if table.family is None:
-        return None
     place: Place = ("margins", "family")
-    path, raws = table.family.path, table.family.values
-    if path is None or not raws:
-        if findings.clean(place):
-            findings.add(place, 'a family needs path = "sphere.radius" and values = ["5 mm", "10 mm"]')
-        return None
-    if path not in scene.readings and not findings.clean(("inputs", path) if black_box else tuple(path.split("."))):
+    path = table.path
+    there = path in scene.readings
+    if not there and not findings.clean(("inputs", path) if black_box else tuple(path.split("."))):
         return None  # it is there, and what is wrong with it is said
-    if path not in scene.readings or path == table.solve:
-        why = "is the free number itself" if path == table.solve else "is no number of this scene"
+    if not there or path == solve:
+        why = "is the free number itself" if path == solve else "is no number of this scene"
         findings.add((*place, "path"), f"{shown(path)} {why}{suggestion(path, list(scene.readings))}")
         return None
-    if len(raws) > MOST_MEMBERS:
-        findings.add((*place, "values"), f"found {len(raws)} values, at most {MOST_MEMBERS} are allowed")
-        return None
     quantity = plain_quantity(path) if black_box else lookup(path)
-    values = [read_fixed(raw, (*place, "values", k), quantity, findings) for k, raw in enumerate(raws)]
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return None
-    if len(set(known)) < len(known):
+    read = [read_fixed(raw, (*place, "values", k), quantity, findings) for k, raw in enumerate(table.values)]
+    values = [value for value in read if value is not None]
+    if len(set(values)) < len(values):
         findings.add((*place, "values"), "a value is named twice")
-        return None
-    return Family(path=path, values=tuple(sorted(known)))
+    return Family(path=path, values=tuple(sorted(values)))
 
 
 def _known_solve(
-    solve: str | None,
+    solve: str,
     scene: Scene,
     black_box: bool,
     numbers: Mapping[str, Place],
@@ -140,12 +125,7 @@ def _known_solve(
     limits: Mapping[str, str],
 ) -> bool:
     place: Place = ("margins", "solve")
-    if solve is None:
-        if findings.clean(place):
-            findings.add(
-                place,
-                f'solve is missing: add the number that is free, such as solve = "{_example(black_box)}"',
-            )
+    if not findings.clean(place):
         return False
     if solve in scene.readings or solve in limits:
         return True
@@ -161,10 +141,6 @@ def _known_solve(
     known = one_of(names[:30]) if names else "none"
     findings.add(place, f"{shown(solve)} is no {kind}, which has {known}{suggestion(solve, names)}")
     return False
-
-
-def _example(black_box: bool) -> str:
-    return "x1" if black_box else "striker.speed"
 
 
 def check_moved_mean(study: Study, findings: Findings) -> None:

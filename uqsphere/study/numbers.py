@@ -6,22 +6,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.columns import read_column, read_flags
-from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
-from uqsphere.units import UNITS, Quantity, UnitError, parse_value
+from uqsphere.study.columns import open_observations, unit_factor
+from uqsphere.study.document import EmpiricalTable
+from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.tables import bounds_in_words, declared, fixed_value, likely_unit, number_value, read_table
+from uqsphere.units import UNITS, Quantity, UnitError
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
 from uqsphere.uq.law import Law, LawError, make_law
 
-__all__ = ["BAR_ENDS", "Reading", "fixed_value", "plain_quantity", "read_fixed", "read_number"]
+__all__ = ["Reading", "plain_quantity", "read_fixed", "read_number"]
 
-#: Words for the far end of a bar, and the velocity reflection coefficient that each stands for.
-BAR_ENDS: Final = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
-
-_FILE_KEYS: Final = ("file", "column", "unit", "fit", "censored", "unbiased")
 #: parameters of a law that are values of the quantity itself
 _WHERE: Final = ("mean", "mode", "lower", "upper")
 #: More than this share of a law outside what has a meaning is worth a warning.
@@ -71,79 +69,68 @@ def read_fixed(raw: object, place: Place, quantity: Quantity, findings: Findings
         return None
 
 
-def fixed_value(raw: object, quantity: Quantity) -> float:
-    """SI value of a fixed number; raises UnitError where it is none, or outside the bounds of its meaning."""
-    if isinstance(raw, str) and quantity.symbol in ("R_1", "R_3"):
-        if raw in BAR_ENDS:
-            return BAR_ENDS[raw]
-        near = suggestion(raw, BAR_ENDS)
-        raise UnitError(f"found {shown(raw)}, allowed: {one_of(BAR_ENDS)}, or a number in [-1, 1]{near}")
-    value = _parse(raw, quantity)
-    if not quantity.allows(value):
-        raise UnitError(f"found {shown(raw)}: {_bounds_in_words(quantity)}")
-    return value
-
-
-def _parse(raw: object, quantity: Quantity) -> float:
-    """SI value of a number with its unit, wherever it lies; raises UnitError."""
-    if isinstance(raw, str) and len(raw) > 200:
-        raise UnitError(f"found {shown(raw)}, which is too long for a number")
-    if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
-        unit = "" if quantity.dimension == "number" else " with its unit in quotes"
-        raise UnitError(f"found {shown(raw)}, where a number{unit} is due")
-    return parse_value(raw, quantity.dimension, _likely_unit(raw, quantity))
-
-
-def _likely_unit(raw: object, quantity: Quantity) -> str:
-    """The unit to suggest for a number without one: that people read, or the first other one that makes sense of it."""
-    low, high = quantity.plausible
-    try:
-        bare = float(raw)  # type: ignore[arg-type]
-    except (ValueError, OverflowError):
-        return quantity.display
-    factors = UNITS[quantity.dimension]
-    return next(
-        (u for u in (quantity.display, *factors) if low <= bare * factors.get(u, 1.0) <= high), quantity.display
-    )
-
-
-def _unit_beside(raw: Mapping[str, Any], quantity: Quantity) -> str:
+def _unit_beside(raw: Mapping[str, Raw], quantity: Quantity) -> str:
     """The unit that a law's mean, mode or bound has or should have: its scatter is suggested in the same."""
     for value in (raw[key] for key in _WHERE if key in raw):
         if isinstance(value, str) and value.split()[-1:] and value.split()[-1] in UNITS[quantity.dimension]:
             return value.split()[-1]
         if isinstance(value, (int, float)):
-            return _likely_unit(value, quantity)
+            return likely_unit(value, quantity)
     return quantity.display
 
 
-def _bounds_in_words(quantity: Quantity) -> str:
-    if quantity.closed:
-        low = f"from {format_value(quantity.lower, quantity.name)}"
-        high = f" to {format_value(quantity.upper, quantity.name)}" if math.isfinite(quantity.upper) else " upwards"
-        return f"{quantity.meaning} must lie {low}{high}"
-    if math.isfinite(quantity.upper):
-        return f"{quantity.meaning} must lie between {quantity.lower:g} and {quantity.upper:g}, both excluded"
-    return f"{quantity.meaning} must be above {quantity.lower:g}"
-
-
 def _read_law(
-    raw: Mapping[str, Any], place: Place, quantity: Quantity, findings: Findings, folder: Path
+    raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings: Findings, folder: Path
 ) -> Reading | None:
-    kind = raw.get("dist")
-    before = len(findings.faults)
-    if not isinstance(kind, str) or kind not in FAMILIES:
-        if "dist" not in raw:
-            if not findings.touched((*place, "dist")):
-                findings.add(place, f'a distribution is due here, such as {{ dist = "normal", … }}: {_no_dist(raw)}')
-        else:
-            near = suggestion(kind, FAMILIES) if isinstance(kind, str) else ""
-            findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{near}")
+    """The law of a table; None, with the faults noted, where there is none."""
+    family = _family(raw, place, findings)
+    if family is None:
         return None
-    family = FAMILIES[kind]
-    _refuse_unknown(raw, family, place, findings)
-    given: dict[str, float] = {}
-    bounds: dict[str, float] = {}
+    table = None
+    if family.observed:
+        table = read_table(EmpiricalTable, raw, findings, place)
+    else:
+        _refuse_unknown(raw, family, place, findings)
+    given = _parameters(raw, family, place, quantity, findings)
+    if not findings.clean(place):
+        return None
+    bounds = given.pop("lower", None), given.pop("upper", None)
+    with findings.noting(place):
+        try:
+            if table is None:
+                law = make_law(family.name, given, *bounds)
+            else:
+                law = _observed_law(table, quantity, bounds, folder)
+        except LawError as error:
+            raise Misplaced(_with_unit(error.message, quantity, error.key, family), error.key) from None
+        if not _sensible_scatter(law, place, raw, findings):
+            return None
+        if table is not None:
+            _warn_of_few(law, (*place, "file"), findings)
+        _warn_of_bounds(law, given, place, quantity, findings)
+        return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+    return None
+
+
+def _family(raw: Mapping[str, Raw], place: Place, findings: Findings) -> Family | None:
+    """The distribution that a table names."""
+    kind = raw.get("dist")
+    if isinstance(kind, str) and kind in FAMILIES:
+        return FAMILIES[kind]
+    if "dist" in raw:
+        near = suggestion(kind, FAMILIES) if isinstance(kind, str) else ""
+        findings.add((*place, "dist"), f"found {shown(kind)}, known distributions: {one_of(FAMILIES)}{near}")
+    elif not findings.touched((*place, "dist")):
+        near = f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}" if raw else "found an empty table"
+        findings.add(place, f'a distribution is due here, such as {{ dist = "normal", … }}: {near}')
+    return None
+
+
+def _parameters(
+    raw: Mapping[str, Raw], family: Family, place: Place, quantity: Quantity, findings: Findings
+) -> dict[str, float]:
+    """The parameters of a law and its bounds in SI, as far as they are given and in order."""
+    found: dict[str, float] = {}
     for key in (*family.keys, "lower", "upper"):
         if key not in raw:
             continue
@@ -152,37 +139,24 @@ def _read_law(
             beside = _unit_beside(raw, due) if due.dimension != "number" else ""
             due = replace(due, plausible=(0.0, math.inf), display=beside)
         try:
-            (bounds if key in ("lower", "upper") else given)[key] = _parse(raw[key], due)
+            found[key] = number_value(raw[key], due)
         except UnitError as error:
             findings.add((*place, key), str(error))
-    data: tuple[float, ...] = ()
-    stopped: tuple[float, ...] = ()
-    if family.observed:
-        data = read_column(raw, place, quantity, findings, folder)
-        if not isinstance(raw.get("unbiased", False), bool):
-            findings.add((*place, "unbiased"), f"found {shown(raw['unbiased'])}, where true or false is due")
-        if "censored" in raw and data and (flags := read_flags(raw, place, findings, folder)) is not None:
-            stopped = tuple(value for value, flag in zip(data, flags, strict=True) if flag)
-            data = tuple(value for value, flag in zip(data, flags, strict=True) if not flag)
-    if len(findings.faults) > before or not findings.clean(place):
-        return None
-    try:
-        ends = bounds.get("lower"), bounds.get("upper")
-        if family.observed:
-            law = fitted_law(data, raw.get("fit"), *ends, censored=stopped, unbiased=bool(raw.get("unbiased")))
-        else:
-            law = make_law(kind, given, *ends)
-    except LawError as error:
-        findings.add(
-            (*place, error.key) if error.key else place, _with_unit(error.message, quantity, error.key, family)
-        )
-        return None
-    if not _sensible_scatter(law, place, raw, findings):
-        return None
-    if family.observed:
-        _warn_of_few(law, (*place, "file"), findings)
-    _warn_of_bounds(law, given, place, quantity, findings)
-    return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+    return found
+
+
+def _observed_law(
+    table: EmpiricalTable, quantity: Quantity, bounds: tuple[float | None, float | None], folder: Path
+) -> Law:
+    """The law of a column of observations; raises Misplaced and LawError."""
+    factor = unit_factor(table.unit, quantity)
+    observed = open_observations(table.file, folder)
+    data = observed.numbers(table.column, "column", factor)
+    flags = (False,) * len(data) if table.censored is None else observed.flags(table.censored, "censored")
+    broken, stopped = (
+        [value for value, flag in zip(data, flags, strict=True) if flag is which] for which in (False, True)
+    )
+    return fitted_law(broken, table.fit, *bounds, censored=stopped, unbiased=table.unbiased)
 
 
 def _warn_of_bounds(law: Law, given: Mapping[str, float], place: Place, quantity: Quantity, findings: Findings) -> None:
@@ -217,7 +191,7 @@ def _warn_of_few(law: Law, place: Place, findings: Findings) -> None:
         )
 
 
-def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Any], findings: Findings) -> bool:
+def _sensible_scatter(law: Law, place: Place, raw: Mapping[str, Raw], findings: Findings) -> bool:
     """Whether the scatter of a law of positive numbers lets moments be computed; a large one is warned of."""
     cov = _variation(law)
     if cov <= _WIDE:
@@ -242,14 +216,9 @@ def _variation(law: Law) -> float:
         return math.inf
 
 
-def _no_dist(raw: Mapping[str, Any]) -> str:
-    return f"found a table without dist{suggestion(next(iter(raw)), ['dist'])}" if raw else "found an empty table"
-
-
-def _refuse_unknown(raw: Mapping[str, Any], family: Family, place: Place, findings: Findings) -> None:
-    files = _FILE_KEYS if family.observed else ()
-    allowed = ("dist", *family.keys, "lower", "upper", *files)
-    others = {key for other in FAMILIES.values() for key in other.keys} | set(_FILE_KEYS)
+def _refuse_unknown(raw: Mapping[str, Raw], family: Family, place: Place, findings: Findings) -> None:
+    allowed = ("dist", *family.keys, "lower", "upper")
+    others = {key for other in FAMILIES.values() for key in other.keys} | set(declared(EmpiricalTable))
     for key in raw:
         if key in allowed:
             continue
@@ -273,12 +242,12 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
     centre = law.nominal_mean()
     if not quantity.allows(centre):
         found = format_value(centre, quantity.name)
-        findings.add(place, f"the distribution has its mean at {found}: {_bounds_in_words(quantity)}")
+        findings.add(place, f"the distribution has its mean at {found}: {bounds_in_words(quantity)}")
         return False
     if law.family.bounded:
         for key, bound in (("lower", law.lower), ("upper", law.upper)):
             if not quantity.lower <= bound <= quantity.upper:
-                findings.add((*place, key), f"{format_value(bound, quantity.name)}: {_bounds_in_words(quantity)}")
+                findings.add((*place, key), f"{format_value(bound, quantity.name)}: {bounds_in_words(quantity)}")
                 return False
         return True
     share = _share_outside(law, quantity)
@@ -288,7 +257,7 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
         findings.warn(
             place,
             f"a share of {share:.2g} of the distribution lies where it has no meaning "
-            f"({_bounds_in_words(quantity)}); {effect}truncate it with lower or upper, or take another one",
+            f"({bounds_in_words(quantity)}); {effect}truncate it with lower or upper, or take another one",
         )
     return True
 

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from pydantic import TypeAdapter
 
@@ -24,23 +24,23 @@ from uqsphere.study.document import (
     BarsTable,
     Dependence,
     Document,
+    EmpiricalTable,
     Gauge,
     LimitTable,
     MarginsTable,
     ModelChoice,
     ProductTable,
     SphereTable,
+    SphereTestsTable,
     StrikerTable,
-    declared,
 )
-from uqsphere.study.numbers import BAR_ENDS
+from uqsphere.study.faults import Raw
+from uqsphere.study.tables import BAR_ENDS, Node, declared
 from uqsphere.units import UNITS, units_of
-from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.fitting import FITS
 
 __all__ = ["TABLES", "build_schema", "key_table", "with_tables"]
-
-Node = dict[str, Any]
 
 #: tables of the reference by their heading
 TABLES: Final = {
@@ -57,6 +57,9 @@ TABLES: Final = {
     "## [margins]": MarginsTable,
 }
 _NUMBER: Final = r"^\s*[+-]?(\d(_?\d)*\.?(\d(_?\d)*)?|\.\d(_?\d)*)([eE][+-]?\d+)?\s*"
+#: what a schema has by name; what pydantic says that is for nobody's eyes
+_NAMED: Final = ("properties", "$defs")
+_DROPPED: Final = (*_NAMED, "title", "due", "default_is")
 _NAME: Final = "^[A-Za-z_][A-Za-z0-9_-]{0,63}$"
 
 
@@ -81,12 +84,12 @@ def build_schema() -> Node:
         "$defs": {
             **tables,
             **{name: _dimension(name) for name in dimensions},
-            **{f"{name}_law": {"anyOf": [_law(kind, name) for kind in FAMILIES]} for name in dimensions},
+            **{f"{name}_law": {"anyOf": [_law(family, name) for family in FAMILIES.values()]} for name in dimensions},
         },
     }
 
 
-def _plain(node: Any) -> Any:
+def _plain(node: Raw) -> Raw:
     """What pydantic makes of the declarations, as TOML has it: no null, no made-up titles, units by their dimension."""
     if isinstance(node, list):
         return [_plain(part) for part in node]
@@ -95,20 +98,17 @@ def _plain(node: Any) -> Any:
     if "dimension" in node:
         kept = {key: value for key, value in node.items() if key == "description"}
         return {"$ref": f"#/$defs/{node['dimension']}", **kept}
-    due = node.get("due")
-    found = {
-        key: {name: _plain(part) for name, part in value.items()} if key in ("properties", "$defs") else _plain(value)
-        for key, value in node.items()
-        # a default that is empty or a table of its own says nothing to an editor
-        if key not in ("title", "due", "default_is")
-        and not (key == "default" and (due or isinstance(value, dict) or value in (None, "", [])))
-    }
-    choices = [choice for choice in found.get("anyOf", []) if choice != {"type": "null"}]
-    if len(choices) == 1:
-        found = {**choices[0], **{key: value for key, value in found.items() if key != "anyOf"}}
-    needed = [name for name, part in node.get("properties", {}).items() if isinstance(part, dict) and part.get("due")]
+    named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
+    found = {key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named
+    choices = [choice for choice in found.pop("anyOf", []) if choice != {"type": "null"}]
+    found = {**choices[0], **found} if len(choices) == 1 else found | ({"anyOf": choices} if choices else {})
+    # a default that is empty, or a table of its own, says nothing to an editor
+    if "default" in found and (node.get("due") or (not found["default"] and found["default"] not in (False, 0))
+                               or isinstance(found["default"], dict)):  # fmt: skip
+        del found["default"]
     if "description" in found:
         found["description"] = str(found["description"]).partition("\n")[0]
+    needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
     return found | ({"required": needed} if needed else {})
 
 
@@ -136,7 +136,6 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     limit["properties"]["model_factor"] |= _number_or_law("number")
     limit["oneOf"] = _present("quantity", "criterion")
     tables["Dependence"]["oneOf"] = _present("spearman", "kendall")
-    tables["MarginsTable"]["required"] = ["solve", "between"]
     tables["OutputsTable"]["required"] = ["names"]
     for name, item in (("inputs", _number_or_law("number")), ("limits", {"$ref": "#/$defs/LimitTable"})):
         made["properties"][name] = {"type": "object", "patternProperties": {_NAME: item}, "additionalProperties": False}
@@ -159,57 +158,49 @@ def _number_or_law(dimension: str) -> Node:
     return {"anyOf": [{"$ref": f"#/$defs/{dimension}"}, {"$ref": f"#/$defs/{dimension}_law"}]}
 
 
-def _text(description: str) -> Node:
-    return {"type": "string", "description": description}
-
-
-def _law(kind: str, dimension: str) -> Node:
+def _law(family: Family, dimension: str) -> Node:
     """The table of one distribution for a quantity of a dimension."""
-    family = FAMILIES[kind]
     value = {"$ref": f"#/$defs/{dimension}"}
-    properties: dict[str, Node] = {"dist": {"const": kind}}
+    if family.observed:
+        return _observed(value, dimension)
+    properties: Node = {"dist": {"const": family.name}}
     for key in (*family.keys, "lower", "upper"):
         properties[key] = value if key in family.dimensional else {"type": "number"}
     required = ["dist", *(("lower", "upper") if family.bounded else ())]
-    alternatives = [{"required": list(keys)} for keys in family.alternatives if keys]
-    if family.observed:
-        properties |= {
-            "file": _text("CSV beside the study"),
-            "column": _text("column of the CSV"),
-            "fit": {"enum": list(FITS)},
-            "censored": _text("column of flags: tests stopped before a failure"),
-            "unbiased": {"type": "boolean"},
-            "force": _text("column of forces at failure of spheres, in place of column"),
-            "diameter": _text("column of diameters, or one length"),
-            "rate": _text("column of loading rates"),
-            "platens": _text("bars, rigid, or a material of bars"),
-            **{f"{key}_unit": _text(f"unit of the column {key}") for key in ("force", "diameter", "rate")},
-        }
-        required += ["file"]
-        plain = ["column"]
-        if dimension != "number":
-            properties["unit"] = {"enum": list(units_of(dimension)), "description": "unit of the column"}
-            plain += ["unit"]
-        alternatives = [{"required": plain}, {"required": ["force", "force_unit", "diameter"]}]
     node = {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+    alternatives = [{"required": list(keys)} for keys in family.alternatives if keys]
     return node | ({"anyOf": alternatives} if alternatives else {})
+
+
+def _observed(value: Node, dimension: str) -> Node:
+    """The table of a distribution from observations: a column, or forces at which spheres broke."""
+    column, forces = (_plain(TypeAdapter(kind).json_schema()) for kind in (EmpiricalTable, SphereTestsTable))
+    own = {"dist": {"const": "empirical"}, "lower": value, "upper": value, "fit": {"enum": list(FITS)}}
+    own["unit"] = {"enum": list(units_of(dimension)), "description": "unit of the column"}
+    properties = {**forces["properties"], **column["properties"], **own}
+    if dimension == "number":
+        del properties["unit"]
+    needs = [column["required"] + (["unit"] if dimension != "number" else []), forces["required"]]
+    node = {"type": "object", "properties": properties, "required": ["dist"], "additionalProperties": False}
+    return node | {"anyOf": [{"required": names} for names in needs]}
 
 
 # --- the tables of the reference ----------------------------------------------------------------------
 
 
-def key_table(kind: Any) -> str:
+def key_table(kind: Raw) -> str:
     """The keys of a table, their defaults and meanings, as Markdown."""
     rows = ["| key | default | meaning |", "|---|---|---|"]
     for name, entry in declared(kind).items():
         extra = entry.json_schema_extra
         if isinstance(extra, dict) and entry.description:
-            default = extra["default_is"] or ("required" if extra["due"] else f"`{_toml(entry.default)}`")
+            usual = "none" if entry.default in (None, {}) else f"`{_toml(entry.default)}`"
+            default = extra["default_is"] or ("required" if extra["due"] else usual)
             rows.append(f"| `{name}` | {default} | {entry.description} |")
     return "\n".join(rows)
 
 
-def _toml(value: Any) -> str:
+def _toml(value: Raw) -> str:
     """A default as it would be written in a study."""
     if isinstance(value, bool):
         return "true" if value else "false"

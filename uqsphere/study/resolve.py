@@ -17,7 +17,6 @@ from uqsphere.study.document import (
     Document,
     ModelChoice,
     ToleranceRequest,
-    read_document,
 )
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, valid_name
@@ -25,6 +24,7 @@ from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
 from uqsphere.study.study import Study, tie_of
+from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
 from uqsphere.uq.law import Law, LawError, make_law
 
@@ -92,7 +92,7 @@ def _refuse_parts_of_no_limit(
 
 def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) -> Study | None:
     """The study of a table of plain values; None, with every fault noted, where there is none."""
-    document = read_document(data, findings)
+    document = read_table(Document, data, findings)
     black_box = _kind(data, findings)
     folder = path.parent
     scene, outputs, model = Scene(), None, document.model or ModelChoice()

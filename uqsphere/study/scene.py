@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.materials import KINDS, library
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
 from uqsphere.quantities import INPUTS, format_value
-from uqsphere.study.columns import inside_folder, read_column
+from uqsphere.study.columns import inside_folder, open_observations
 from uqsphere.study.document import MOST_GAUGES, SCENE, BarsTable, Document, Gauge, ModelChoice, PulseTable
 from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
-from uqsphere.study.numbers import BAR_ENDS, Reading, plain_quantity, read_number
+from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.study import EndImpedance, Source
+from uqsphere.study.tables import BAR_ENDS
 from uqsphere.uq.law import Law, make_law
 
 if TYPE_CHECKING:
@@ -240,7 +241,9 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pa
         if findings.clean(place):
             findings.add(place, 'file is missing (the record): add file = "pulse.csv"')
         return None
-    path = inside_folder(pulse.file, place, findings, folder)
+    path = None
+    with findings.noting(("pulse",)):
+        path = inside_folder(pulse.file, folder)
     faulty = not all(findings.clean(("pulse", key)) for key in ("file", *_RECORD[:-2]))
     if path is None or faulty or (pulse.correct_dispersion and bar is None):
         return None
@@ -322,11 +325,11 @@ def read_damper(bars: BarsTable | None, findings: Findings, folder: Path) -> End
         findings.add(place, "the far end is given twice: leave receiving_end or receiving_damper out")
         return None
     columns = []
-    for column in DAMPER_COLUMNS:
-        values = read_column({"file": name, "column": column}, place, plain_quantity(column), findings, folder)
-        if not values:
-            return None
-        columns.append(values)
+    with findings.noting(place):
+        table = open_observations(name, folder, key="")
+        columns = [table.numbers(column) for column in DAMPER_COLUMNS]
+    if not columns:
+        return None
     frequency, real, imaginary = columns
     if frequency[0] <= 0.0 or any(after <= before for before, after in pairwise(frequency)):
         findings.add(place, f"the frequencies in {shown(name)} must be positive and ascend")
