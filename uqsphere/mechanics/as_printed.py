@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
+from uqsphere.arrays import Values
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
@@ -61,57 +62,57 @@ class Comparison:
         return self.as_printed / self.full - 1.0
 
 
-def peak_approach(speed: Any, impedance: Any, hertz_constant: Any) -> Any:
+def peak_approach(speed: Values, impedance: Values, hertz_constant: Values) -> Values:
     """alpha_max = (v0 F0 rho c0/(2 beta))^(2/3) [m], (3.6); reached only by a long pulse."""
     return np.cbrt(np.square(0.5 * speed * impedance / hertz_constant))
 
 
-def contact_radius(approach: Any, radius: Any) -> Any:
+def contact_radius(approach: Values, radius: Values) -> Values:
     """r_k = (alpha_max r)^(1/2) [m], (5.1)."""
     return np.sqrt(approach * radius)
 
 
-def peak_force(approach: Any, contact_radius: Any, modulus: Any) -> Any:
+def peak_force(approach: Values, contact_radius: Values, modulus: Values) -> Values:
     """P_max = 4 alpha_max r_k/(3 pi (k0 + k)) [N], (5.3), with 1/E* = pi (k0 + k)."""
     return (4.0 / 3.0) * modulus * approach * contact_radius
 
 
-def peak_pressure(force: Any, contact_radius: Any) -> Any:
+def peak_pressure(force: Values, contact_radius: Values) -> Values:
     """p_max = 3 P_max/(2 pi r_k²) [Pa], (5.4)."""
     return 1.5 * force / (math.pi * np.square(contact_radius))
 
 
-def mean_pressure(pressure: Any, share: Any) -> Any:
+def mean_pressure(pressure: Values, share: Values) -> Values:
     """Mean pressure over the contact [Pa] while alpha = f alpha_max, (5.9): (2/3) p_max f, not f^(1/2)."""
     return (2.0 / 3.0) * pressure * share
 
 
-def contact_duration(approach: Any, speed: Any) -> Any:
+def contact_duration(approach: Values, speed: Values) -> Values:
     """t_k - t_1 = 6.715 alpha_max/v0 [s], (3.8); the integral behind it diverges."""
     return DURATION_FACTOR * approach / speed
 
 
-def approach(time: Any, peak: Any, duration: Any) -> Any:
+def approach(time: Values, peak: Values, duration: Values) -> Values:
     """alpha(t) = alpha_max sin(pi t/t_k) [m], (3.9), from first touch to the end of contact, then zero."""
     return np.where(time < duration, peak * np.sin(math.pi * np.minimum(time / duration, 1.0)), 0.0)
 
 
-def rise_time(duration: Any) -> Any:
+def rise_time(duration: Values) -> Values:
     """Time [s] from 10 % to 90 % of the largest force on P = P_max sin^(3/2)(pi t/t_k), which (3.9) means."""
     return duration / math.pi * (math.asin(0.9 ** (2.0 / 3.0)) - math.asin(0.1 ** (2.0 / 3.0)))
 
 
-def pulse_width(duration: Any) -> Any:
+def pulse_width(duration: Values) -> Values:
     """Width [s] at half the largest force of P = P_max sin^(3/2)(pi t/t_k), which (3.9) means."""
     return duration * (1.0 - 2.0 / math.pi * math.asin(0.5 ** (2.0 / 3.0)))
 
 
-def approach_after_pulse(after: Any, start: Any, impedance: Any, hertz_constant: Any) -> Any:
+def approach_after_pulse(after: Values, start: Values, impedance: Values, hertz_constant: Values) -> Values:
     """alpha = [alpha_*^(-1/2) + beta (t - t2)/(F0 rho c0)]^(-2) [m], (3.16); the divisor 2 is missing."""
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
 
-def linear_plateau(speed: Any, impedance: Any, stiffness: Any) -> Any:
+def linear_plateau(speed: Values, impedance: Values, stiffness: Values) -> Values:
     """alpha -> v0/lambda_1 [m] under a step, (4.10), with lambda_1 = k/(F0 rho c0); twice the right value."""
     return speed * impedance / stiffness
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.outputs import Answers, answers_of
 from uqsphere.mechanics.scene import Scene
 
@@ -30,7 +30,6 @@ __all__ = [
     "solve_closed",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: below these the logarithms of (11) cancel and its series in x^(3/2) is the better way
 _SERIES_BELOW_X: Final = 0.1
@@ -58,7 +57,7 @@ def _time_at_root(root: Array, minus_log: Array) -> Array:
     return (2.0 / 3.0) * (minus_log + 0.5 * np.log1p(root + root * root) - math.sqrt(3.0) * angle)
 
 
-def loading_time(x: Any) -> Array:
+def loading_time(x: Values) -> Array:
     """Scaled time s at which the massless sphere has the approach x, theory (11).
 
     s(x) = (2/3) [-ln(1-y) + ln(1+y+y²)/2 - sqrt(3) (atan((2y+1)/sqrt(3)) - pi/6)], y = sqrt(x).
@@ -95,7 +94,7 @@ def _table() -> tuple[Array, Array]:
     return _time_at_root(-np.expm1(-z), z), z
 
 
-def loading_approach(s: Any) -> Array:
+def loading_approach(s: Values) -> Array:
     """Scaled approach x of the massless sphere at the time s of an endless step; inverse of `loading_time`.
 
     Newton's iteration in z = -ln(1 - sqrt(x)), in which s is nearly a straight line, and Halley's in x itself
@@ -135,7 +134,7 @@ def loading_approach(s: Any) -> Array:
     return np.asarray(np.where(early, x, approach))
 
 
-def relaxing_approach(start: Any, after: Any) -> Array:
+def relaxing_approach(start: Values, after: Values) -> Array:
     """Scaled approach a time `after` the end of the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
 
     Parameters
@@ -151,12 +150,12 @@ def relaxing_approach(start: Any, after: Any) -> Array:
     return np.asarray((1.0 / np.sqrt(start) + 0.5 * np.asarray(after, dtype=float)) ** -2.0)
 
 
-def relaxing_time(start: Any, x: Any) -> Array:
+def relaxing_time(start: Values, x: Values) -> Array:
     """Scaled time in which the approach falls from `start` to x after the pulse; inverse of (12)."""
     return np.asarray(2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start)))
 
 
-def massless_approach(s: Any, theta: Any) -> Array:
+def massless_approach(s: Values, theta: Values) -> Array:
     """Scaled approach x(s) of the massless sphere under a rectangular pulse of length theta (inf: a step).
 
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
@@ -181,7 +180,7 @@ def _step_difference(s: Array, mu: Array) -> Array:
     return np.where(swinging, swing, creep * np.exp((k - 0.5) * s))
 
 
-def linear_approaches(s: Any, mu: Any, theta: Any = math.inf) -> tuple[Array, Array]:
+def linear_approaches(s: Values, mu: Values, theta: Values = math.inf) -> tuple[Array, Array]:
     """Scaled approaches x_1, x_2 of the linear contact, infinite bars, theory (14): a step less a later one.
 
     x_1, x_2 = 1 - e^(-s) ± e^(-s/2) sin(w s)/w, w² = 2/mu - 1/4; hyperbolic for mu > 8, s e^(-s/2) at mu = 8.
@@ -246,7 +245,7 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
     return answers_of(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
 
 
-def largest_approach(theta: Any) -> Array:
+def largest_approach(theta: Values) -> Array:
     """Scaled approach at the end of a rectangular pulse of length theta: the largest of the massless sphere.
 
     >>> largest_approach([0.8, np.inf]).round(6).tolist()

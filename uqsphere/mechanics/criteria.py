@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
 from uqsphere.units import Quantity
@@ -44,7 +44,6 @@ __all__ = [
 
 # --- The product of crushing: how fine a sphere becomes that breaks, from the energy that it was given, theory (31).
 
-Array = npt.NDArray[np.float64]
 
 #: specific energies [J/kg] and sizes [m] of the drop-weight test that A and b are fitted to: 0.1 to 2.5 kWh/t,
 #: 13.2 to 63 mm (Napier-Munn and others 1996, from memory)
@@ -52,7 +51,7 @@ ENERGIES: Final = (0.1 * 3600.0, 2.5 * 3600.0)
 DIAMETERS: Final = (0.0132, 0.063)
 
 
-def product_fineness(specific_energy: Any, A: Any, b: Any) -> Array:
+def product_fineness(specific_energy: Values, A: Values, b: Values) -> Array:
     """t10 = A (1 - exp(-b Ecs)): share of the product's mass that is finer than a tenth of the particle, theory (31).
 
     Parameters
@@ -200,14 +199,12 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
     return found
 
 
-def in_range(
-    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
-) -> npt.NDArray[np.bool_]:
+def in_range(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Flags:
     """Which of n rows lie inside the range of the criterion."""
     inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
     for name, (low, high) in criterion.ranges.items():
         if name == "a/r":
-            value: Any = _ratio(columns)
+            value: Values = _ratio(columns)
         else:
             value = parameters[name] if name in parameters else columns.get(name)
         if value is not None:
@@ -244,7 +241,7 @@ def strain_rate(columns: Columns) -> Array:
     return np.asarray(_core(columns, {}) / np.asarray(columns["sphere.E"]) * growth)
 
 
-def dynamic_increase(rate: Any, rate_0: Any) -> Array:
+def dynamic_increase(rate: Values, rate_0: Values) -> Array:
     """Strength at a strain rate over the quasi-static one: 1 + (rate/rate_0)^(2/3).
 
     Kimberley, Ramesh and Daphalapurkar, Acta Materialia 61 (2013) 3509, from memory; rate_0 of 150 to 300 1/s in
@@ -256,7 +253,7 @@ def dynamic_increase(rate: Any, rate_0: Any) -> Array:
     return np.asarray(1.0 + np.cbrt(np.square(np.maximum(rate, 0.0) / np.asarray(rate_0, dtype=float))))
 
 
-def size_factor(size: Any, reference_size: Any, modulus: Any) -> Array:
+def size_factor(size: Values, reference_size: Values, modulus: Values) -> Array:
     """Strength of a body over that of the reference: (V_0/V)^(1/m), V a volume or an area.
 
     >>> float(size_factor(8.0, 1.0, 3.0))
@@ -265,7 +262,7 @@ def size_factor(size: Any, reference_size: Any, modulus: Any) -> Array:
     return np.asarray((np.asarray(reference_size, dtype=float) / size) ** (1.0 / np.asarray(modulus, dtype=float)))
 
 
-def ring_crack_toughness(force: Any, radius: Any, E: Any) -> Array:
+def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:
     """Toughness at which a ring crack just becomes a cone: K = sqrt(P E/(A r)) [Pa sqrt(m)], A = 8600.
 
     Auerbach's law P_C = A K_Ic² r/E turned round, so that force, size and stiffness stand on the side of the demand.
@@ -273,7 +270,7 @@ def ring_crack_toughness(force: Any, radius: Any, E: Any) -> Array:
     return np.asarray(np.sqrt(np.asarray(force) * E / (AUERBACH * np.asarray(radius))))
 
 
-def ring_crack_force(toughness: Any, radius: Any, E: Any) -> Array:
+def ring_crack_force(toughness: Values, radius: Values, E: Values) -> Array:
     """P_C = A K_Ic² r/E [N], A = 8600: the force at which a cone crack forms. The inverse of `ring_crack_toughness`.
 
     >>> round(float(ring_crack_force(0.7e6, 0.005, 70e9)))
@@ -282,12 +279,12 @@ def ring_crack_force(toughness: Any, radius: Any, E: Any) -> Array:
     return np.asarray(AUERBACH * np.square(toughness) * radius / np.asarray(E, dtype=float))
 
 
-def hiramatsu_oka_tension(force: Any, radius: Any) -> Array:
+def hiramatsu_oka_tension(force: Values, radius: Values) -> Array:
     """0.9 P/D² [Pa], the tensile strength that irregular lumps are credited with in practice."""
     return np.asarray(0.9 * np.asarray(force) / np.square(2.0 * np.asarray(radius)))
 
 
-def truncated_energy(energy: Any, largest: Any) -> Array:
+def truncated_energy(energy: Values, largest: Values) -> Array:
     """E_max E/(E_max - E): what a fracture energy, bounded by E_max, becomes so that its law is lognormal.
 
     At E_max and above everything breaks; the number returned there, 1e9 E_max, lies beyond any strength.
@@ -300,13 +297,13 @@ def truncated_energy(energy: Any, largest: Any) -> Array:
         return np.where(e < top, np.minimum(top * e / (top - e), _CERTAIN * top), _CERTAIN * top)
 
 
-def fracture_energy(force: Any, beta: Any) -> Array:
+def fracture_energy(force: Values, beta: Values) -> Array:
     """E_f = (4/5) P_f^(5/3) beta^(-2/3) [J]: what both contacts hold when the force reaches P_f."""
     return np.asarray(2.0 * contact.contact_energy(contact.approach_at_force(force, beta), beta))
 
 
 def equivalent_tension(
-    pressure: Any, contact_ratio: Any, nu: Any, modulus: Any, size_ratio: Any, *, over: str = "volume"
+    pressure: Values, contact_ratio: Values, nu: Values, modulus: Values, size_ratio: Values, *, over: str = "volume"
 ) -> Array:
     """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio V/V_0 or S/S_0.
 

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.field import arriving, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.scene import STATUS, Scene
 
 __all__ = ["Damper", "damper_from_impedance", "move_with_damper", "reflected_wave"]
 
-Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 #: largest share of the response that may come before its cause, and largest |R|: both leave room for a table's rounding
@@ -103,7 +103,7 @@ class Damper:
         return np.asarray(np.where(frequency > known[-1], beyond, inside))
 
 
-def damper_from_impedance(frequency: Any, impedance: Any, bar_impedance: float) -> Damper:
+def damper_from_impedance(frequency: Values, impedance: Values, bar_impedance: float) -> Damper:
     """A damper from force over velocity at its face: R = (Z - Z_d)/(Z + Z_d).
 
     Parameters

@@ -16,8 +16,8 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import Demands
 from uqsphere.mechanics.fracture import first_fractures
@@ -39,7 +39,6 @@ __all__ = [
     "usages",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: bounds of a test in the order in which ties are decided, and what it means that one is broken
 CONSTRAINTS: Final[dict[str, str]] = {
@@ -73,7 +72,7 @@ class Breaks:
     """
 
     share: Array
-    limit: npt.NDArray[np.int64]
+    limit: Places
     time: Array
     force: Array
     imbalance: Array
@@ -259,7 +258,7 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
     }
 
 
-def binding(used: Mapping[str, Array]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+def binding(used: Mapping[str, Array]) -> tuple[Places, Flags]:
     """The constraint that binds, its place in `used` (-1: not computed), and whether every one is kept; (n, m) each.
 
     What binds is what is used the most; a sphere that cannot be broken is named so before anything else.

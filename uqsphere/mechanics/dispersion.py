@@ -17,15 +17,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
+
 __all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "rayleigh_speed", "surface_factors",
            "transfer"]  # fmt: skip
 
-Array = npt.NDArray[np.float64]
 
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
 _TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
@@ -68,7 +69,7 @@ def _check_poisson(nu: float) -> None:
         raise ValueError(f"Poisson's ratio of a bar must lie from 0 to below 0.5, found {nu!r}")
 
 
-def phase_speed(wave_number: Any, nu: float) -> Array:
+def phase_speed(wave_number: Values, nu: float) -> Array:
     """Phase speed of the first mode over c0.
 
     Parameters
@@ -130,7 +131,7 @@ def rayleigh_speed(nu: float) -> float:
     return float(shear * math.sqrt(real[(real > 0.0) & (real < 1.0)][0]))
 
 
-def surface_factors(wave_number: Any, speed: Any, nu: float) -> tuple[Array, Array]:
+def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
     """What the strain of the surface has to be multiplied with (Tyas and Wilson's M_1, M_2, both 1 for long waves).
 
     Parameters
@@ -185,7 +186,7 @@ class FirstMode:
     second_mode: float
     band: float
 
-    def at(self, frequency: Any) -> tuple[Array, Array]:
+    def at(self, frequency: Values) -> tuple[Array, Array]:
         """Wave number and surface factor at frequencies (n,) of the band; beyond it they go on as at its edge."""
         from scipy.interpolate import CubicSpline
 
@@ -251,7 +252,7 @@ def transfer(samples: int, step: float, distance: float, *, radius: float, wave_
     return np.asarray(turned)
 
 
-def correct(strain: Any, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+def correct(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
             surface: bool = True) -> Array:  # fmt: skip
     """What a wave seen by a gauge is `distance` further on, in the time of the one-dimensional wave.
 
@@ -286,7 +287,7 @@ def correct(strain: Any, step: float, distance: float, *, radius: float, wave_sp
     return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
 
 
-def disperse(strain: Any, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
+def disperse(strain: Values, step: float, distance: float, *, radius: float, wave_speed: float, nu: float,
              surface: bool = True) -> Array:  # fmt: skip
     """The inverse of `correct`: what a gauge shows of a wave that is known `distance` further on.
 

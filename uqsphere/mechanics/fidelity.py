@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from uqsphere.arrays import Array, Flags
 
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Fallback", "fit_error_law"]
 
-Array = npt.NDArray[np.float64]
 
 #: what is taken for the exponents of mu and theta before anything is measured: the difference of the two forces,
 #: which the massless model leaves out, grows as mu^0.45 (docs/theory.md, section 5)
@@ -60,7 +60,7 @@ class Fallback:
             # term by term: a product of matrices may round otherwise in a batch of another size
             return np.asarray(np.exp(columns[0] * table[0] + columns[1] * table[1] + columns[2] * table[2]))
 
-    def doubtful(self, scene: Scene) -> npt.NDArray[np.bool_]:
+    def doubtful(self, scene: Scene) -> Flags:
         """Rows that are left to `full`, (n,)."""
         mu, theta = scene.scales.mass_number, scene.scales.pulse_number
         with np.errstate(all="ignore"):

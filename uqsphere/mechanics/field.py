@@ -8,11 +8,11 @@ to say about the bar (`uqsphere.mechanics.gauges`, `uqsphere.mechanics.field`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.pulses import pulse_value
 from uqsphere.mechanics.scene import Scene
@@ -33,7 +33,6 @@ __all__ = [
     "waves_at",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: the bars by name, in the order of every pair of numbers
 BARS: Final = ("incident", "receiving")
@@ -146,7 +145,7 @@ class Tension:
     time: float
 
 
-def field_at(motion: Motion, bar: str, position: Any, times: Any, *, sides: Array | None = None) -> Field:
+def field_at(motion: Motion, bar: str, position: Values, times: Values, *, sides: Array | None = None) -> Field:
     """Stress and particle velocity at places of a bar.
 
     With d the distance from the sphere, rho and c0 of the bars:
@@ -200,7 +199,7 @@ def field_at(motion: Motion, bar: str, position: Any, times: Any, *, sides: Arra
     return Field(stress=stress, velocity=towards + away)
 
 
-def check_position(motion: Motion, bar: str, position: Any) -> int:
+def check_position(motion: Motion, bar: str, position: Values) -> int:
     """Number of a bar, 0 or 1; ValueError for an unknown bar or a place that is not on it."""
     if bar not in BARS:
         raise ValueError(f"unknown bar {bar!r} (allowed: {', '.join(BARS)})")
@@ -213,7 +212,7 @@ def check_position(motion: Motion, bar: str, position: Any) -> int:
     return number
 
 
-def last_time(motion: Motion, bar: str, position: Any) -> Any:
+def last_time(motion: Motion, bar: str, position: Values) -> Values:
     """The last instant [s] at which the motion up to the horizon decides what a place of a bar sees."""
     number = BARS.index(bar)
     delay = np.asarray(position, dtype=float) / motion.wave_speed
@@ -233,7 +232,7 @@ def _check_end(motion: Motion, bar: str, position: Array, times: Array) -> None:
         )
 
 
-def field_grid(motion: Motion, places: Any, times: Any) -> Field:
+def field_grid(motion: Motion, places: Values, times: Values) -> Field:
     """The field on a grid of both bars, (m, k).
 
     Parameters
@@ -328,7 +327,7 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     return Tension(bar=bar, position=0.5 * motion.wave_speed * (w_best - u_best), time=0.5 * (u_best + w_best))
 
 
-def _pull(number: int, away: Any, towards: Any) -> Any:
+def _pull(number: int, away: Values, towards: Values) -> Values:
     return away - towards if number == 0 else towards - away
 
 

@@ -8,25 +8,20 @@ contact.  Criteria that grow their strength with the rate take the one rate of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.integrator.solve import MODES, march_rows, scaled_arguments, thread_count
-from uqsphere.mechanics.integrator.tracked import ANSWER_END, WANT_ENERGY, empty_answers
+from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.outputs import Columns, Path, columns_of
 from uqsphere.mechanics.scene import Scene
 
 __all__ = ["Fractures", "first_fractures"]
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 #: parts of a step of the integrator that are looked at before a crossing is refined, and halvings that refine it
 _PARTS: Final = 16
@@ -56,7 +51,7 @@ class Fractures:
     """
 
     times: Array
-    first: Index
+    first: Places
     time: Array
     force: Array
     energy: Array
@@ -96,21 +91,13 @@ def _stored(approach: Array) -> Array:
     return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
 
 
-def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float, wanted: int) -> _Course | None:
-    """The motion of one row up to the loss of contact, or until no larger force or energy can come; None if failed."""
-    n = len(arguments["mass"])
-    status, steps = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    answers = empty_answers(n)
-    only = np.array([row])
-    found = march_rows(dict(arguments), only, mode, tolerance, True, answers, status, steps, keep=1, wanted=wanted)
-    if status[row] != 0 or found is None or len(found[0]) == 0:
-        return None
+def _course(motion: Motion) -> _Course:
+    """The course of one motion, which ends where contact is lost or no larger force or energy can come."""
     # contact may be lost inside the last step
-    end = answers[row, ANSWER_END]
-    inside = found[0] < end
-    start, whole, states = found[0][inside], found[1][inside], found[2][inside, :2]
-    length = np.minimum(whole, end - start)
-    states = states * (length / whole)[:, None, None] ** np.arange(states.shape[2])
+    inside = motion.start < motion.end
+    start, states = motion.start[inside], motion.states[inside, :2]
+    length = np.minimum(motion.length[inside], motion.end - start)
+    states = states * (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
     approach = np.maximum(states @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
     return _Course(
         start=start,
@@ -122,26 +109,7 @@ def _course(arguments: Mapping[str, Any], row: int, mode: int, tolerance: float,
     )
 
 
-def _courses(
-    scene: Scene, rows: Index, mode: int, tolerance: float, wanted: int, threads: int | None
-) -> Iterator[tuple[Index, list[_Course | None]]]:
-    """The motions of the rows, a block at a time."""
-    workers = thread_count(threads)
-    for begin in range(0, len(rows), _BLOCK):
-        block = rows[begin : begin + _BLOCK]
-        arguments = scaled_arguments(scene, block)
-
-        def one(k: int, arguments: Mapping[str, Any] = arguments) -> _Course | None:
-            return _course(arguments, k, mode, tolerance, wanted)
-
-        if workers == 1:
-            yield block, [one(k) for k in range(len(block))]
-        else:
-            with ThreadPoolExecutor(workers) as pool:
-                yield block, list(pool.map(one, range(len(block))))
-
-
-def _demands(scene: Scene, rows: Index, path: Path, value: Array) -> Array:
+def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
         return value
@@ -149,7 +117,7 @@ def _demands(scene: Scene, rows: Index, path: Path, value: Array) -> Array:
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 
-def _levels(scene: Scene, rows: Index, path: Path, top: Array, share: Array) -> Array:
+def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) -> Array:
     """Share of the largest force or energy, `top` (n,) in SI, at which the demand is `share` (n,) of its largest."""
     wanted = share * _demands(scene, rows, path, top)
     low, high = np.zeros(len(rows)), np.ones(len(rows))
@@ -167,7 +135,7 @@ def first_fractures(
     shares: Array,
     paths: Sequence[Path],
     *,
-    rows: Index | None = None,
+    rows: Places | None = None,
     fidelity: str = "full",
     tolerance: float = 1e-5,
     threads: int | None = None,
@@ -206,39 +174,38 @@ def first_fractures(
     n = len(rows)
     if shares.shape != (n, len(paths)):
         raise ValueError(f"shares must be ({n}, {len(paths)}), found {shares.shape}")
-    times = np.full(shares.shape, np.inf)
-    force, energy, imbalance = (np.full(shares.shape, np.nan) for _ in range(3))
+    # time, force, energy and imbalance at each crossing
+    found = np.full((4, *shares.shape), np.nan)
+    found[0] = np.inf
     loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
-    wanted = WANT_ENERGY if any(path.over == "energy" for path in paths) else 0
-    for block, courses in _courses(scene, loaded, MODES[fidelity], tolerance, wanted, threads):
-        known = {int(row): course for row, course in zip(block, courses, strict=True) if course is not None}
+    followed = ("energy",) if any(path.over == "energy" for path in paths) else ("P_max",)
+    for begin in range(0, len(loaded), _BLOCK):
+        block = loaded[begin : begin + _BLOCK]
+        moved = motions(scene, block, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
+        known = {one.row: _course(one) for one in moved if isinstance(one, Motion) and len(one.start)}
         here = np.isin(rows, list(known))
         for at, path in enumerate(paths):
             picked = np.flatnonzero(here & (shares[:, at] < 1.0))
-            if len(picked) == 0:
-                continue
-            motions = [known[int(row)] for row in rows[picked]]
-            found = _cross(scene, rows[picked], motions, path, shares[picked, at])
-            times[picked, at], force[picked, at], energy[picked, at], imbalance[picked, at] = found
+            if len(picked):
+                courses = [known[int(row)] for row in rows[picked]]
+                found[:, picked, at] = _cross(scene, rows[picked], courses, path, shares[picked, at])
+    times = found[0]
     governing = np.argmin(times, axis=1)
-    every = np.arange(n)
-    time = times[every, governing]
+    time, force, energy, imbalance = found[:, np.arange(n), governing]
     none = np.isinf(time)
     return Fractures(
         times=times,
         first=np.where(none, -1, governing),
         time=np.where(none, np.nan, time),
-        force=force[every, governing],
-        energy=energy[every, governing],
-        imbalance=imbalance[every, governing],
+        force=force,
+        energy=energy,
+        imbalance=imbalance,
         early=~none & (time < scene.first_echo[rows]),
     )
 
 
-def _cross(
-    scene: Scene, rows: Index, courses: Sequence[_Course], path: Path, shares: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each row."""
+def _cross(scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, shares: Array) -> Array:
+    """Time [s], larger force [N], stored energy [J] and imbalance at the first crossing of each row, (4, n)."""
     scales = scene.scales
     unit = scales.time[rows]
     last = [
@@ -272,9 +239,11 @@ def _cross(
     largest = np.maximum(before**1.5, push.max(axis=1))
     with np.errstate(invalid="ignore"):
         imbalance = np.where(largest > 0.0, np.abs(push[:, 0] - push[:, 1]) / largest, 0.0)
-    return (
-        (begin + high * length) * unit,
-        scales.force[rows] * push.max(axis=1),
-        scales.force[rows] * scales.approach[rows] * _stored(approach),
-        imbalance,
+    return np.stack(
+        [
+            (begin + high * length) * unit,
+            scales.force[rows] * push.max(axis=1),
+            scales.force[rows] * scales.approach[rows] * _stored(approach),
+            imbalance,
+        ]
     )

@@ -7,11 +7,11 @@ anywhere, and every reflection is in its signal.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.field import BARS, arriving, check_position, field_at, last_time, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 
@@ -29,7 +29,6 @@ __all__ = [
     "wave_energies",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: a wave is over once it stays below this share of its largest value
 _OVER: Final = 0.01
@@ -113,7 +112,7 @@ class Energies:
 # --- signals ------------------------------------------------------------------------------------------
 
 
-def gauge_strain(motion: Motion, bar: str, position: float, times: Any, *, sides: Array | None = None) -> Array:
+def gauge_strain(motion: Motion, bar: str, position: float, times: Values, *, sides: Array | None = None) -> Array:
     """Axial strain at a place of a bar, tension positive.
 
     At a distance d from the sphere, with c0 the wave speed of the bars:
@@ -294,7 +293,7 @@ def bar_forces(motion: Motion, incident_position: float, receiving_position: flo
     return BarForces(time=times, one_wave=one, two_wave=two, three_wave=0.5 * (one + two), end=end)
 
 
-def force_imbalance(force_a: Any, force_b: Any) -> Array:
+def force_imbalance(force_a: Values, force_b: Values) -> Array:
     """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 where one face alone is pressed, 0 where none is.
 
     G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267, who ask for R <= 0.05.

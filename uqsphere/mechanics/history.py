@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.damper import Damper, move_with_damper
 from uqsphere.mechanics.field import BARS, Tension, field_grid, first_tension, waves_at
@@ -37,7 +37,6 @@ __all__ = [
     "view_field",
 ]
 
-Array = npt.NDArray[np.float64]
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 
@@ -165,7 +164,7 @@ class History:
         # Hertz: p_0 = (2/pi) E* a/r_eff
         return pressure * 0.5 * np.pi * self.effective_radius / self.modulus / radius, pressure
 
-    def pressure_over_contact(self, distance: Any, face: str = "A") -> Array:
+    def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
         """p(R, t) [Pa] at the distances R (k,) [m] from the contact's centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
         approach = contact.approach_at_force(force, self.hertz_constant)

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
@@ -34,7 +34,6 @@ __all__ = [
     "wishes",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: scale factors of a scene that formulas read beside its own columns
 _SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time")
@@ -111,7 +110,7 @@ class Columns(Mapping[str, Any]):
     def __init__(self, known: Mapping[str, Any]) -> None:
         self._known = dict(known)
 
-    def __getitem__(self, name: str) -> Any:
+    def __getitem__(self, name: str) -> Values:
         if name not in self._known:
             formula = OUTPUTS[name].formula
             assert formula is not None
@@ -126,7 +125,7 @@ class Columns(Mapping[str, Any]):
         return len(self._known)
 
 
-def columns_of(scene: Scene, rows: npt.NDArray[np.int64] | slice = slice(None)) -> dict[str, Any]:
+def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:
     """Numbers and scale factors of some rows of a scene."""
     scales = {name: getattr(scene.scales, name)[rows] for name in _SCALES}
     return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
@@ -162,7 +161,7 @@ def follows_force(quantity: str) -> bool:
     return quantity in OUTPUTS and OUTPUTS[quantity].follows != "" and "product.A" not in _roots(quantity, {})
 
 
-def at_force(force: Any, known: Mapping[str, Any]) -> Columns:
+def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
     """Columns of n spheres that are loaded slowly up to a force [N].
 
     Parameters
@@ -205,18 +204,18 @@ class Answers:
     """
 
     values: Mapping[str, Array]
-    censored: Mapping[str, npt.NDArray[np.bool_]]
-    status: npt.NDArray[np.int64]
+    censored: Mapping[str, Flags]
+    status: Places
     record: Array
-    steps: npt.NDArray[np.int64]
+    steps: Places
     others: Mapping[str, Array] = field(default_factory=dict)
 
 
 def answers_of(
     scene: Scene,
     scaled: Array,
-    status: npt.NDArray[np.int64],
-    steps: npt.NDArray[np.int64],
+    status: Places,
+    steps: Places,
     *,
     linear: bool = False,
     quantities: Collection[str] | None = None,

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
+
+from uqsphere.arrays import Array, Flags, Values
 
 __all__ = [
     "NOISE_MODES",
@@ -28,7 +29,6 @@ __all__ = [
     "striker_steps",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: relative depth of the dip of a two-peak pulse whose study does not give it
 DEFAULT_VALLEY: Final = 0.75
@@ -57,7 +57,7 @@ class Pulse:
     breaks: Array
     coefficients: Array
     frequency: Array
-    valid: npt.NDArray[np.bool_]
+    valid: Flags
 
     @property
     def end(self) -> Array:
@@ -78,7 +78,7 @@ def _line(length: Array, left: Array, right: Array) -> Array:
     return np.stack([left + zero, (right - left) / safe, zero, zero], axis=1)
 
 
-def striker_steps(ratio: Any) -> tuple[Array, npt.NDArray[np.bool_]]:
+def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     """The steps that a striker of another impedance sends, docs/theory.md, section 7.
 
     A striker whose impedance is `ratio` times the bar's moves the bar's end with 2 ratio/(1 + ratio) of v0/2; each
@@ -216,7 +216,7 @@ PRESETS: Final[dict[str, tuple[str, Mapping[str, float]]]] = {
 }
 
 
-def build_pulse(shape: str, duration: Any, numbers: Mapping[str, Any] | None = None) -> Pulse:
+def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Any] | None = None) -> Pulse:
     """Pieces of the pulses of n rows.
 
     Parameters

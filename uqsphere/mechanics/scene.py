@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.pulses import (
     PARAMETERS,
@@ -28,8 +28,6 @@ from uqsphere.units import Quantity
 
 __all__ = ["INPUTS", "STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
 
-Array = npt.NDArray[np.float64]
-Codes = npt.NDArray[np.int64]
 
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
 INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
@@ -115,7 +113,7 @@ _SHORTEST: Final = 1e-9
 UNDECIDED: Final = 7
 
 
-def answered(status: Codes) -> npt.NDArray[np.bool_]:
+def answered(status: Places) -> Flags:
     """Whether rows have numbers that may be used, (n,)."""
     return np.asarray((status == 0) | (status == UNDECIDED))
 
@@ -333,7 +331,7 @@ class Scene:
             )
 
     @cached_property
-    def status(self) -> Codes:
+    def status(self) -> Places:
         """Status of every row before anything is integrated, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
         for name, column in self.columns.items():

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range
 from uqsphere.mechanics.outputs import Answers
@@ -29,7 +29,6 @@ __all__ = [
     "grades",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: what a grade means
 GRADES: Final = ("ok", "information", "warning", "failure")
@@ -250,7 +249,7 @@ _AT_FRACTURE: Final = Rule(
 )  # fmt: skip
 
 
-def grades(rule: Rule, measured: Array) -> npt.NDArray[np.int64]:
+def grades(rule: Rule, measured: Array) -> Places:
     """Grade 0 to 3 of every row; a row without a number is graded 0.
 
     >>> grades(RULES[0], np.array([0.1, 0.25, 0.4, np.nan])).tolist()
@@ -307,7 +306,7 @@ def check_at_fracture(imbalance: Array, weights: Array) -> Check:
     return _result(rule, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 
-def _check(rule: Rule, scene: Scene, answers: Answers, good: npt.NDArray[np.bool_]) -> Check:
+def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check:
     measured = rule.measure(scene, answers)
     if isinstance(measured, str):
         return _without_number(rule, scene, measured, bool(good.any()))
@@ -382,7 +381,7 @@ def check_ranges(
     return [*found, *([_product(scene, answers, good)] if "t10" in quantities else [])]
 
 
-def _product(scene: Scene, answers: Answers, good: npt.NDArray[np.bool_]) -> Check:
+def _product(scene: Scene, answers: Answers, good: Flags) -> Check:
     """The fineness against the energies and sizes that its A and b are fitted to."""
     energy, size = answers.values["specific_energy"], 2.0 * scene.columns["sphere.radius"]
     allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
@@ -418,7 +417,7 @@ def _check_criterion_ranges(
     parameters: Mapping[str, float],
     scene: Scene,
     answers: Answers,
-    good: npt.NDArray[np.bool_],
+    good: Flags,
 ) -> Check:
     name = f"range_of_{quantity}"
     columns = {**scene.columns, **answers.values}

@@ -8,7 +8,8 @@ read (`uqsphere.mechanics.outputs`).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from uqsphere.arrays import Array
 
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
@@ -52,6 +53,6 @@ TAIL_SHARE = 0.01
 POINTS = 4
 
 
-def empty_answers(rows: int) -> npt.NDArray[np.float64]:
+def empty_answers(rows: int) -> Array:
     """Room for the answers of `rows` rows, not a number until a row is done."""
     return np.full((rows, ANSWERS), np.nan)

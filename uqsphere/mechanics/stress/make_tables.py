@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.stress.series import (
     Load,
     cross_in_closed_form,
@@ -51,8 +52,6 @@ __all__ = [
 #
 # so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of it (theory section
 # 6); it has a criterion of its own.  Equal forces; V and S are those of the whole sphere.
-
-Array = npt.NDArray[np.float64]
 
 
 def _gauss(edges: Array, nodes: int) -> tuple[Array, Array]:

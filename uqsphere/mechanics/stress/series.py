@@ -20,6 +20,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
+
 __all__ = [
     "MOST_TERMS",
     "Load",
@@ -31,8 +33,6 @@ __all__ = [
     "surface_stress",
     "terms_for",
 ]
-
-Array = npt.NDArray[np.float64]
 
 
 #: degrees beyond which a series is not carried; what is left is stated by `Stress.truncation`

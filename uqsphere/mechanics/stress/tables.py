@@ -18,12 +18,12 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from uqsphere.arrays import Array, Flags, Values
 
 __all__ = [
     "CONTACT_RATIO",
@@ -181,7 +181,7 @@ def load_table(name: str) -> Table:
     return Table(name=name, coefficients=coefficients)
 
 
-def ratio(name: str, contact_ratio: Any, nu: Any, modulus: Any = None) -> Array:
+def ratio(name: str, contact_ratio: Values, nu: Values, modulus: Values = None) -> Array:
     """The tabulated ratio of n rows."""
     return load_table(name)(contact_ratio, nu, modulus)
 
@@ -230,9 +230,7 @@ def half_space_rim(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt
     return np.asarray((1.0 - 2.0 * np.asarray(nu, dtype=float)) / 3.0 * area ** (1.0 / m))
 
 
-def outside(
-    contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None
-) -> npt.NDArray[np.bool_]:
+def outside(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike | None = None) -> Flags:
     """Which rows lie outside the range of the tables; with a modulus, of those of the weakest link.
 
     >>> outside([0.1, 0.4], 0.25).tolist()
