@@ -303,9 +303,7 @@ class Comparison:
 
 
 #: quantities that follow from others row by row: their errors are those of the pressure
-_DERIVED: Final = frozenset(
-    {"core_tension", "equatorial_tension", "hiramatsu_oka_tension", "subsurface_shear", "ring_crack_toughness"}
-)
+_DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place in ("rim", "core", "below"))
 
 
 def _names(answers: Answers) -> tuple[str, ...]:
