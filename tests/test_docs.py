@@ -338,7 +338,7 @@ def test_sizes_in_the_text_are_those_of_the_code() -> None:
         f"up to {sensitivity.FIT_POINTS} points of each of {sensitivity.FITS} scramblings",
     ):
         assert text in flat, text
-    from uqsphere.mechanics.integrator.kernel import WAVE
+    from uqsphere.mechanics.integrator.incoming import WAVE
     from uqsphere.mechanics.integrator.step import ORDER
 
     assert f"Taylor series of order {ORDER}" in flat
