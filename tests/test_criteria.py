@@ -13,6 +13,7 @@ from uqsphere import load_study
 from uqsphere.cli import main
 from uqsphere.mechanics import contact, criteria
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, demand, in_range
+from uqsphere.mechanics.outputs import path_of
 from uqsphere.mechanics.stress.make_tables import hoop_field
 from uqsphere.model import evaluate
 from uqsphere.quantities import OUTPUTS
@@ -218,6 +219,14 @@ def test_wrong_parameters_are_told() -> None:
         demand(entry, rows(), {"modulus": 0.0, "reference_volume": 1e-6})
 
 
+def test_the_tension_of_a_grain_is_that_of_practice_over_its_factor() -> None:
+    columns = rows()
+    found = demand(CRITERIA["grain_tension"], columns)
+    assert found == pytest.approx(demand(CRITERIA["hiramatsu_oka"], columns) / 0.9, rel=1e-12)
+    assert OUTPUTS["grain_tension"].place == "core"
+    assert path_of("grain_tension") is not None
+
+
 def test_the_model_answers_them_for_every_fidelity() -> None:
     study = load_study(shipped_studies()["granite"])
     own = {c.quantity: key for key, c in CRITERIA.items() if c.quantity not in (None, "p_max", "specific_energy")}
@@ -248,4 +257,5 @@ def test_list_criteria(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.M
     for (name, entry), line in zip(CRITERIA.items(), text.splitlines()[1:], strict=True):
         assert line.startswith(name)
         assert all(words in line for words in (entry.formula, entry.range_text, entry.source))
-    assert content[7]["parameters"]["modulus"] == "Weibull modulus m"
+    told = {entry["criterion"]: entry["parameters"] for entry in content}
+    assert told["weakest_link_volume"]["modulus"] == "Weibull modulus m"

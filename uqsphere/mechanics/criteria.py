@@ -417,6 +417,17 @@ CRITERIA: Final[dict[str, Criterion]] = {
             needs=("P_max", "a_max", "sphere.radius"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: hiramatsu_oka_tension(columns["P_max"], columns["sphere.radius"])),
         Criterion(
+            name="grain_tension", quantity="grain_tension",
+            symbol="sigma_F", display="MPa", measures="nominal tension P/D² of a grain between two platens",
+            place="core", meaning="tension by which grains of sand and rockfill are ranked in crushing tests",
+            formula="P_max/D²", dimension="pressure",
+            strength="characteristic stress of crushing tests on grains (37 % survive it)",
+            source="McDowell and Bolton, Geotechnique 48 (1998) 667, abstract seen; Jaeger 1967, from memory",
+            range_text="a/r <= 0.2", needs=("P_max", "a_max", "sphere.radius"), optional=_RATE,
+            ranges={"a/r": (0.0, 0.2)},
+            formula_of=lambda columns, parameters: np.asarray(
+                columns["P_max"] / np.square(2.0 * np.asarray(columns["sphere.radius"])))),
+        Criterion(
             name="weakest_link_volume", meaning="flaws in the volume opened by the hoop tension",
             symbol="sigma_V", display="MPa",
             measures="uniform tension in the reference volume that is as dangerous as the hoop tension in the sphere",
