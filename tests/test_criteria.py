@@ -241,6 +241,13 @@ def test_the_model_answers_them_for_every_fidelity() -> None:
             assert frame[name].to_numpy() == pytest.approx(demand(CRITERIA[criterion], columns), rel=1e-12)
 
 
+def test_the_mean_pressure_is_two_thirds_of_the_largest() -> None:
+    study = load_study(shipped_studies()["granite"])
+    for fidelity in ("massless", "linear", "full"):
+        frame = evaluate(study, {"striker.speed": np.array([0.5])}, ("mean_pressure", "p_max"), fidelity=fidelity)
+        assert frame["mean_pressure"][0] == pytest.approx(2.0 / 3.0 * frame["p_max"][0], rel=1e-12)
+
+
 def test_list_criteria(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     assert main(["list", "criteria"]) == 0

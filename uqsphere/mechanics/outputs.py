@@ -64,6 +64,9 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("P_max", "hertz_constant", "effective_radius"),
              formula=lambda c: contact.contact_radius(
                  contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"])),
+    Quantity(name="mean_pressure", symbol="p_m", dimension="pressure", display="GPa", follows="force", place="contact",
+             meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
+             needs=("P_max", "a_max"), formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"]))),
     Quantity(name="contact_time", symbol="t_contact", dimension="time", display="us", rough=24_000,
              meaning="time from first touch to the first loss of contact at either face", needs=("time", "contact"),
              censored="contact_censored",
