@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.families.empirical import MOST_KERNELS, bandwidth
 from uqsphere.uq.families.family import Posterior
 from uqsphere.uq.law import Law, LawError, bounds_of, checked, make_law
@@ -88,6 +88,20 @@ def fitted_law(
     how = fit or "kde"
     if how not in FITS:
         raise LawError(f"unknown fit {how!r}; allowed: {', '.join(FITS)}", "fit")
+    values = _observations(data)
+    if how not in ("kde", "steps"):
+        return checked(_member(FAMILIES[how], values, a, b))
+    if how == "kde" and values.size > MOST_KERNELS:
+        raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
+    width = bandwidth(values) if how == "kde" else 0.0
+    observations = tuple(values.tolist())
+    return checked(
+        Law(family=FAMILIES["empirical"], parameters={"bandwidth": width}, lower=a, upper=b, data=observations)
+    )
+
+
+def _observations(data: Sequence[float]) -> Array:
+    """Observations (n,) in rising order; raises LawError for those that tell no scatter."""
     values = np.sort(np.asarray(data, dtype=float))
     if values.ndim != 1 or values.size < 2:
         raise LawError(f"an empirical law needs at least 2 observations, found {values.size}", "file")
@@ -95,31 +109,26 @@ def fitted_law(
         raise LawError("the observations hold values that are not finite numbers", "column")
     if values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
-    observations = tuple(values.tolist())
-    if how in ("kde", "steps"):
-        if how == "kde" and values.size > MOST_KERNELS:
-            raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
-        width = bandwidth(values) if how == "kde" else 0.0
-        law = Law(family=_EMPIRICAL, parameters={"bandwidth": width}, lower=a, upper=b, data=observations)
-        return checked(law)
-    family = FAMILIES[how]
+    return values
+
+
+def _member(family: Family, values: Array, a: float, b: float) -> Law:
+    """The member of a family that the observations have the largest likelihood by."""
+    name = family.name
     if family.spanned:
         a = float(values[0]) if math.isinf(a) else a
         b = float(values[-1]) if math.isinf(b) else b
     if family.bounded and not (math.isfinite(a) and math.isfinite(b)):
-        raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
+        raise LawError(f"{name} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
     try:
         if family.positive and values[0] <= 0.0:
-            raise ValueError(f"{how} needs positive observations, the smallest is {values[0]:g}")
+            raise ValueError(f"{name} needs positive observations, the smallest is {values[0]:g}")
         parameters = family.parameters(family.fit(values, a, b), a, b)
     except ValueError as error:
-        raise LawError(f"{how} does not fit the observations: {error}", "fit") from None
-    return checked(Law(family=family, parameters=parameters, lower=a, upper=b, data=observations))
-
-
-_EMPIRICAL: Final = FAMILIES["empirical"]
+        raise LawError(f"{name} does not fit the observations: {error}", "fit") from None
+    return Law(family=family, parameters=parameters, lower=a, upper=b, data=tuple(values.tolist()))
 
 
 def _strength(

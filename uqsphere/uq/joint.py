@@ -16,6 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import combinations
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -70,16 +71,7 @@ def make_copula(
     >>> make_copula("clayton", 2, kendall=0.5).theta
     2.0
     """
-    if kind not in COPULAS:
-        raise LawError(f"unknown copula {kind!r}; known: {', '.join(COPULAS)}", "copula")
-    if size < 2:
-        raise LawError(f"a dependence needs two or more different inputs, found {size}", "of")
-    if (spearman is None) == (kendall is None):
-        raise LawError("a dependence is given by one of spearman and kendall", "spearman")
-    key, value = ("kendall", kendall) if spearman is None else ("spearman", spearman)
-    assert value is not None
-    if not (math.isfinite(value) and -1.0 < value < 1.0):
-        raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
+    key, value = _asked_rank(kind, size, spearman, kendall)
     if kind == "student_t":
         if dof is None or not LEAST_DOF <= dof <= MOST_DOF:
             raise LawError(f"dof must lie between {LEAST_DOF:g} and {MOST_DOF:g}, found {dof}", "dof")
@@ -96,6 +88,21 @@ def make_copula(
         return Elliptical(correlation=correlation, dof=math.inf if dof is None else dof)
     _check_archimedean(kind, size, key, value)
     return Archimedean(generator=ARCHIMEDEAN[kind], size=size, theta=_archimedean_strength(kind, key, value))
+
+
+def _asked_rank(kind: str, size: int, spearman: float | None, kendall: float | None) -> tuple[str, float]:
+    """By which rank correlation a dependence is given, and what it is; raises LawError."""
+    if kind not in COPULAS:
+        raise LawError(f"unknown copula {kind!r}; known: {', '.join(COPULAS)}", "copula")
+    if size < 2:
+        raise LawError(f"a dependence needs two or more different inputs, found {size}", "of")
+    if (spearman is None) == (kendall is None):
+        raise LawError("a dependence is given by one of spearman and kendall", "spearman")
+    key, value = ("kendall", kendall) if spearman is None else ("spearman", spearman)
+    assert value is not None
+    if not (math.isfinite(value) and -1.0 < value < 1.0):
+        raise LawError(f"{key} must lie strictly between -1 and 1, found {value:g}", key)
+    return key, value
 
 
 def _check_archimedean(kind: str, size: int, key: str, value: float) -> None:
@@ -432,29 +439,30 @@ def correlation_from_spearman(names: Sequence[str], groups: Sequence[tuple[tuple
     None if nothing depends on anything.  Raises LawError (keys "of", "spearman") for unknown or repeated
     names, a pair given twice, |rho| >= 1, and a matrix that is not positive definite.
     """
-    position = {name: index for index, name in enumerate(names)}
     correlation = np.eye(len(names))
     tied: set[tuple[int, int]] = set()
     for members, spearman in groups:
-        unknown = [name for name in members if name not in position]
-        if unknown:
-            known = ", ".join(names) or "none"
-            raise LawError(f"{unknown[0]!r} is not a random input; random are: {known}", "of")
-        if len(members) < 2 or len(set(members)) != len(members):
-            raise LawError(f"a dependence needs two or more different inputs, found {list(members)}", "of")
-        if not (math.isfinite(spearman) and -1.0 < spearman < 1.0):
-            raise LawError(f"spearman must lie strictly between -1 and 1, found {spearman:g}", "spearman")
-        indices = sorted(position[name] for name in members)
-        for at, i in enumerate(indices):
-            for j in indices[at + 1 :]:
-                if (i, j) in tied:
-                    raise LawError(f"the dependence of {names[i]} and {names[j]} is given twice", "of")
-                tied.add((i, j))
-                correlation[i, j] = correlation[j, i] = 2.0 * math.sin(math.pi * spearman / 6.0)
+        for pair in combinations(sorted(_places(names, members)), 2):
+            if not (math.isfinite(spearman) and -1.0 < spearman < 1.0):
+                raise LawError(f"spearman must lie strictly between -1 and 1, found {spearman:g}", "spearman")
+            if pair in tied:
+                one, other = (names[k] for k in pair)
+                raise LawError(f"the dependence of {one} and {other} is given twice", "of")
+            tied.add(pair)
+            correlation[pair] = correlation[pair[::-1]] = 2.0 * math.sin(math.pi * spearman / 6.0)
     if not np.any(correlation - np.eye(len(names))):
         return None
     _factor(names, correlation)
     return correlation
+
+
+def _places(names: Sequence[str], members: Sequence[str]) -> list[int]:
+    """Columns of two or more different inputs; raises LawError."""
+    if unknown := [name for name in members if name not in names]:
+        raise LawError(f"{unknown[0]!r} is not a random input; random are: {', '.join(names) or 'none'}", "of")
+    if len(members) < 2 or len(set(members)) != len(members):
+        raise LawError(f"a dependence needs two or more different inputs, found {list(members)}", "of")
+    return [names.index(name) for name in members]
 
 
 def make_joint(names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:

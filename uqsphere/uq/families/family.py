@@ -204,18 +204,33 @@ class Family:
 
     def parameters(self, given: Parameters, lower: float, upper: float) -> dict[str, float]:
         """Canonical parameters from one of the alternative key sets; raises LawError."""
+        if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
+            missing = "lower" if math.isinf(lower) else "upper"
+            raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
+        own = self._own(given)
+        optional = {key: given.get(key, default) for key, default in self.optional.items()}
+        try:
+            resolved = self.canonical({**own, **optional}, lower, upper)
+            beyond = not all(math.isfinite(value) for value in resolved.values())
+        except (OverflowError, ZeroDivisionError):
+            beyond = True
+        if beyond:
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
+        return resolved
+
+    def _own(self, given: Parameters) -> dict[str, float]:
+        """One whole alternative of what was given, sd in place of cov."""
         for key, value in given.items():
             if key not in self.keys:
                 raise LawError(f"unknown key {key!r} for {self.name}; allowed: {self.allowed()}", key)
             if not math.isfinite(value):
                 raise LawError(f"{key} must be a finite number, found {value}", key)
-        if self.bounded and not (math.isfinite(lower) and math.isfinite(upper)):
-            missing = "lower" if math.isinf(lower) else "upper"
-            raise LawError(f"{self.name} needs lower and upper; {missing} is missing", missing)
         own = {key: float(value) for key, value in given.items() if key not in self.optional}
         if not any(set(keys) == set(own) for keys in self.alternatives):
-            found = ", ".join(own) or "none of them"
-            raise LawError(f"{self.name} takes {self.allowed()}; found {found}", self._offending(own))
+            # the key to point at: one that goes with none of the best matching alternatives, else the table
+            best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
+            odd = next((key for key in own if key not in best), "")
+            raise LawError(f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd)
         for key in _POSITIVE:
             if key in own and own[key] <= 0.0:
                 hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
@@ -224,19 +239,7 @@ class Family:
             if own["mean"] == 0.0:
                 raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
             own["sd"] = own.pop("cov") * abs(own["mean"])
-        optional = {key: given.get(key, default) for key, default in self.optional.items()}
-        try:
-            resolved = self.canonical({**own, **optional}, lower, upper)
-        except (OverflowError, ZeroDivisionError):
-            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "") from None
-        if not all(math.isfinite(value) for value in resolved.values()):
-            raise LawError(f"these parameters of {self.name} give numbers beyond floating point", "")
-        return resolved
-
-    def _offending(self, own: Parameters) -> str:
-        """The key to point at: one that goes with none of the best matching alternatives, else the table."""
-        best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
-        return next((key for key in own if key not in best), "")
+        return own
 
 
 #: keys that must be above zero in every family that has them
