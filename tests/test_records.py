@@ -316,7 +316,7 @@ def test_what_a_measured_study_says_of_itself(tmp_path: Path) -> None:
         ('pulse.file="../pulse.csv"', "files of its own folder only"),
         ('pulse.unit="furlong"', "allowed: strain"),
         ("pulse.correct_dispersion=true", "gauge_distance"),
-        ('pulse.gauge_distance="-1 m"', "must sit on the incident bar"),
+        ('pulse.gauge_distance="-1 m"', "must be above 0"),
         ('striker.speed="1 m/s"', "leave it out"),
         ('pulse.window=["3 ms"]', "two are due"),
         ('pulse.window=["3 ms", "4 ms"]', "window of the pulse lies outside"),

@@ -166,36 +166,24 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     shared = signals == 2
     if signals not in (2, 3):
         raise RecordError(f"found {signals} signals; two (one gauge per bar) or three waves are due")
-    bar, step = rig.bar, record.step
-    notes: list[str] = []
+    bar, step, length = rig.bar, record.step, len(record.strain)
     distance = rig.incident_gauge if rig.correct_dispersion else 0.0
     cut = cut_pulse(record, bar=bar if distance else None, distance=distance, begin=begin, end=end)
+    # places of samples: the incident wave at its gauge, the reflected one there, the transmitted one at the other
     first = (cut.begin - record.start) / step
     delay = 2.0 * rig.incident_gauge / bar.wave_speed / step
-    if shared and len(cut.strain) - 1 > delay * (1.0 + 1e-9):
-        raise RecordError(
-            f"incident and reflected wave overlap at the incident gauge: the pulse lasts "
-            f"{(len(cut.strain) - 1) * step * 1e6:.4g} us, and {delay * step * 1e6:.4g} us lie between the two at "
-            f"{rig.incident_gauge:.4g} m from the sphere; shorten the pulse or set the gauge further back"
-        )
+    again = first + delay
     behind = first + (rig.incident_gauge + rig.receiving_gauge) / bar.wave_speed / step
-    length = len(record.strain)
-    count = int(min(length - 3 - (first + delay), length - 3 - behind))
-    if math.isfinite(rig.undisturbed):
-        within = int(rig.undisturbed / step)
-        if within < count:
-            notes.append(
-                f"waves from the far ends mix in after {rig.undisturbed * 1e6:.4g} us: what is later is left out"
-            )
-            count = within
-    if count < _FEWEST:
-        raise RecordError(f"{max(count, 0)} samples are left behind first touch, {_FEWEST} at least are needed")
-    grown = np.ones(3)
-    waves = []
-    for k, (place, way) in enumerate(((first + delay, -rig.incident_gauge), (behind, -rig.receiving_gauge)), start=1):
-        values = record.strain[:, min(k, signals - 1) if not shared else k - 1]
+    if shared:
+        _refuse_overlap(cut, delay, step, rig)
+    count, notes = _samples(int(min(length - 3 - again, length - 3 - behind)), rig, step)
+    channels = [0, 0, 1] if shared else [0, 1, 2]
+    grown, waves = np.ones(3), []
+    for k, place, way in ((1, again, -rig.incident_gauge), (2, behind, -rig.receiving_gauge)):
+        values = record.strain[:, channels[k]]
         if rig.correct_dispersion:
-            values, grown[k] = _carried(_alone(values, first + delay if k == 1 and shared else 0.0), step, bar, way)
+            alone = _within(values, int(again) if k == 1 and shared else 0, length)
+            values, grown[k] = _carried(alone, step, bar, way)
         wave, spread = _read_at(values, place, count)
         grown[k] *= spread
         waves.append(wave)
@@ -206,9 +194,9 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     incident = np.zeros(count)
     values = record.strain[:, 0]
     if rig.correct_dispersion:
-        values, grown[0] = _carried(_before(values, first + delay if shared else length), step, bar, rig.incident_gauge)
+        alone = _within(values, 0, int(again) + 1 if shared else length)
+        values, grown[0] = _carried(alone, step, bar, rig.incident_gauge)
     incident[:last] = values[round(first) : round(first) + last]
-    channels = [0, 0, 1] if shared else [0, 1, 2]
     noise, memory = record.noise[channels] * grown, record.memory[channels] / np.square(grown)
     return Faces(
         step=step, incident=incident, reflected=waves[0], transmitted=waves[1], noise=noise, memory=memory,
@@ -216,20 +204,32 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     )  # fmt: skip
 
 
-def _before(values: Array, last: float) -> Array:
-    """The signal without the wave that comes after `last`."""
-    left = values.copy()
-    left[int(last) + 1 :] = 0.0
-    return left
+def _refuse_overlap(cut: CutPulse, delay: float, step: float, rig: Rig) -> None:
+    """One gauge that sees incident and reflected wave must see them one after the other."""
+    lasts = len(cut.strain) - 1
+    if lasts > delay * (1.0 + 1e-9):
+        raise RecordError(
+            f"incident and reflected wave overlap at the incident gauge: the pulse lasts {lasts * step * 1e6:.4g} us, "
+            f"and {delay * step * 1e6:.4g} us lie between the two at {rig.incident_gauge:.4g} m from the sphere; "
+            "shorten the pulse or set the gauge further back"
+        )
 
 
-def _alone(values: Array, first: float) -> Array:
-    """The signal without the wave that passed before `first`."""
-    cut = int(first)
-    if cut <= 0:
-        return values
-    left = values.copy()
-    left[:cut] = 0.0
+def _samples(count: int, rig: Rig, step: float) -> tuple[int, list[str]]:
+    """Samples at the faces, those left out into which waves from the far ends mix."""
+    notes = []
+    if math.isfinite(rig.undisturbed) and int(rig.undisturbed / step) < count:
+        count = int(rig.undisturbed / step)
+        notes = [f"waves from the far ends mix in after {rig.undisturbed * 1e6:.4g} us: what is later is left out"]
+    if count < _FEWEST:
+        raise RecordError(f"{max(count, 0)} samples are left behind first touch, {_FEWEST} at least are needed")
+    return count, notes
+
+
+def _within(values: Array, first: int, last: int) -> Array:
+    """The signal without the waves that pass before `first` and from `last` on."""
+    left = np.zeros_like(values)
+    left[max(first, 0) : last] = values[max(first, 0) : last]
     return left
 
 
@@ -595,42 +595,49 @@ def invert(faces: Faces, columns: Mapping[str, float], *, gain_sd: float = 0.01,
         scene["bars.end_radius"] = float(columns["bars.end_radius"])
     forces = forces_of(faces, scene, gain_sd)
     fit = _Fit(faces, scene, gain_sd, faces.step if shift_sd is None else shift_sd)
-    length = len(forces.time)
     largest = float(forces.force_b.max())
-    noisy = _Z * float(forces.sd_b[0])
-    if not largest > 3.0 * noisy:
+    if not largest > 3.0 * _Z * float(forces.sd_b[0]):
         raise RecordError("no force at the receiving face rises above the noise of the record")
-    loaded = int(np.argmax(forces.force_b > _LOADED * largest))
-    borders = _blocks(length, loaded)
+    length = len(forces.time)
+    borders = _blocks(length, int(np.argmax(forces.force_b > _LOADED * largest)))
     width = int(borders[1] - borders[0]) if len(borders) > 1 else 0
     parameters, covariance = fit.solve(length, fit.scan(length))
     found, used = None, length
     notes = [*faces.notes, *fit.pulse.notes[len(faces.pulse.notes) :]]
     if departure and len(borders) > 6 and _all_blocks(fit, parameters, borders, width) > _ODD:
-        end, before, spread, used = _departure(fit, forces, borders, width)
-        if end is None:
+        found, before, spread, used = _departure(fit, forces, borders, width)
+        if found is None:
             notes.append("the model does not explain the record to its noise, yet no single moment stands out")
         else:
-            found, parameters, covariance = end, before, spread
-    residual = fit.residual(parameters, length).reshape(2, length)[:, :used]
-    misfit = math.sqrt(float(np.square(residual * fit.sd[:, None] / faces.noise[1:, None]).mean())) if (
-        faces.noise[1:] > 0.0).all() else math.sqrt(float(np.square(residual).mean()))  # fmt: skip
-    spread_of_log = math.sqrt(max(float(covariance[_MODULUS, _MODULUS]), 0.0))
+            parameters, covariance = before, spread
+    stiffness = _stiffness(fit, parameters, covariance, used)
+    if stiffness.misfit > 1.3 and found is None:
+        notes.append(
+            f"the misfit is {stiffness.misfit:.3g} times the noise: the interval of E* is too narrow by as much"
+        )
+    fitted_a, fitted_b = _fitted_forces(fit, parameters)
+    return Inverse(forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes), stiffness=stiffness,
+                   fitted_a=fitted_a, fitted_b=fitted_b)  # fmt: skip
+
+
+def _stiffness(fit: _Fit, parameters: Array, covariance: Array, used: int) -> Stiffness:
+    """E* with its interval from the fit to the first `used` samples."""
+    noise = fit.faces.noise[1:, None]
+    residual = fit.residual(parameters, len(fit.faces.incident)).reshape(2, -1)[:, :used]
+    scaled = residual * fit.sd[:, None] / noise if (noise > 0.0).all() else residual
+    spread = math.sqrt(max(float(covariance[_MODULUS, _MODULUS]), 0.0))
     modulus = math.exp(parameters[_MODULUS])
-    if misfit > 1.3 and found is None:
-        notes.append(f"the misfit is {misfit:.3g} times the noise: the interval of E* is too narrow by as much")
-    reflected, transmitted = fit.waves(parameters)
-    scale = _stiffness_of_bar(scene)
-    incident = np.zeros(length)
-    moved = fit.motion(parameters)
-    within = np.minimum(faces.time, moved.scene.record_end[0])
-    incident = -waves_at(moved, within).incident / fit.speed
-    return Inverse(
-        forces=forces, departure=found, pulse=fit.pulse, notes=tuple(notes),
-        stiffness=Stiffness(
-            modulus=modulus, low=modulus * math.exp(-_Z * spread_of_log), high=modulus * math.exp(_Z * spread_of_log),
-            std_error=modulus * spread_of_log, gain_a=math.exp(parameters[_GAIN_A]),
-            gain_b=math.exp(parameters[_GAIN_B]), misfit=misfit, samples=used),
-        fitted_a=-scale * (incident + reflected * math.exp(parameters[_GAIN_A])),
-        fitted_b=-scale * transmitted * math.exp(parameters[_GAIN_B]),
+    return Stiffness(
+        modulus=modulus, low=modulus * math.exp(-_Z * spread), high=modulus * math.exp(_Z * spread),
+        std_error=modulus * spread, gain_a=math.exp(parameters[_GAIN_A]), gain_b=math.exp(parameters[_GAIN_B]),
+        misfit=math.sqrt(float(np.square(scaled).mean())), samples=used,
     )  # fmt: skip
+
+
+def _fitted_forces(fit: _Fit, parameters: Array) -> tuple[Array, Array]:
+    """Forces of the model at both faces, (n,), (n,) [N]."""
+    reflected, transmitted = fit.waves(parameters)
+    scale, moved = _stiffness_of_bar(fit.columns), fit.motion(parameters)
+    incident = -waves_at(moved, np.minimum(fit.faces.time, moved.scene.record_end[0])).incident / fit.speed
+    force_a = -scale * (incident + reflected * math.exp(parameters[_GAIN_A]))
+    return force_a, -scale * transmitted * math.exp(parameters[_GAIN_B])

@@ -169,44 +169,39 @@ def _number(cell: str, comma: bool) -> float | None:
         return None
 
 
+#: separator (None: blanks) and decimal comma, the likelier first
+_WRITTEN: Final = (
+    (";", False), (";", True), ("\t", False), ("\t", True), (",", False), (None, False), (None, True),
+)  # fmt: skip
+
+
+def _counts(line: str) -> bool:
+    """Whether a line is neither blank nor a comment."""
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _columns_of(lines: Sequence[str], separator: str | None, comma: bool) -> tuple[int, int]:
+    """Rows of numbers with the usual number of columns, and that number."""
+    rows = [[_number(cell, comma) for cell in _split(line, separator)] for line in lines if _counts(line)]
+    good = [len(row) for row in rows if len(row) > 1 and None not in row and not _empty(row)]
+    usual = max(set(good), key=good.count) if good else 0
+    return good.count(usual), usual
+
+
 def _form(head: str, name: str) -> _Form:
     lines = head.split("\n")
     if len(head) == _HEAD:
         lines = lines[:-1]  # cut in the middle
-    best: tuple[int, int, str | None, bool, int] | None = None
-    for order, (separator, comma) in enumerate(
-        ((";", False), (";", True), ("\t", False), ("\t", True), (",", False), (None, False), (None, True))
-    ):
-        rows = [
-            [_number(cell, comma) for cell in _split(line, separator)]
-            for line in lines[:400]
-            if line.strip() and not line.lstrip().startswith("#")
-        ]
-        good = [len(row) for row in rows if len(row) > 1 and None not in row and not _empty(row)]
-        usual = max(set(good), key=good.count) if good else 0
-        score = sum(1 for length in good if length == usual)
-        if score and (best is None or (score, -order) > (best[0], -best[1])):
-            best = (score, order, separator, comma, usual)
-    if best is None:
-        columns = (
-            "one column only" if any(_number(line, True) is not None for line in lines if line.strip()) else "none"
-        )
+    found = [(_columns_of(lines[:400], *way), way) for way in _WRITTEN]
+    (score, width), (separator, comma) = max(found, key=lambda one: one[0][0])
+    if not score:
+        single = any(_number(line, True) is not None for line in lines if line.strip())
         raise RecordError(
-            f"{name}: no table of numbers was found (columns of numbers: {columns}); a record has a column of time and "
-            "one or more of strain or volts, divided by comma, semicolon or tab"
+            f"{name}: no table of numbers was found (columns of numbers: {'one column only' if single else 'none'}); a "
+            "record has a column of time and one or more of strain or volts, divided by comma, semicolon or tab"
         )
-    _, _, separator, comma, width = best
-    skip, header = 0, None
-    for line in lines:
-        cells = _split(line, separator) if line.strip() else []
-        if cells and not line.lstrip().startswith("#"):
-            row = [_number(cell, comma) for cell in cells]
-            if len(row) >= 2 and row[0] is not None and not _empty(row):
-                break
-            if len(cells) >= 2 and None in row:
-                header = cells if header is None or len(cells) == width else header
-        skip += 1
-    names = header[:] if header is not None else []
+    skip, header = _above_numbers(lines, separator, comma, width)
+    names = list(header or ())
     if len(names) == width + 1 and not names[-1]:
         names = names[:-1]
     notes = [] if names else ["the file names no columns"]
@@ -217,6 +212,25 @@ def _form(head: str, name: str) -> _Form:
         notes.append("decimal comma")
     return _Form(separator=separator, comma=comma, skip=skip, names=tuple(text for text, _ in split),
                  units=tuple(units), notes=tuple(notes))  # fmt: skip
+
+
+def _above_numbers(
+    lines: Sequence[str], separator: str | None, comma: bool, width: int
+) -> tuple[int, list[str] | None]:
+    """Lines before the first row of numbers, and the cells of the one that names the columns."""
+    header = None
+    for skip, line in enumerate(lines):
+        if not _counts(line):
+            continue
+        cells = _split(line, separator)
+        row = [_number(cell, comma) for cell in cells]
+        if len(row) < 2:
+            continue
+        if row[0] is not None and not _empty(row):
+            return skip, header
+        if None in row and (header is None or len(cells) == width):
+            header = cells
+    return len(lines), header
 
 
 def _empty(row: Sequence[float | None]) -> bool:
@@ -266,34 +280,38 @@ def _fast(path: Path, encoding: str, form: _Form) -> Array:
 
 def _slow(path: Path, encoding: str, form: _Form) -> Array:
     """Row by row: cells without a number become NaN, the first row that does not fit is an error."""
-    width = len(form.names)
     rows: list[list[float]] = []
     try:
         for number, line in _lines(path, encoding, form):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            cells = _split(line, form.separator)
-            if len(cells) == width + 1 and cells[-1] == "":
-                cells = cells[:-1]  # a separator at the end of the line
-            if len(cells) != width:
-                raise RecordError(
-                    f"{path.name}: line {number} has {len(cells)} columns, the lines before have {width}: "
-                    f"{line.strip()[:60]!r}" + _comma_hint(form)
-                )
-            found = [_number(cell, form.comma) for cell in cells]
-            if any(value is None for value in found):
-                odd = next(cell for cell, value in zip(cells, found, strict=True) if value is None)
-                raise RecordError(f"{path.name}: line {number}: found {odd[:40]!r}, where a number is due")
-            row = [float("nan") if value is None else value for value in found]
-            rows.append(row)
+            if _counts(line):
+                rows.append(_row(line, form, f"{path.name}: line {number}"))
             if len(rows) > _MOST_ODD:
                 raise RecordError(
                     f"{path.name}: more than {_MOST_ODD:,} rows, some of which are not plain numbers: cut or clean it"
                 )
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path.name}: this is no table of numbers: {error}") from None
-    values = np.asarray(rows, dtype=float).reshape(len(rows), width)
+    values = np.asarray(rows, dtype=float).reshape(len(rows), len(form.names))
     return np.where(np.isfinite(values), values, np.nan)
+
+
+def _row(line: str, form: _Form, where: str) -> list[float]:
+    """The numbers of a line."""
+    width, cells = len(form.names), _split(line, form.separator)
+    if len(cells) == width + 1 and cells[-1] == "":
+        cells = cells[:-1]  # a separator at the end of the line
+    if len(cells) != width:
+        raise RecordError(
+            f"{where} has {len(cells)} columns, the lines before have {width}: {line.strip()[:60]!r}"
+            + _comma_hint(form)
+        )
+    row = []
+    for cell in cells:
+        value = _number(cell, form.comma)
+        if value is None:
+            raise RecordError(f"{where}: found {cell[:40]!r}, where a number is due")
+        row.append(value)
+    return row
 
 
 def _comma_hint(form: _Form) -> str:
