@@ -16,10 +16,7 @@ from tests.campaigns.sweep import (
     against_reference,
     as_inputs,
     design,
-    join,
-    rows_of,
     table,
-    take,
 )
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
@@ -73,51 +70,40 @@ def test_the_sweep_finds_a_wrong_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_design_covers_its_ranges_and_every_row_has_a_meaning() -> None:
     plan = design(2200, 1)
-    assert all((scene.status == 0).all() for scene in plan.scenes)
-    mu = np.concatenate([scene.scales.mass_number for scene in plan.scenes])
-    theta = np.concatenate([scene.scales.pulse_number for scene in plan.scenes])
+    assert all((scene.status == 0).all() for scene in plan)
+    mu = np.concatenate([scene.scales.mass_number for scene in plan])
+    theta = np.concatenate([scene.scales.pulse_number for scene in plan])
     theta = theta[np.isfinite(theta)]
     for values, name in ((mu, "mu"), (theta, "theta")):
         low, high, _ = RANGES[name]
         decades = np.histogram(np.log10(values), np.linspace(np.log10(low), np.log10(high), 6))[0]
         assert decades.min() > 0.15 * len(values)  # five equal parts: a fifth in each
     for name in ("sphere.E", "sphere.radius", "striker.speed", "sphere.nu"):
-        values = np.concatenate([scene.columns[name] for scene in plan.scenes])
+        values = np.concatenate([scene.columns[name] for scene in plan])
         low, high, log = RANGES[name]
         share = np.log(values / low) / np.log(high / low) if log else (values - low) / (high - low)
         assert share.min() < 0.01
         assert share.max() > 0.99
-    ends = np.concatenate([s.columns["bars.receiving_end"] for s in plan.scenes if not s.infinite])
+    ends = np.concatenate([s.columns["bars.receiving_end"] for s in plan if not s.infinite])
     assert {-1.0, 0.0, 1.0} <= set(ends)
     assert ((ends != -1.0) & (ends != 0.0) & (ends != 1.0)).mean() > 0.4
-    assert {scene.shape for scene in plan.scenes} == {"rectangular", "trapezoid", "half_sine", "two_peak", "step"}
-
-
-def test_slices_are_the_whole_in_parts() -> None:
-    plan = design(60, 2, narrower=SHORT)
-    ask = {"quantities": ("p_max",)}
-    whole = against_itself(plan, **ask)
-    parts = join([against_itself(plan, start=0, count=25, **ask), against_itself(plan, start=25, count=35, **ask)])
-    assert np.array_equal(whole.errors, parts.errors, equal_nan=True)
-    assert np.array_equal(whole.mu, parts.mu)
-    assert sum(len(places) for _, places in rows_of(plan, 0, 60)) == 60
+    assert {scene.shape for scene in plan} == {"rectangular", "trapezoid", "half_sine", "two_peak", "step"}
 
 
 def test_same_seed_same_scenes() -> None:
     one, two, other = design(50, 4), design(50, 4), design(50, 6)
-    assert as_inputs(one.scenes[0], 0) == as_inputs(two.scenes[0], 0)
-    assert as_inputs(one.scenes[0], 0) != as_inputs(other.scenes[0], 0)
-    assert as_inputs(take(one.scenes[1], [2]), 0) == as_inputs(one.scenes[1], 2)
+    assert as_inputs(one[0], 0) == as_inputs(two[0], 0)
+    assert as_inputs(one[0], 0) != as_inputs(other[0], 0)
 
 
 def test_an_undecided_row_needs_one_right_answer() -> None:
     plan = design(6, 1, strata=STRATA[5:6], narrower=SHORT)
-    scene = plan.scenes[0]
+    scene = plan[0]
     found = solve(scene)
     wrong = {name: 1.5 * value for name, value in found.values.items()}
     both = replace(found, values=wrong, others=dict(found.values))
     names = tuple(found.values)
-    truth = sweep._answers(found, slice(None))
-    assert (sweep._errors(names, sweep._answers(both, slice(None)), truth, 1e-6) == 0.0).all()
-    alone = sweep._answers(replace(found, values=wrong), slice(None))
+    truth = sweep._answers(found)
+    assert (sweep._errors(names, sweep._answers(both), truth, 1e-6) == 0.0).all()
+    alone = sweep._answers(replace(found, values=wrong))
     assert (sweep._errors(("p_max",), alone, truth, 1e-6) > ALLOWED).all()

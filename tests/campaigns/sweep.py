@@ -9,10 +9,11 @@ mu; the pulse's duration gives theta; the bars' lengths follow from the pulse.
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
+import math
 import sys
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -23,24 +24,6 @@ from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.quantities import OUTPUTS
-
-__all__ = [
-    "RANGES",
-    "STRATA",
-    "Comparison",
-    "Design",
-    "Stratum",
-    "Wrong",
-    "against_itself",
-    "against_reference",
-    "as_document",
-    "as_inputs",
-    "design",
-    "join",
-    "rows_of",
-    "table",
-    "take",
-]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -101,19 +84,6 @@ STRATA: Final[tuple[Stratum, ...]] = (
     Stratum(shape="step", infinite=True),
     Stratum(shape="step"),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Design:
-    """Scenes of a sweep: one per structure and horizon; `order` (n, 2) shuffles (scene, row), so that any slice is
-    as balanced as the whole."""
-
-    scenes: tuple[Scene, ...]
-    order: Rows
-    seed: int
-
-    def __len__(self) -> int:
-        return len(self.order)
 
 
 def _hypercube(count: int, rng: np.random.Generator, narrower: Ranges) -> dict[str, Array]:
@@ -184,11 +154,6 @@ def _columns(stratum: Stratum, count: int, rng: np.random.Generator, narrower: R
     return columns
 
 
-def take(scene: Scene, rows: Any) -> Scene:
-    """The scene with these rows only."""
-    return replace(scene, columns={name: column[rows] for name, column in scene.columns.items()})
-
-
 def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ranges) -> list[Scene]:
     """Scenes of one structure; a step on infinite bars needs a horizon, which a batch shares."""
     columns = _columns(stratum, count, rng, narrower)
@@ -211,8 +176,8 @@ def _scenes(stratum: Stratum, count: int, rng: np.random.Generator, narrower: Ra
 
 def design(
     count: int, seed: int, *, strata: tuple[Stratum, ...] = STRATA, narrower: Ranges = MappingProxyType({})
-) -> Design:
-    """`count` scenes, as evenly over the strata as can be; the same for the same count and seed.
+) -> list[Scene]:
+    """`count` rows, as evenly over the strata as can be; the same for the same count and seed.
 
     narrower: entries of RANGES to put in their place, to keep a sweep short: light spheres under long pulses cost most.
     """
@@ -221,20 +186,7 @@ def design(
         if len(share):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
             scenes += _scenes(strata[index], len(share), rng, narrower)
-    pairs = [(index, row) for index, scene in enumerate(scenes) for row in range(len(scene))]
-    order = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    shuffle = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(strata),)))
-    return Design(scenes=tuple(scenes), order=order[shuffle.permutation(len(order))], seed=seed)
-
-
-def rows_of(plan: Design, start: int, count: int) -> list[tuple[Scene, Rows]]:
-    """Scenes of the slice [start, start + count) of a design, and the places of their rows in the slice."""
-    part = plan.order[start : start + count]
-    found = []
-    for index in np.unique(part[:, 0]):
-        places = np.flatnonzero(part[:, 0] == index)
-        found.append((take(plan.scenes[index], part[places, 1]), places))
-    return found
+    return scenes
 
 
 def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
@@ -257,8 +209,6 @@ def as_inputs(scene: Scene, row: int) -> dict[str, Any]:
 
 #: an error may be this many times the tolerance that was asked for
 ALLOWED: Final = 5.0
-#: rows that the kernel is given at once
-_BATCH: Final = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,17 +266,9 @@ _TIMES: Final = frozenset({"contact_time", "pulse_width", "rise_time"})
 _Answer = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 
 
-def _answers(found: Answers, rows: Any) -> list[_Answer]:
-    """The answers of some rows; two where a row is undecided."""
-    sets: list[_Answer] = [
-        (
-            {name: value[rows] for name, value in found.values.items()},
-            {name: flag[rows] for name, flag in found.censored.items()},
-        )
-    ]
-    if found.others:
-        sets.append(({name: value[rows] for name, value in found.others.items()}, None))
-    return sets
+def _answers(found: Answers) -> list[_Answer]:
+    """The answers of all rows; two where rows are undecided."""
+    return [(found.values, found.censored), *([(found.others, None)] if found.others else [])]
 
 
 def _error(name: str, found: _Answer, truth: _Answer, tolerance: float) -> Array:
@@ -378,119 +320,75 @@ def _wrong(scene: Scene, row: Any, found: Answers, errors: Array, expected: Mapp
     )
 
 
-def _compare(plan: Design, start: int, count: int, tolerance: float, judge: str, parts: Any) -> Comparison:
-    """Put the answers of every scene of a slice together; `parts` yields (scene, places, answers, errors, judged,
-    wrong)."""
-    count = len(plan.order[start : start + count])
-    names: tuple[str, ...] = ()
-    errors = np.empty((count, 0))
-    status, steps = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    judged = np.zeros(count, dtype=bool)
-    mu, theta = np.zeros(count), np.zeros(count)
+#: the answers of a judge for one scene: sets of them, where it has any, and what to note of a row
+_Judge = Callable[[Scene, Answers], tuple[list[_Answer], npt.NDArray[np.bool_], Callable[[int], str]]]
+
+
+def _compare(
+    plan: Sequence[Scene], tolerance: float, name: str, judge: _Judge, asked: Collection[str] | None
+) -> Comparison:
+    """The kernel at `tolerance` against a judge, on every row."""
+    parts: list[tuple[Any, ...]] = []
     wrong: list[Wrong] = []
-    for scene, places, answers, found, known, off in parts:
-        if not names:
-            names = _names(answers)
-            errors = np.full((count, len(names)), np.nan)
-        errors[places], judged[places] = found, known
-        status[places], steps[places] = answers.status, answers.steps
-        mu[places], theta[places] = scene.scales.mass_number, scene.scales.pulse_number
-        wrong += off
-    return Comparison(names=names, errors=errors, status=status, judged=judged, mu=mu, theta=theta, steps=steps,
-                      wrong=tuple(wrong), tolerance=tolerance, judge=judge)  # fmt: skip
+    names: tuple[str, ...] = ()
+    for scene in plan:
+        found = solve(scene, tolerance=tolerance, quantities=asked)
+        names = _names(found)
+        truths, known, note = judge(scene, found)
+        errors = _errors(names, _answers(found), truths, tolerance)
+        errors[~(known & answered(found.status))] = np.nan
+        for row in np.flatnonzero(known & answered(found.status) & ~(errors <= ALLOWED).all(axis=1)):
+            expected = {each: truths[0][0][each][row] for each in names}
+            wrong.append(_wrong(scene, row, found, errors[row], expected, note(row)))
+        scales = scene.scales
+        parts.append((errors, known, found.status, found.steps, scales.mass_number, scales.pulse_number))
+    errors, known, status, steps, mu, theta = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Comparison(names=names, errors=errors, status=status, judged=known, mu=mu, theta=theta, steps=steps,
+                      wrong=tuple(wrong), tolerance=tolerance, judge=name)  # fmt: skip
 
 
 def against_itself(
-    plan: Design,
-    *,
-    start: int = 0,
-    count: int | None = None,
-    tolerance: float = 1e-6,
-    closer: float = 1e-8,
-    quantities: Collection[str] | None = None,
+    plan: Sequence[Scene], *, tolerance: float = 1e-6, closer: float = 1e-8, quantities: Collection[str] | None = None
 ) -> Comparison:
-    """The kernel at `tolerance` against the kernel at `closer`, rows [start, start + count) of a design."""
+    """The kernel at `tolerance` against the kernel at `closer`."""
 
-    def parts(begin: int, size: int) -> Any:
-        for scene, places in rows_of(plan, begin, size):
-            found = solve(scene, tolerance=tolerance, quantities=quantities)
-            truth = solve(scene, tolerance=closer, quantities=quantities)
-            # a judge that is not sure itself is heard where the row is not sure either
-            known = answered(found.status) & ((truth.status == 0) | (found.status == truth.status))
-            known &= answered(truth.status)
-            every = slice(None)
-            errors = _errors(_names(found), _answers(found, every), _answers(truth, every), tolerance)
-            errors[~known] = np.nan
-            off = [
-                _wrong(scene, row, found, errors[row], {name: truth.values[name][row] for name in truth.values})
-                for row in np.flatnonzero(known & ~(errors <= ALLOWED).all(axis=1))
-            ]
-            yield scene, places, found, errors, known, off
+    def judge(scene: Scene, found: Answers) -> Any:
+        truth = solve(scene, tolerance=closer, quantities=quantities)
+        # a judge that is not sure itself is heard where the row is not sure either
+        known = answered(truth.status) & ((truth.status == 0) | (found.status == truth.status))
+        return _answers(truth), known & answered(found.status), lambda row: ""
 
-    count = len(plan) - start if count is None else count
-    slices = range(start, start + count, _BATCH)
-    sizes = [min(_BATCH, start + count - begin) for begin in slices]
-    judge = f"the kernel at {closer:g}"
-    return join([
-        _compare(plan, begin, size, tolerance, judge, parts(begin, size))
-        for begin, size in zip(slices, sizes, strict=True)
-    ])  # fmt: skip
+    return _compare(plan, tolerance, f"the kernel at {closer:g}", judge, quantities)
 
 
 def against_reference(
-    plan: Design,
-    *,
-    start: int = 0,
-    count: int | None = None,
-    tolerance: float = 1e-6,
-    budget: int = 3000,
-    quantities: Collection[str] | None = None,
+    plan: Sequence[Scene], *, tolerance: float = 1e-6, budget: int = 3000, quantities: Collection[str] | None = None
 ) -> Comparison:
-    """The kernel at `tolerance` against the reference, rows [start, start + count) of a design.
+    """The kernel at `tolerance` against the reference; a row that takes it more than `budget` steps is not judged."""
+    from tests.independent.reference import Reference, Unaffordable, refer
 
-    A scene that would take the reference more than `budget` steps is not judged.
-    """
-    from tests.independent.reference import Unaffordable, refer
+    def judge(scene: Scene, found: Answers) -> Any:
+        told: dict[int, Reference] = {}
+        for row in np.flatnonzero(scene.status == 0):
+            with contextlib.suppress(Unaffordable):
+                told[int(row)] = refer(scene, int(row), budget=budget)
+        known = np.isin(np.arange(len(scene)), list(told))
+        values = {name: np.full(len(scene), np.nan) for name in found.values}
+        flags = {name: np.zeros(len(scene), dtype=bool) for name in found.censored}
+        for row, one in told.items():
+            for columns, answers in ((values, one.values), (flags, one.censored)):
+                for name in columns.keys() & answers.keys():
+                    columns[name][row] = answers[name]
 
-    def parts(size: int) -> Any:
-        for scene, places in rows_of(plan, start, size):
-            found = solve(scene, tolerance=tolerance, quantities=quantities)
-            names = _names(found)
-            errors, known = np.full((len(scene), len(names)), np.nan), np.zeros(len(scene), dtype=bool)
-            off = []
-            for row in np.flatnonzero(scene.status == 0):
-                try:
-                    truth = refer(scene, int(row), budget=budget)
-                except Unaffordable:
-                    continue
-                known[row] = True
-                if not answered(found.status[row]):
-                    continue
-                errors[row] = _errors(names, _answers(found, row), [(truth.values, truth.censored)], tolerance)
-                if not (errors[row] <= ALLOWED).all():
-                    note = f"reference: {truth.steps} steps, tail {truth.tail:.0e}"
-                    if truth.dips:
-                        at, depth = min(truth.dips, key=lambda dip: abs(dip[1]))
-                        note += f", nearest miss {depth:.1e} of the largest approach at {at!r} s"
-                    off.append(_wrong(scene, row, found, errors[row], truth.values, note))
-            yield scene, places, found, errors, known, off
+        def note(row: int) -> str:
+            one = told[row]
+            at, depth = min(one.dips, key=lambda dip: abs(dip[1]), default=(math.nan, math.nan))
+            return (f"reference: {one.steps} steps, tail {one.tail:.0e}, nearest miss {depth:.1e} of the largest "
+                    f"approach at {at!r} s")  # fmt: skip
 
-    count = len(plan) - start if count is None else count
-    return _compare(plan, start, count, tolerance, "the reference", parts(count))
+        return [(values, flags)], known, note
 
-
-def join(comparisons: Sequence[Comparison]) -> Comparison:
-    """Slices of one comparison as one."""
-    first = comparisons[0]
-
-    def stack(name: str) -> Any:
-        return np.concatenate([getattr(one, name) for one in comparisons])
-
-    return Comparison(
-        names=first.names, errors=stack("errors"), status=stack("status"), judged=stack("judged"), mu=stack("mu"),
-        theta=stack("theta"), steps=stack("steps"), tolerance=first.tolerance, judge=first.judge,
-        wrong=tuple(wrong for one in comparisons for wrong in one.wrong),
-    )  # fmt: skip
+    return _compare(plan, tolerance, "the reference", judge, quantities)
 
 
 def table(found: Comparison) -> str:
@@ -528,32 +426,16 @@ def table(found: Comparison) -> str:
     return "\n".join(lines)
 
 
-def as_document(found: Comparison) -> dict[str, Any]:
-    """The comparison for JSON: errors over the tolerance by quantity (null: not compared), statuses, wrong rows."""
-    return {
-        "judge": found.judge,
-        "tolerance": found.tolerance,
-        "errors_over_tolerance": {
-            name: [float(e) if np.isfinite(e) else None for e in column]
-            for name, column in zip(found.names, found.errors.T, strict=True)
-        },
-        "status": found.status.tolist(),
-        "wrong_and_silent": [asdict(row) for row in found.silent],
-        "undecided_and_wrong": [asdict(row) for row in found.wrong if row.status != 0],
-    }
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table, or one JSON document."""
+    """Prints the table."""
     parser = argparse.ArgumentParser(description="N hard scenes against a tighter tolerance, or the reference")
     parser.add_argument("scenes", type=int, metavar="N")
     parser.add_argument("--reference", action="store_true", help="against the reference integrator")
     parser.add_argument("--seed", type=int, default=1, help="of the scenes (default 1)")
-    parser.add_argument("--json", action="store_true")
     asked = parser.parse_args(arguments)
     plan = design(asked.scenes, asked.seed)
     found = against_reference(plan, budget=600) if asked.reference else against_itself(plan)
-    print(json.dumps(as_document(found), indent=1) if asked.json else table(found))
+    print(table(found))
     return 0
 
 
