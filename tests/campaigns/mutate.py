@@ -1,7 +1,7 @@
 """Apply every mutant to a copy of the tree, one at a time, and see whether its tests notice.
 
-    python tests/campaigns/mutate.py                    all of them; exit 1 if one survives without a reason
-    python tests/campaigns/mutate.py contact estimates  those whose file has one of these words in it
+    python -m tests.campaigns.mutate                    all of them; exit 1 if one survives without a reason
+    python -m tests.campaigns.mutate contact estimates  those whose file has one of these words in it
 
 Prints one line per mutant and the counts at the end.  The tests that a mutant is held against are run on the
 unchanged copy first: a test that fails anyway catches nothing.  Tests run in forks of this process, which has loaded
@@ -17,12 +17,12 @@ import sys
 import tempfile
 import time
 import traceback
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-from mutants import EQUIVALENT, MUTANTS
-
 ROOT = Path(__file__).parent.parent.parent
+LIST = Path(__file__).with_name("mutants.txt")
 #: seconds of processor after which a mutant that hangs counts as caught
 _LONGEST = 600
 #: what most tests load; numba is not used before the fork, which it would not survive
@@ -79,47 +79,56 @@ def copy_tree(place: Path) -> Path:
     return tree
 
 
+@dataclass(frozen=True)
+class Mutant:
+    """One fault: file, what stands there, what is put in its place, test files, and why it cannot be seen, if so."""
+
+    file: str
+    before: str
+    after: str
+    tests: str
+    excuse: str = ""
+
+
+def read_mutants() -> list[Mutant]:
+    """The list beside this file."""
+    found, file, tests = [], "", ""
+    for line in LIST.read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            file, _, tests = line[1:].partition("] ")
+        elif file and line:
+            before, after, *excuse = (part.replace("\\n", "\n") for part in line.split("  =>  "))
+            found.append(Mutant(file, before, after, tests, *excuse))
+    return found
+
+
 def main(words: list[str]) -> int:
     """The command line."""
-    chosen = [m for m in MUTANTS if not words or any(word in m[0] for word in words)]
-    for file, before, *_ in chosen:
-        if before not in (ROOT / "uqsphere" / file).read_text(encoding="utf-8"):
-            raise SystemExit(f"{file} no longer has {before!r}: bring the mutant up to date")
+    chosen = [one for one in read_mutants() if not words or any(word in one.file for word in words)]
+    for one in chosen:
+        if one.before not in (ROOT / "uqsphere" / one.file).read_text(encoding="utf-8"):
+            raise SystemExit(f"{one.file} no longer has {one.before!r}: bring the mutant up to date")
     for name in _COMMON:
         __import__(name)
-    caught = equivalent = 0
-    survivors: list[str] = []
+    counts: Counter[str] = Counter()
     sound: dict[str, bool] = {}
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uqsphere-mutants-") as name:
         tree = copy_tree(Path(name))
-        for number, (file, before, after, tests) in enumerate(chosen, 1):
-            path = tree / "uqsphere" / file
+        for number, one in enumerate(chosen, 1):
+            path = tree / "uqsphere" / one.file
             text = path.read_text(encoding="utf-8")
-            if tests not in sound:
-                sound[tests] = tests_pass(tree, tests)
-            if not sound[tests]:
-                survivors.append(f"{tests} fails on the unchanged tree")
-                print(f"{number}/{len(chosen)} {survivors[-1]}", flush=True)
-                continue
-            path.write_text(text.replace(before, after, 1), encoding="utf-8")
-            seen = not tests_pass(tree, tests)
+            if one.tests not in sound:
+                sound[one.tests] = tests_pass(tree, one.tests)
+            path.write_text(text.replace(one.before, one.after, 1), encoding="utf-8")
+            seen = sound[one.tests] and not tests_pass(tree, one.tests)
             path.write_text(text, encoding="utf-8")
-            if seen:
-                caught += 1
-                word = "caught"
-            elif after in EQUIVALENT:
-                equivalent += 1
-                word = f"equivalent ({EQUIVALENT[after]})"
-            else:
-                survivors.append(f"{file}: {before!r} -> {after!r} ({tests})")
-                word = "SURVIVES"
-            print(f"{number}/{len(chosen)} {word}: {file}: {before[:50]!r} -> {after[:50]!r}", flush=True)
-    print(f"{len(chosen)} made, {caught} caught, {equivalent} equivalent, {len(survivors)} survive, "
-          f"{time.monotonic() - began:.0f} s")  # fmt: skip
-    for text in survivors:
-        print(f"survives: {text}")
-    return 1 if survivors else 0
+            word = "caught" if seen else "equivalent" if one.excuse else "SURVIVES"
+            counts[word] += 1
+            told = "" if sound[one.tests] else " (its tests fail without it)"
+            print(f"{number}/{len(chosen)} {word}{told}: {one.file}: {one.before!r} -> {one.after!r}", flush=True)
+    print(f"{len(chosen)} made, {dict(counts)}, {time.monotonic() - began:.0f} s")
+    return 1 if counts["SURVIVES"] else 0
 
 
 if __name__ == "__main__":
