@@ -24,21 +24,11 @@ from uqsphere.console import table
 from uqsphere.results import ModelEntry, Results
 from uqsphere.results.entries import Est
 
-__all__ = ["Comparison", "compare", "main"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """One study, run with the model of its own choice and with the full one.
-
-    Attributes
-    ----------
-    study : title of its file
-    model : the "model" of results.json of the run that chose
-    full : the same of the run with the full model
-    seconds : processor time of both
-    farthest : the largest difference of the two runs' answers over their standard errors together
-    """
+    """One study, run with the model of its own choice and with the full one: what results.json says of the models, the
+    processor time of both, and the largest difference of their answers over their standard errors together."""
 
     study: str
     model: ModelEntry
@@ -93,13 +83,8 @@ def compare(path: str | Path, overrides: Sequence[str] = ()) -> Comparison:
             started = time.process_time()
             runs.append(uqsphere.run(study, out=Path(folder) / str(len(runs)), threads=1, model=model).results)
             seconds.append(time.process_time() - started)
-    return Comparison(
-        study=Path(path).stem,
-        model=runs[0].model,
-        full=runs[1].model,
-        seconds=(seconds[0], seconds[1]),
-        farthest=_farthest(runs[0], runs[1]),
-    )
+    return Comparison(study=Path(path).stem, model=runs[0].model, full=runs[1].model,
+                      seconds=(seconds[0], seconds[1]), farthest=_farthest(runs[0], runs[1]))  # fmt: skip
 
 
 def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> dict[str, dict[str, float]]:
@@ -132,9 +117,8 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
         plain = describe(dear[..., k], quantiles=asked).quantiles
         sharp = describe_controlled(dear[..., k], scaled[:, :points], scaled, quantiles=asked, method="").quantiles
         told = [p for p in asked if plain[p].value is not None and sharp[p].value is not None]
-        with_it = controlled_indices(
-            designs[0][..., k], designs[1][:, :index_points, :, k], designs[1][..., k], method=""
-        )
+        at = designs[1][..., k]
+        with_it = controlled_indices(designs[0][..., k], at[:, :index_points], at, method="")
         found[name] = {
             "quantiles": max(plain[p].half_width for p in told) / max(sharp[p].half_width for p in told),
             "indices": width(sobol_indices(designs[0][..., k])) / width(with_it),
@@ -176,16 +160,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--gains", action="store_true", help="what a control variate would gain")
     given = parser.parse_args(arguments)
     if given.gains:
-        print(
-            table(
-                ("study", "quantity", "quantiles", "indices"),
-                [
-                    (path.stem, name, f"{gain['quantiles']:.2g}", f"{gain['indices']:.2g}")
-                    for path in given.studies
-                    for name, gain in gains(path).items()
-                ],
-            )
-        )
+        rows = [(path.stem, name, f"{gain['quantiles']:.2g}", f"{gain['indices']:.2g}")
+                for path in given.studies for name, gain in gains(path).items()]  # fmt: skip
+        print(table(("study", "quantity", "quantiles", "indices"), rows))
         return 0
     _warm(given.studies[0])
     rows: list[tuple[str, ...]] = []
@@ -195,16 +172,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows.append(_row(found))
         notes.append(f"{found.study}: {found.model.why}")
         notes += [f"{found.study}: {label}: {text}" for label, text in found.model.savings()]
-    header = (
-        "study",
-        "chosen",
-        "error, sd",
-        "evaluations",
-        "with full",
-        "seconds",
-        "with full",
-        "largest difference, standard errors",
-    )
+    header = ("study", "chosen", "error, sd", "evaluations", "with full", "seconds", "with full",
+              "largest difference, standard errors")  # fmt: skip
     print(table(header, rows))
     print("\n" + "\n".join(notes))
     return 0

@@ -29,28 +29,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.points import random_generator, sobol_points
 
-__all__ = [
-    "CHECKED",
-    "EXACT",
-    "MODELS",
-    "SEEDS",
-    "STORED",
-    "ChaosModel",
-    "Measured",
-    "Rival",
-    "checked",
-    "design",
-    "fingerprint",
-    "inputs_of",
-    "measure",
-    "relative_error",
-    "rival_fit",
-    "rival_present",
-    "stored",
-    "table",
-    "verdicts",
-]
-
 # --- OpenTURNS on the models of the expansions: run here, or looked up in a run that was stored.
 # python -m tests.campaigns.chaos --store
 #

@@ -17,8 +17,6 @@ from uqsphere.mechanics.closed_form import linear_approaches, massless_approach
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
 
-__all__ = ["errata_figure"]
-
 #: pulse length over t_c of the massless example, mass number of the linear one
 THETA: Final = 0.8
 MU: Final = 0.3

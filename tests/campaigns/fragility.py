@@ -24,8 +24,6 @@ from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability
 
-__all__ = ["Coverage", "CurveCost", "curve_cost", "straight_value", "value_coverage"]
-
 #: what one point, and every point of the curve, is to be known to: half-width over the smaller side
 ASKED: Final = 0.02
 #: the smallest probability of the curve, on either side, that is to be known so

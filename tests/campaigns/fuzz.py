@@ -2,7 +2,6 @@
 
     python -m tests.campaigns.fuzz studies --count 1000000 --seed 1          a long run; prints what it found
     python -m tests.campaigns.fuzz folders --seconds 60                      time-boxed
-    python -m tests.campaigns.fuzz studies --engine atheris --seconds 600    guided by coverage, if atheris is there
 
 The same seed gives the same damage on every machine.  Studies are damaged on the level of words and of bytes in turn; a
 failing one is written to --keep DIR.  Files of folders are damaged on the level of bytes, or of the entries of a JSON
@@ -546,29 +545,6 @@ def fuzz(
             "seconds": round(time.monotonic() - began, 1)}  # fmt: skip
 
 
-def _guided(seconds: float, keep: Path | None) -> None:
-    import atheris
-
-    with atheris.instrument_imports(include=["uqsphere.study", "uqsphere.quantities"]):
-        import uqsphere.cli  # noqa: F401
-    folder = Path(tempfile.mkdtemp(dir=MEMORY))
-
-    def one(data: bytes) -> None:
-        _found, faults = try_study(data, folder)
-        if faults:
-            if keep is not None:
-                keep.mkdir(parents=True, exist_ok=True)
-                (keep / f"study-atheris-{time.time_ns()}.toml").write_bytes(data)
-            raise AssertionError("; ".join(faults))
-
-    corpus = folder / "corpus"
-    corpus.mkdir()
-    for k, text in enumerate(seeds()):
-        (corpus / f"{k}.toml").write_text(text, encoding="utf-8")
-    atheris.Setup([sys.argv[0], f"-max_total_time={int(seconds)}", "-max_len=8000", str(corpus)], one)
-    atheris.Fuzz()
-
-
 def main() -> int:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -577,12 +553,8 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--start", type=int, default=0)
-    parser.add_argument("--engine", choices=("seeded", "atheris"), default="seeded")
     parser.add_argument("--keep", type=Path)
     chosen = parser.parse_args()
-    if chosen.engine == "atheris":
-        _guided(chosen.seconds, chosen.keep)
-        return 0
     found = fuzz(
         chosen.what, chosen.count, seconds=chosen.seconds, seed=chosen.seed, start=chosen.start, keep=chosen.keep
     )

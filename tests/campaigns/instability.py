@@ -25,8 +25,6 @@ from uqsphere.mechanics.closed_form import linear_approaches
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
 
-__all__ = ["exact_difference", "fixed_steps", "instability_figure"]
-
 Array = npt.NDArray[np.float64]
 #: mass number of the example; a rig of 40 mm bars and a 20 mm sphere has about this
 MU = 1e-3

@@ -29,8 +29,6 @@ from uqsphere.records.inverse import Faces, Inverse, Rig, at_faces, invert
 from uqsphere.records.pulse import Bar
 from uqsphere.records.record import Table, make_record, set_baseline
 
-__all__ = ["Made", "coverage", "main", "make_test", "rig_of", "scene_of_test", "tutorial_record"]
-
 Array = npt.NDArray[np.float64]
 
 #: granite of 10 mm radius between 25 mm steel bars, a ramped pulse

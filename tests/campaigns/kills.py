@@ -4,6 +4,8 @@
 until it has finished, again and again; ``dask`` kills workers of a cluster of this machine while a run goes on.
 A model that writes down every call is what shows what was evaluated.  With ``--warm`` every run is a fork of a process
 that has its modules loaded already, so that its life is the run and not the start of an interpreter; it draws no page.
+``scale --sleep 0.005`` runs a black box whose rows take a while and no processor with one, two, four and eight workers:
+whether the answers are the same bytes, and how much sooner they are there.
 """
 
 from __future__ import annotations
@@ -24,8 +26,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-
-__all__ = ["Campaign", "answers_of", "calls_of", "kill_runs", "kill_workers", "write_case"]
+from typing import Any
 
 STUDY = """\
 title = "killed"
@@ -116,20 +117,10 @@ def calls_of(case: Path) -> tuple[dict[str, int], dict[str, int], dict[str, int]
     return begun, ended, rows
 
 
-def _arguments(case: Path, *more: str) -> list[str]:
-    return [
-        "run",
-        str(case / "killed.toml"),
-        "--model",
-        f"{case / 'killed.py'}:f",
-        "--out",
-        str(case / "results"),
-        *more,
-    ]
-
-
 def _command(case: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "uqsphere", *_arguments(case, *more)]
+    model = f"{case / 'killed.py'}:f"
+    run = ["run", str(case / "killed.toml"), "--model", model, "--out", str(case / "results"), *more]
+    return [sys.executable, "-m", "uqsphere", *run]
 
 
 class _Fork:
@@ -310,10 +301,57 @@ def _killing(cluster: object, rng: random.Random, found: Campaign, times: int, p
         thread.join()
 
 
+# --- more workers ---------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _workers(count: int, dask: bool) -> Iterator[Any]:
+    if dask:
+        from uqsphere.runner.cluster import dask_cluster
+
+        with dask_cluster("local", count) as executor:
+            yield executor
+        return
+    from uqsphere.runner.workers import LocalWorkers
+
+    pool = LocalWorkers(count)
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+def scale(folder: Path, counts: Sequence[int], *, sleep: float, dask: bool = False) -> list[dict[str, Any]]:
+    """Run the same study with each number of workers; they are started, and have loaded what they need, before.
+
+    Returns
+    -------
+    list of dict
+        Per number of workers the seconds of the run, its stages, evaluations,
+        and the digest of the answers.
+    """
+    import uqsphere
+    from uqsphere.study import load_study
+
+    quick, case = write_case(folder / "quick", 0.0), write_case(folder / "case", sleep)
+    rows = []
+    for count in counts:
+        with _workers(count, dask) as executor:
+            for place in (quick, case):  # the first to have everybody awake
+                shutil.rmtree(place / "results", ignore_errors=True)
+                began = time.perf_counter()
+                run = uqsphere.run(load_study(place / "killed.toml"), out=place / "results",
+                                   model=f"{place / 'killed.py'}:f", executor=executor)  # fmt: skip
+                seconds = time.perf_counter() - began
+        rows.append({"workers": count, "seconds": seconds, "evaluations": run.manifest.evaluations,
+                     "stages": run.manifest.seconds, "answers": answers_of(run.folder)})  # fmt: skip
+    return rows
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a campaign as JSON; exit code 1 if anything was lost or differed."""
     parser = argparse.ArgumentParser(description="runs and workers that are killed at random")
-    parser.add_argument("which", choices=("local", "dask"))
+    parser.add_argument("which", choices=("local", "dask", "scale"))
     parser.add_argument("--times", type=int, default=200)
     parser.add_argument("--sleep", type=float, default=0.0005, help="seconds that a row takes")
     parser.add_argument("--seed", type=int, default=1)
@@ -321,8 +359,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="no more kills after that (local)")
     parser.add_argument("--warm", action="store_true", help="local runs are forks of a process that is ready")
     parser.add_argument("--processes", action="store_true", help="local runs evaluate in processes of their own")
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4, 8], help="how many each (scale)")
+    parser.add_argument("--dask", action="store_true", help="workers of a Dask cluster on this machine (scale)")
     parser.add_argument("--out", type=Path, required=True, help="a folder to work in")
     chosen = parser.parse_args(arguments)
+    if chosen.which == "scale":
+        rows = scale(chosen.out.resolve(), chosen.workers, sleep=chosen.sleep, dask=chosen.dask)
+        print(json.dumps(rows, indent=1))
+        return int(len({row["answers"] for row in rows}) > 1)
     case = write_case(chosen.out.resolve(), chosen.sleep, processes=chosen.processes)
     if chosen.which == "local":
         found = kill_runs(

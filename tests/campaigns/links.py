@@ -19,8 +19,6 @@ import numpy.typing as npt
 from uqsphere.mechanics.criteria import ring_crack_force
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 
-__all__ = ["Comparison", "compare_links", "principal_field"]
-
 Array = npt.NDArray[np.float64]
 
 #: depth over the contact radius down to which the series is summed; between it and the surface it is interpolated

@@ -22,8 +22,6 @@ from typing import Any, Final
 
 from uqsphere.errors import UsageError
 
-__all__ = ["BENCHMARK", "REPORTS", "Published", "index_text", "main", "publish"]
-
 #: the report that is no run of a study
 BENCHMARK: Final = "benchmark"
 #: a published page is never larger than this [bytes]

@@ -19,21 +19,6 @@ import numpy.typing as npt
 
 from uqsphere.uq.law import Law, make_law
 
-__all__ = [
-    "FEW_PROBLEMS",
-    "PROBLEMS",
-    "FewRow",
-    "Problem",
-    "Row",
-    "few_call_rows",
-    "few_call_text",
-    "integrate_plane",
-    "measure",
-    "problem",
-    "rare_table",
-    "rare_text",
-]
-
 Array = npt.NDArray[np.float64]
 
 

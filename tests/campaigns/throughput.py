@@ -20,8 +20,6 @@ from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import open_store
 from uqsphere.study import Study, load_study
 
-__all__ = ["Throughput", "measure"]
-
 #: rows that are drawn and evaluated at once, 16 replicates together
 STAGE = 1 << 18
 

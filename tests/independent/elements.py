@@ -22,8 +22,6 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
 
-__all__ = ["Comparison", "Field", "Mesh", "compare", "elements_figure", "make_mesh", "solve_elements"]
-
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 

@@ -12,29 +12,6 @@ import numpy.typing as npt
 
 from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "FINE",
-    "FINE_BASIS",
-    "FINE_SLOPES",
-    "NODES",
-    "TAIL",
-    "Course",
-    "Piece",
-    "Problem",
-    "Reference",
-    "Unaffordable",
-    "chebyshev",
-    "collocate",
-    "crossing",
-    "evaluate",
-    "faded",
-    "follow",
-    "largest",
-    "loss",
-    "problem_of",
-    "refer",
-]
-
 # --- One step of the reference integrator: implicit collocation at 20 Radau points in extended precision.
 # Over a step the state X = (x_1, x_2, u) is a polynomial of degree 20 that satisfies the equations of motion at
 # the points c_1 ... c_20 = 1 of the right Radau rule (E. Hairer, G. Wanner, Solving Ordinary Differential Equations

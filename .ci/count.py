@@ -1,6 +1,6 @@
 """What the code amounts to: lines, files, and how far it keeps to the bounds of its own style.
 
-    python tests/campaigns/count.py [--list] [ROOT]
+    python .ci/count.py [--list] [ROOT]
 
 `--list` names what is beyond each bound.  Counted are all lines of a file, comments and blank ones too.  Imports are
 all that run, at the head of a file or inside a function; those under TYPE_CHECKING count for a reader (files that
@@ -259,7 +259,7 @@ def _above(found: dict[str, int], bound: int) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="What the code amounts to.")
-    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parent.parent.parent)
+    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).resolve().parent.parent)
     parser.add_argument("--list", action="store_true", help="name what is beyond each bound")
     chosen = parser.parse_args(arguments)
     for what, number, listed in count(chosen.root):
