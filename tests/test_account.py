@@ -13,8 +13,7 @@ from conftest import SUM
 import uqsphere
 from uqsphere.runner.account import FACTOR
 from uqsphere.runner.band import ASKED, KIND, Band, Stage, stage_of
-from uqsphere.runner.forecast import CHEAPER, forecast
-from uqsphere.runner.plan import plan_run, plan_text
+from uqsphere.runner.forecast import CHEAPER, forecast, plan_run, plan_text
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"

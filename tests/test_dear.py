@@ -28,11 +28,10 @@ from uqsphere.runner.dear_answers import Answers
 from uqsphere.runner.dear_end import Dear, blocks_of_runs
 from uqsphere.runner.dear_kept import keep_answers, keep_indices
 from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.forecast import CHEAP, choose_way, plan_run, plan_text
 from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.plan import plan_run, plan_text
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
-from uqsphere.runner.ways import CHEAP, choose_way
 from uqsphere.study import Study
 from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
 from uqsphere.uq.augmented_indices import trusted_indices

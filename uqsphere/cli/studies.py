@@ -65,7 +65,7 @@ def _short(text: str, longest: int = 60) -> str:
 
 def command_check(chosen: argparse.Namespace) -> int:
     """Validate a study; print the resolved scene and what a run will cost."""
-    from uqsphere.runner.plan import plan_run, plan_text
+    from uqsphere.runner.forecast import plan_run, plan_text
 
     study = load_study(chosen.study, chosen.overrides)
     warn(study)

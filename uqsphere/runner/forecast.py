@@ -7,10 +7,14 @@ is or how rare a failure: that is what the most is for.
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Final
+from typing import Any, Final
 
+from uqsphere.errors import UsageError
+from uqsphere.model import scene_of
 from uqsphere.quantities import lookup
 from uqsphere.runner.schedule import (
     CAUTION,
@@ -28,10 +32,26 @@ from uqsphere.runner.schedule import (
     SURROGATE,
     pilot_points,
 )
-from uqsphere.study import Study
+from uqsphere.study import Limit, Study
+from uqsphere.study.faults import one_of
 from uqsphere.uq.law import Law
 
-__all__ = ["CHEAPER", "Part", "base_rows", "forecast", "rough_quantities"]
+__all__ = [
+    "CHEAP",
+    "CHEAPER",
+    "FITS",
+    "OVERHEAD",
+    "Part",
+    "Way",
+    "base_rows",
+    "choose_way",
+    "forecast",
+    "fracture_limits",
+    "plan_run",
+    "plan_text",
+    "reflected",
+    "rough_quantities",
+]
 
 #: parts that evaluate a cheaper model, by the part that it may help
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
@@ -111,16 +131,16 @@ def _stage(points: float, room: float) -> int:
     return int(FIRST_SAMPLE * 2**steps)
 
 
-def _sampling(study: Study, budget: int | None) -> Part:
+def _sampling(study: Study, budget: int | None) -> tuple[float, float]:
     """Sampling; the most where the model is rough, or the accuracy is pursued as far as the budget goes."""
     likely, plain = _points(study)
     if budget is None:
-        return Part(name="sampling", likely=_stage(likely, math.inf), most=_stage(2.0 * plain, math.inf))
+        return _stage(likely, math.inf), _stage(2.0 * plain, math.inf)
     room = SAMPLING.share * budget
     if likely > CAUTION * room and not study.analysis.budget.exhaust:
         # the accuracy is given up as soon as it is seen to be out of reach
-        return Part(name="sampling", likely=_stage(REPLICATES * SAMPLING.judged, room), most=_stage(room, room))
-    return Part(name="sampling", likely=_stage(likely, room), most=_stage(2.0 * plain, room))
+        return _stage(REPLICATES * SAMPLING.judged, room), _stage(room, room)
+    return _stage(likely, room), _stage(2.0 * plain, room)
 
 
 def rough_quantities(study: Study) -> tuple[str, ...]:
@@ -189,28 +209,80 @@ def _rare(study: Study, budget: float) -> tuple[float, float]:
     return rare * min(_RARE, share) + (len(limits) - rare) * design, len(limits) * min(RARE.most, share)
 
 
-def _fracture(study: Study, budget: float) -> tuple[float, float]:
-    """Evaluations for the moment of fracture, the first loading, and the curve of all limits that break the sphere."""
+def fracture_limits(study: Study) -> tuple[Limit, ...]:
+    """The limits of a study whose exceedance breaks the sphere."""
     from uqsphere.mechanics.outputs import path_of
 
-    limits = [limit for limit in study.limits if limit.fracture is not False]
-    limits = [limit for limit in limits if path_of(limit.quantity, study.demands) is not None]
-    if study.black_box or not limits:
+    if study.black_box:
+        return ()
+    known = (limit for limit in study.limits if limit.fracture is not False)
+    return tuple(limit for limit in known if path_of(limit.quantity, study.demands) is not None)
+
+
+def reflected(study: Study) -> bool:
+    """Whether waves come back from the ends of the bars, so that the first loading is a part of the record alone."""
+    ends = [f"bars.{bar}_end" for bar in ("incident", "receiving")]
+    echoes = any(study.at_means().get(end, 0.0) or end in study.random for end in ends)
+    return echoes and not study.options["bars.infinite"] and not study.model.first_loading_only
+
+
+def _fracture(study: Study, budget: float) -> tuple[float, float]:
+    """Evaluations for the moment of fracture, the first loading, and the curve of all limits that break the sphere."""
+    limits = fracture_limits(study)
+    if not limits:
         return 0.0, 0.0
     room, worth = FRACTURE.share * budget, FRACTURE.share * budget >= REPLICATES * FRACTURE.least
     specimens, early = ((min(REPLICATES * n, room) if worth else 0.0) for n in (SPECIMENS, FRACTURE.first))
-    along = REPLICATES * FRACTURE_CURVE.first * FRACTURE_CURVE.most
-    ends = [study.at_means().get(f"bars.{bar}_end", 0.0) for bar in ("incident", "receiving")]
-    echoes = any(ends) or any(f"bars.{bar}_end" in study.random for bar in ("incident", "receiving"))
-    returning = echoes and not study.options["bars.infinite"] and not study.model.first_loading_only
-    likely = specimens + (early if returning else 0.0)
+    likely = specimens + (early if reflected(study) else 0.0)
     most = likely + (early if study.model.fidelity != "full" else 0.0)
     if len(limits) > 1:
-        curve = study.margins is not None and study.margins.axis.moves_rows
-        likely += along if curve else 0
+        along = REPLICATES * FRACTURE_CURVE.first * FRACTURE_CURVE.most if _moves(study) else 0
         # that any of them is exceeded may itself be rare
-        most += (along if curve else 0) + min(RARE.most, RARE.share * budget)
+        likely, most = likely + along, most + along + min(RARE.most, RARE.share * budget)
     return likely, most
+
+
+def _moves(study: Study) -> bool:
+    """Whether margins are asked over a number that moves the demands."""
+    return study.margins is not None and study.margins.axis.moves_rows
+
+
+def _timed(study: Study) -> int:
+    """Runs of a black box that are timed, for its cost to decide."""
+    return (
+        SURROGATE.first if study.black_box and "auto" in study.analysis.methods and study.analysis.cost is None else 0
+    )
+
+
+def _surrogate(study: Study) -> tuple[float, float]:
+    """Runs of one design; those that are timed are its first."""
+    runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
+    wide = _moves(study)
+    return (2 * runs if wide else runs) - _timed(study), SURROGATE.most + (256 if wide else 0)
+
+
+def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tuple[str, float, float]]:
+    """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
+    end, analysis = math.inf if budget is None else float(budget), study.analysis
+    timed = _timed(study)
+    yield "pilot", *((timed, timed) if study.black_box else _pilot(study, end))
+    # a cheaper model may be tried beside the full one
+    cheaper = MOST_CHEAPER if not study.black_box and study.model.fidelity in ("auto", "full") else 0
+    if surrogate:
+        yield "surrogate", *_surrogate(study)
+    else:
+        likely, most = _sampling(study, budget)
+        yield "sampling", likely, most
+        yield CHEAPER[0], 0, cheaper * most
+        yield "rare events", *_rare(study, end)
+    if analysis.tolerance_intervals:
+        yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
+    if not surrogate:
+        yield "margins", *_margins(study, end)
+        yield "fracture", *_fracture(study, end)
+        likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
+        yield "sensitivity", likely, most
+        yield CHEAPER[1], 0, cheaper * most
 
 
 def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -> tuple[Part, ...]:
@@ -222,46 +294,232 @@ def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -
     budget : evaluations that are affordable; None: as if there were no end to them.
     surrogate : whether the study is answered through a surrogate.
     """
-    analysis = study.analysis
     if not study.random and not study.limits:
         return (Part(name="sampling", likely=1, most=1),)
     end = math.inf if budget is None else float(budget)
     found: list[Part] = []
     left = end
-
-    def add(name: str, likely: float, most: float) -> None:
-        nonlocal left
+    for name, likely, most in _planned(study, budget, surrogate):
         affordable = round(min(likely, max(left, 0.0)))
-        most = round(min(most, end, 1e18))
+        highest = round(min(most, end, 1e18))
         left -= affordable
-        if most:
-            found.append(Part(name=name, likely=affordable, most=max(most, affordable)))
-
-    if not study.black_box:
-        add("pilot", *_pilot(study, end))
-    elif "auto" in analysis.methods and analysis.cost is None:
-        add("pilot", SURROGATE.first, SURROGATE.first)
-    if surrogate:
-        runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
-        # the runs that are timed are the first of its design
-        first = sum(part.likely for part in found)
-        wide = study.margins is not None and study.margins.axis.moves_rows
-        add("surrogate", (2 * runs if wide else runs) - first, SURROGATE.most + (256 if wide else 0))
-    else:
-        sampling = _sampling(study, budget)
-        add("sampling", sampling.likely, sampling.most)
-        cheaper = not study.black_box and study.model.fidelity in ("auto", "full")
-        if cheaper:
-            add(CHEAPER[0], 0, MOST_CHEAPER * sampling.most)
-        add("rare events", *_rare(study, end))
-    if analysis.tolerance_intervals:
-        add("tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs)
-    if not surrogate:
-        add("margins", *_margins(study, end))
-        add("fracture", *_fracture(study, end))
-        if study.random:
-            likely, most = _sensitivity(study)
-            add("sensitivity", likely, most)
-            if cheaper:
-                add(CHEAPER[1], 0, MOST_CHEAPER * most)
+        if highest:
+            found.append(Part(name=name, likely=affordable, most=max(highest, affordable)))
     return tuple(found)
+
+
+# --- By which way a study is answered: by sampling, or through a surrogate, as the cost of an evaluation has it.
+
+#: seconds that a surrogate takes besides the runs of the model: at all, and for the fits of each quantity
+OVERHEAD, FITS = 5.0, 5.0
+#: cost of an evaluation below which a model is cheap in any case [s]: timed row by row, a vectorised one seems dearer
+#: than it is, and sampling answers more than a surrogate does
+CHEAP = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """By which way a study is answered.
+
+    Attributes
+    ----------
+    surrogate : whether through a surrogate; else by sampling
+    why : in a clause without seconds
+    sampling, runs : evaluations that sampling, and that a surrogate, are forecast to take
+    crossover : cost of an evaluation above which the surrogate is taken [s]
+    balance : cost above which the surrogate takes less time [s], which may be less
+    affordable : evaluations that the budget allows
+    """
+
+    surrogate: bool
+    why: str
+    sampling: int
+    runs: int
+    crossover: float
+    balance: float
+    affordable: int
+
+
+def choose_way(study: Study, cost: float | None = None, seconds: float | None = None) -> Way:
+    """The cheaper way, by the cost of an evaluation.
+
+    Parameters
+    ----------
+    study : Study
+    cost : seconds of an evaluation; None: `analysis.cost`, and where that is not given either, no cost is known.
+    seconds : time budget in place of the study's.
+
+    With n evaluations by sampling, m by a surrogate and its overhead o the two take n c and m c + o: the surrogate
+    is taken above the crossover c = o/(n - m), but not below a millisecond, or where the budget has no room for
+    sampling at all.
+    """
+    analysis = study.analysis
+    cost = analysis.cost if cost is None else cost
+    seconds = analysis.budget.time if seconds is None else seconds
+    planned = sum(part.likely for part in forecast(study))
+    runs = sum(part.likely for part in forecast(study, surrogate=True))
+    affordable = analysis.budget.evaluations
+    if cost and cost * affordable > seconds:
+        affordable = int(seconds / cost)
+    overhead = OVERHEAD + FITS * len(analysis.quantities)
+    # sampling ends with the budget, whatever accuracy it was forecast to take more for
+    balance = overhead / max(min(planned, analysis.budget.evaluations) - runs, 1)
+    crossover = max(balance, CHEAP)
+
+    def way(surrogate: bool, why: str) -> Way:
+        return Way(surrogate=surrogate, why=why, sampling=planned, runs=runs, crossover=crossover,
+                   balance=balance, affordable=affordable)  # fmt: skip
+
+    if not study.random:
+        return way(False, "the model has no random input")
+    if not study.black_box:
+        return way(False, "the impact model is so cheap that sampling takes less time than a surrogate")
+    if "auto" not in analysis.methods:
+        return way(False, "the study lists its methods")
+    if affordable < FIRST_SAMPLE:
+        return way(True, f"the budget has no room for the {FIRST_SAMPLE:,} evaluations that sampling begins with")
+    if cost is None:
+        return way(False, "the cost of an evaluation is not known")
+    told = f"sampling is forecast to take {planned:,} evaluations, a surrogate some {runs}"
+    if cost > crossover:
+        return way(True, f"{told} and the time of its fits, which is less at this cost of an evaluation")
+    if cost > balance:
+        return way(False, f"{told}, but a model of a millisecond or less is sampled, which answers more, in any case")
+    return way(False, f"{told}, but its fits take longer than sampling so cheap a model")
+
+
+# --- What a run will cost, estimated before anything heavy is loaded.
+
+#: seconds per step of the compiled integrator on one processor, as the shipped studies show it
+_STEP_SECONDS = 0.5e-6
+#: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
+_START, _LIMIT, _CURVE_PLAN = 4.0, 1.0, 2.5
+#: parts whose seconds are told
+_TOLD = 3
+
+
+def _scene_numbers(study: Study) -> dict[str, float | None]:
+    """mu, theta and the steps an evaluation takes, at the means."""
+    scene = scene_of(study, {}, 1)
+    mu = float(scene.scales.mass_number[0])
+    theta = float(scene.scales.pulse_number[0])
+    time = float(scene.scales.time[0])
+    record = float(scene.record_end[0]) / time
+    # contact is usually lost after about two round trips; infinite bars are followed for about 7 t_c
+    if study.options["bars.infinite"]:
+        record = min(record, (theta if math.isfinite(theta) else record) + 7.0)
+    else:
+        record = min(record, 2.0 * float(scene.round_trips[0].max()) / time)
+    if not 0.0 < mu < math.inf or not theta > 0.0 or not math.isfinite(record):
+        raise UsageError("the scene at its means cannot be computed: its numbers are beyond floating point")
+    phase = record * math.sqrt(3.0 * math.sqrt(min(1.0, theta)) / mu)
+    return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
+
+
+def plan_run(study: Study) -> dict[str, Any]:
+    """Evaluations and seconds that a run will take, roughly, and by which way.
+
+    Seconds are None for a black box whose cost is not given, and so is its way where the cost decides.
+    """
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    way = choose_way(study)
+    parts = forecast(study, way.affordable, way.surrogate)
+    cost = study.analysis.cost
+    known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
+    plan: dict[str, Any] = {
+        "evaluations": int(min(sum(part.likely for part in parts), way.affordable)),
+        "processors": processors,
+        "seconds": None,
+        "scene": None,
+        # a row of a cheaper model costs a fraction of one of the chosen model: it is no part of the sum
+        "most": min(sum(part.most for part in parts if part.name not in CHEAPER), way.affordable),
+        "cheaper": min(sum(part.most for part in parts if part.name in CHEAPER), way.affordable),
+        "parts": [{"part": part.name, "likely": part.likely, "most": part.most} for part in parts],
+        "way": ("surrogate" if way.surrogate else "sampling") if known else None,
+        "why": way.why if known else "the first runs of the model are timed, and that decides",
+    }
+    if study.black_box:
+        plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
+        plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
+        if cost is not None:
+            overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
+            plan["seconds"] = round(plan["evaluations"] * cost + overhead, 1)
+            _time_parts(plan, cost, {})
+        return plan
+    numbers = _scene_numbers(study)
+    plan["scene"] = {"mu": numbers["mu"], "theta": numbers["theta"]}
+    _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, _beside(study))
+    plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
+    return plan
+
+
+def _beside(study: Study) -> dict[str, float]:
+    """Seconds that parts take beside their evaluations."""
+    limits, margins = len(study.limits), study.margins
+    curves = 0 if margins is None else 1 + (len(margins.family.values) if margins.family else 0)
+    return {"rare events": _LIMIT * limits, "margins": _CURVE_PLAN * limits * curves}
+
+
+def _time_parts(plan: dict[str, Any], each: float, beside: Mapping[str, float]) -> None:
+    """Give every part its seconds, at so many for an evaluation."""
+    for part in plan["parts"]:
+        part["seconds"] = round(part["likely"] * each + beside.get(part["part"], 0.0), 1)
+
+
+def _three(number: int) -> int:
+    """A forecast to three digits, which is more than it is good for.
+
+    >>> _three(234_772)
+    235000
+    """
+    return int(float(f"{number:.3g}"))
+
+
+def _two(seconds: float) -> str:
+    """Two digits, without an exponent that nobody reads."""
+    return f"{seconds:.2g}" if seconds < 100.0 else f"{float(f'{seconds:.2g}'):,.0f}"
+
+
+def plan_text(study: Study, plan: Mapping[str, Any]) -> str:
+    """The plan for the terminal."""
+    likely, most = _three(plan["evaluations"]), _three(plan["most"])
+    lines = [f"evaluations: about {likely:,}, at most {most:,}"]
+    rough = rough_quantities(study)
+    if rough and most > likely:
+        lines[0] += f" (several times the first where {one_of(rough)} is rough)"
+    told = [
+        f"{part['part']} {_three(part['likely']):,}"
+        + (f" to {_three(part['most']):,}" if part["most"] > part["likely"] else "")
+        for part in plan["parts"]
+        if part["part"] not in CHEAPER
+    ]
+    if len(told) > 1:
+        lines.append(f"of which: {'; '.join(told)}")
+    if plan["cheaper"]:
+        lines.append(
+            f"besides: up to {_three(plan['cheaper']):,} of a cheaper model, if the pilot finds that it saves time"
+        )
+    lines.append(f"time: {_time_text(study, plan)}")
+    longest = sorted((p for p in plan["parts"] if p.get("seconds")), key=lambda p: -p["seconds"])[:_TOLD]
+    if longest:
+        lines.append("most of it: " + ", ".join(f"{p['part']} {_two(p['seconds'])} s" for p in longest))
+    lines.append(f"way: {plan['way'] or 'not known yet'}: {plan['why']}")
+    return "\n".join([*lines, *_crossover_text(study, plan)])
+
+
+def _time_text(study: Study, plan: Mapping[str, Any]) -> str:
+    if plan["seconds"] is None:
+        return "depends on the model that is given with --model"
+    if study.black_box:
+        return f"about {plan['seconds']:,.0f} s, one evaluation after the other"
+    return f"about {plan['seconds']:.0f} s on {plan['processors']} processors (20 s more to compile at first)"
+
+
+def _crossover_text(study: Study, plan: Mapping[str, Any]) -> list[str]:
+    if not study.black_box:
+        return []
+    crossover, balance = plan["crossover_seconds_per_evaluation"], plan["balance_seconds_per_evaluation"]
+    text = f"crossover: above {crossover:g} s an evaluation a surrogate is taken, below it sampling"
+    if balance < crossover:
+        text += f" (it takes less time above {balance:g} s already, but answers less)"
+    return [text]

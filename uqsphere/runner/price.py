@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from uqsphere.model import BlackBox
 from uqsphere.runner.evaluate import Work, draw, evaluate_sample
+from uqsphere.runner.forecast import Way, choose_way
 from uqsphere.runner.schedule import SURROGATE
-from uqsphere.runner.ways import Way, choose_way
 from uqsphere.uq.sample import Sample
 
 __all__ = ["COST", "Priced", "enlarge", "price"]

@@ -20,13 +20,14 @@ import numpy.typing as npt
 from uqsphere.model import scene_of
 from uqsphere.runner.chunks import remembered_fractures
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered
+from uqsphere.runner.forecast import fracture_limits, reflected
 from uqsphere.runner.limits import SMALL, state_of
 from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.probabilities import DOUBTFUL, narrower
 from uqsphere.runner.schedule import FRACTURE, FRACTURE_CURVE, RARE, REPLICATES, SPECIMENS
-from uqsphere.study import Limit, Study
+from uqsphere.study import Limit
 from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, exceedance, pick_replicates
@@ -46,7 +47,6 @@ from uqsphere.uq.union import (
 
 __all__ = [
     "find_fracture",
-    "fracture_limits",
     "strength_factor",
     "tied_otherwise",
     "union_at",
@@ -60,19 +60,6 @@ Array = npt.NDArray[np.float64]
 
 #: a probability of fracture this close to 0 or 1 needs no more points of the curve
 NEGLIGIBLE: Final = 1e-6
-
-
-def fracture_limits(study: Study) -> tuple[Limit, ...]:
-    """The limits of a study whose exceedance breaks the sphere."""
-    from uqsphere.mechanics.outputs import path_of
-
-    if study.black_box:
-        return ()
-    return tuple(
-        limit
-        for limit in study.limits
-        if limit.fracture is not False and path_of(limit.quantity, study.demands) is not None
-    )
 
 
 def tied_otherwise(work: Work, names: Sequence[str]) -> list[str]:
@@ -406,9 +393,7 @@ def _first_loading(
     """
     work = pool.work
     study = work.study
-    ends = [study.at_means().get(f"bars.{bar}_end", 0.0) for bar in ("incident", "receiving")]
-    echoes = any(f"bars.{bar}_end" in study.random for bar in ("incident", "receiving")) or any(ends)
-    if study.options["bars.infinite"] or study.model.first_loading_only or not echoes:
+    if not reflected(study):
         return union
     method = "common random numbers, the record ended by the first reflected wave"
     if union.value is None:
