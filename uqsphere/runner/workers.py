@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -16,7 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
+T = TypeVar("T")
+
 #: times that a piece of work may cost a worker its life before it is held to be the cause
 LIVES: Final = 4
 #: pieces of work that are handed out at once where it is not known how many workers there are
@@ -58,7 +61,7 @@ _START: Final = (
 class Executor(Protocol):
     """Anything that takes work: `concurrent.futures` pools and their like."""
 
-    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
         """Have `function(*args)` done."""
 
 
@@ -79,8 +82,8 @@ def processors() -> int:
 class _Job:
     future: Future[Any]
     first: Callable[..., None] | None
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    function: Callable[..., object]
+    arguments: tuple[object, ...]
     limit: Callable[[], float] | None
 
 
@@ -97,22 +100,22 @@ class LocalWorkers:
         self._processes: set[subprocess.Popen[bytes]] = set()
         self._closed = False
 
-    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
         """Have `function(*args)` done by the next free process."""
         return self.submit_limited(function, *args)
 
     def submit_limited(
         self,
-        function: Callable[..., Any],
+        function: Callable[..., T],
         /,
-        *args: Any,
+        *args: object,
         first: Callable[..., None] | None = None,
         limit: Callable[[], float] | None = None,
-    ) -> Future[Any]:
+    ) -> Future[T]:
         """The same; `first(*args)` is done before the `limit` in seconds, asked for then, begins to count."""
         if self._closed:
             raise RuntimeError("the workers have been sent home")
-        future: Future[Any] = Future()
+        future: Future[T] = Future()
         self._jobs.put(_Job(future=future, first=first, function=function, arguments=args, limit=limit))
         if len(self._threads) < self.count:
             thread = threading.Thread(target=self._attend, daemon=True)
@@ -181,7 +184,7 @@ class LocalWorkers:
         process.wait()
         self._processes.discard(process)
 
-    def _ask(self, process: subprocess.Popen[bytes], job: _Job) -> Any:
+    def _ask(self, process: subprocess.Popen[bytes], job: _Job) -> object:
         assert process.stdin is not None
         assert process.stdout is not None
         over = threading.Event()
@@ -249,6 +252,16 @@ def evaluate_guarded(packed: bytes, rows: Array, limit: float) -> tuple[Answered
 # --- handing out and gathering --------------------------------------------------------------------
 
 
+class Waiting(Protocol):
+    """An answer that is on its way."""
+
+    def result(self) -> tuple[Answered, float]:
+        """The answer, waited for."""
+
+    def cancel(self) -> object:
+        """Call it off."""
+
+
 @dataclass(kw_only=True)
 class _Piece:
     """Rows from `start` to `stop`, and how often they have cost a worker its life."""
@@ -256,11 +269,95 @@ class _Piece:
     start: int
     stop: int
     deaths: int = 0
-    future: Any = field(default=None, repr=False)
+    future: Waiting | None = field(default=None, repr=False)
+
+    @property
+    def single(self) -> bool:
+        return self.stop - self.start == 1
+
+
+class _Pieces:
+    """Blocks of rows on their way through an executor: waiting, handed out, answered."""
+
+    def __init__(
+        self, executor: Executor, task: Task, rows: Array, blocks: list[tuple[int, int]], limit: float | None
+    ) -> None:
+        self.executor, self.task, self.rows = executor, task, rows
+        self.packed = pack_task(task)
+        self.pace = None if limit is None else _Pace(limit=limit)
+        self.todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
+        self.out: dict[int, _Piece] = {}
+        self.ready: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self.numbers = itertools.count()
+
+    def hand_out(self) -> None:
+        """As many pieces as keep the workers busy."""
+        while self.todo and len(self.out) < _window(self.executor):
+            piece, pace = self.todo.popleft(), self.pace
+            if pace is not None and pace.rows == 0 and not piece.single:
+                # what a row takes is not known: single ones tell, before the limits of many are waited for in one call
+                if self.out and not pace.hung:
+                    self.todo.appendleft(piece)
+                    return
+                self.todo.appendleft(replace(piece, start=piece.start + 1))
+                piece = replace(piece, stop=piece.start + 1)
+            try:
+                piece.future = _submit(self.executor, self.packed, self.rows[piece.start : piece.stop], pace)
+            except Exception as error:
+                raise _broken(error) from error
+            number = next(self.numbers)
+            self.out[number] = piece
+            tell = getattr(piece.future, "add_done_callback", None)
+            if tell is not None:
+                tell(partial(self._came_back, number))
+            else:
+                self.ready.put(number)  # it has to be waited for in its turn
+
+    def _came_back(self, number: int, _: object) -> None:
+        self.ready.put(number)
+
+    def finished(self) -> _Piece | None:
+        """A piece that has come back; None where none has for a while, or it was called off."""
+        try:
+            return self.out.pop(self.ready.get(timeout=PATIENCE), None)
+        except queue.Empty:
+            if hasattr(self.executor, "look_after"):
+                self.executor.look_after()
+            return None
+
+    def answer(self, piece: _Piece) -> tuple[Answered, float] | None:
+        """The answers of a piece and their seconds; None where it is handed out again."""
+        assert piece.future is not None
+        try:
+            answered, seconds = piece.future.result()
+        except Exception as error:
+            if isinstance(error, TimeOver):
+                self._take_back()
+            found = _after(error, piece, self.task, self.rows, self.todo)
+            if found is None:
+                return None
+            answered, seconds = found, 0.0
+        if self.pace is not None:
+            self.pace.note(answered, seconds)
+        return answered, seconds
+
+    def _take_back(self) -> None:
+        """Calls of many rows that no worker has begun wait until rows of one that took too long are known."""
+        for number in sorted(self.out, reverse=True):
+            piece = self.out[number]
+            if not piece.single and isinstance(piece.future, Future) and piece.future.cancel():
+                self.todo.appendleft(self.out.pop(number))
+
+    def cancel(self) -> None:
+        """Call off what is out."""
+        for piece in self.out.values():
+            with contextlib.suppress(Exception):
+                if piece.future is not None:
+                    piece.future.cancel()
 
 
 def gather(
-    executor: Any,
+    executor: Executor,
     task: Task,
     rows: Array,
     blocks: list[tuple[int, int]],
@@ -279,78 +376,22 @@ def gather(
     TooManyFailures
         When `HUNG` rows in a row have passed the limit.
     """
-    packed = pack_task(task)
-    pace = None if limit is None else _Pace(limit=limit)
-    todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
-    pending: set[int] = set()
-    pieces: dict[int, _Piece] = {}
-    ready: queue.SimpleQueue[int] = queue.SimpleQueue()
-    numbers = iter(range(10**12))
-
-    def hand_out() -> None:
-        while todo and len(pending) < _window(executor):
-            piece, number = todo.popleft(), next(numbers)
-            if pace is not None and pace.rows == 0 and piece.stop - piece.start > 1:
-                # what a row takes is not known: single ones tell, before the limits of many are waited for in one call
-                if pending and not pace.hung:
-                    todo.appendleft(piece)
-                    return
-                todo.appendleft(replace(piece, start=piece.start + 1))
-                piece = replace(piece, stop=piece.start + 1)
-            try:
-                piece.future = _submit(executor, packed, rows[piece.start : piece.stop], pace)
-            except Exception as error:
-                raise _broken(error) from error
-            pieces[number] = piece
-            pending.add(number)
-            if hasattr(piece.future, "add_done_callback"):
-                piece.future.add_done_callback(lambda _, number=number: ready.put(number))
-            else:
-                ready.put(number)  # it has to be waited for in its turn
-
-    def take_back() -> None:
-        """Calls of many rows that no worker has begun wait until rows of one that took too long are known."""
-        for number in sorted(pending, reverse=True):
-            piece = pieces[number]
-            if piece.stop - piece.start > 1 and isinstance(piece.future, Future) and piece.future.cancel():
-                pending.discard(number)
-                todo.appendleft(pieces.pop(number))
-
+    pieces = _Pieces(executor, task, rows, blocks, limit)
     try:
         while True:
             if go_on():
-                hand_out()
-            if not pending:
+                pieces.hand_out()
+            if not pieces.out:
                 return
-            try:
-                number = ready.get(timeout=PATIENCE)
-            except queue.Empty:
-                if hasattr(executor, "look_after"):
-                    executor.look_after()
-                continue
-            if number not in pending:
-                continue
-            pending.discard(number)
-            piece = pieces.pop(number)
-            try:
-                answered, seconds = piece.future.result()
-            except Exception as error:
-                if isinstance(error, TimeOver):
-                    take_back()
-                found = _after(error, piece, task, rows, todo)
-                if found is None:
-                    continue
-                answered, seconds = found, 0.0
-            if pace is not None:
-                pace.note(answered, seconds)
-            yield piece.start, piece.stop, answered, seconds
+            piece = pieces.finished()
+            found = None if piece is None else pieces.answer(piece)
+            if piece is not None and found is not None:
+                yield piece.start, piece.stop, *found
     finally:
-        for number in pending:
-            with contextlib.suppress(Exception):
-                pieces[number].future.cancel()
+        pieces.cancel()
 
 
-def _window(executor: Any) -> int:
+def _window(executor: Executor) -> int:
     """Pieces that keep the workers busy while answers travel."""
     count = getattr(executor, "count", None) or getattr(executor, "_max_workers", None)
     return 2 * int(count) + 2 if count else WINDOW
@@ -385,7 +426,7 @@ class _Pace:
             )
 
 
-def _submit(executor: Any, packed: bytes, rows: Array, pace: _Pace | None) -> Any:
+def _submit(executor: Executor, packed: bytes, rows: Array, pace: _Pace | None) -> Waiting:
     if pace is None:
         return executor.submit(evaluate_remote, packed, rows)
     if isinstance(executor, LocalWorkers):
@@ -398,9 +439,8 @@ def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque
     """What becomes of a piece without an answer: None if it is handed out again, else failed rows."""
     if isinstance(error, UqsphereError):
         raise error
-    single = piece.stop - piece.start == 1
     if isinstance(error, TimeOver):
-        if single:
+        if piece.single:
             return _fail(task, STATUS_TIME, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
         piece.deaths += 1
@@ -409,7 +449,7 @@ def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque
             return None
         if task.model is None:
             raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
-        if single:
+        if piece.single:
             return _fail(task, STATUS_DIED, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
     else:
         raise _broken(error) from error
@@ -461,7 +501,7 @@ class Engine:
     limited : whether evaluations have a limit of time, which needs a process to end
     """
 
-    executor: Any = None
+    executor: Executor | None = None
     workers: int | None = None
     can_spawn: bool = False
     limited: bool = False
@@ -483,7 +523,7 @@ class Engine:
         """Whether evaluations are made in this process, as far as is known."""
         return self.executor is None and self._own is None and not self.limited
 
-    def executor_for(self, left: int) -> Any:
+    def executor_for(self, left: int) -> Executor | None:
         """Who is to evaluate the next `left` rows: None for this process."""
         if self.executor is not None:
             return self.executor
@@ -505,7 +545,7 @@ class Engine:
         self.rows += rows
         self.seconds += seconds
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, str | int | float | None]:
         """What manifest.json says of it."""
         why = "it has a limit of time" if self.limited and self._own is not None else self.why
         each = self.seconds / self.rows if self.rows else None
