@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from uqsphere.report.contents import Contents
+from uqsphere.results import Results
+from uqsphere.results.entries import Est, Resolved
 
 RNG_SEED = 7
 ROWS = 400
@@ -275,3 +280,24 @@ def write_folder(
     for name, document in documents.items():
         (folder / f"{name}.json").write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
     return folder
+
+
+def put(contents: Contents, changes: dict[str, Any]) -> Contents:
+    """The contents with other entries in their documents, by places such as "results/limits/x/met"."""
+    documents = {name: getattr(contents, name).document() for name in ("results", "resolved")}
+    for place, value in changes.items():
+        node, *between, last = (int(key) if key.isdigit() else key for key in place.split("/"))
+        where: Any = documents[str(node)]
+        for key in between:
+            where = where[key]
+        where[last] = value
+    return replace(
+        contents,
+        results=Results.model_validate(documents["results"]),
+        resolved=Resolved.model_validate(documents["resolved"]),
+    )
+
+
+def est(value: float | None, half: float = 0.01, reason: str = "not asked for") -> Est:
+    """An estimate as the report reads it."""
+    return Est.model_validate(estimate(value, half, reason))

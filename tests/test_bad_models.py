@@ -22,7 +22,7 @@ from uqsphere.model import answer
 from uqsphere.report.chapters import measure_heading
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.terminal import summary_of
-from uqsphere.results import Results
+from uqsphere.results import MeasureEntry, Results
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
@@ -144,20 +144,25 @@ def test_a_run_has_the_answers_of_its_scale(power: int, tmp_path: Path) -> None:
 
 
 def _row(name: str, value: float, error: float) -> dict[str, Any]:
-    sway = {"value": value, "low": value - 2.0 * error, "high": value + 2.0 * error, "std_error": error}
+    sway = {"value": value, "low": value - 2.0 * error, "high": value + 2.0 * error, "std_error": error,
+            "method": "m", "evaluations": 9}  # fmt: skip
     return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
+
+
+def _measured(*rows: dict[str, Any]) -> MeasureEntry:
+    return MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "rows": rows})
 
 
 def test_an_input_that_does_nothing_is_not_worth_measuring() -> None:
     """Of inputs that do nothing one has the largest sway all the same."""
-    entry = {"of": "probability", "wanted": 0.1, "rows": [_row("d", 0.02, 0.01), _row("a", -0.01, 0.01)]}
+    entry = _measured(_row("d", 0.02, 0.01), _row("a", -0.01, 0.01))
     assert first_to_measure(entry) is None
     assert "No input is worth measuring" in measure_finding(entry)
     assert measure_heading("“high”", entry) == "What to measure first for “high”"
-    entry["rows"] = [_row("d", 0.05, 0.03), _row("a", 0.04, 0.001)]
+    entry = _measured(_row("d", 0.05, 0.03), _row("a", 0.04, 0.001))
     found = first_to_measure(entry)
     assert found is not None
-    assert found["input"] == "a"
+    assert found.input == "a"
     assert measure_finding(entry).startswith("Measure a first")
     assert measure_heading("“high”", entry).endswith(": a")
 

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from report_folders import limit, write_folder
+from report_folders import limit, put, write_folder
 
 from uqsphere.mechanics.validity import RULES
 from uqsphere.report.assumptions import bearing, breach
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, glances
+from uqsphere.results import CheckEntry
 
 
 def with_check(tmp_path: Path, check: str, text: str = "text", **limits: dict[str, Any]) -> Contents:
     contents = read_contents(write_folder(tmp_path, limits=limits))
-    broken = {"check": check, "share_warning": 0.2, "share_failure": 0.0, "worst": 1.0, "text": text}
-    return replace(contents, results={**contents.results, "validity": [broken]})
+    broken = {"check": check, "share": 0.2, "share_warning": 0.2, "share_failure": 0.0, "worst": 1.0, "text": text}
+    return put(contents, {"results/validity": [broken]})
 
 
 def test_every_rule_has_words_for_its_breach() -> None:
     for rule in RULES:
         if rule.warning is not None or rule.failure is not None:
-            check = {"check": rule.name, "text": "", "share_warning": 0.1}
+            check = CheckEntry(check=rule.name, share=0.1, worst=None, text="", share_warning=0.1)
             assert rule.name.replace("_", " ") not in breach(check, "warning")
 
 
@@ -48,8 +48,7 @@ def test_a_warning_says_how_it_moves_the_probability(tmp_path: Path, check: str,
 
 def test_forces_of_a_massless_sphere_are_balanced_by_assumption(tmp_path: Path) -> None:
     contents = with_check(tmp_path, "force_balance", x=limit(0.0075, 0.2, True))
-    model = {**contents.results["model"], "chosen": "massless"}
-    assert "not known" in bearing(replace(contents, results={**contents.results, "model": model}), "force_balance")
+    assert "not known" in bearing(put(contents, {"results/model/chosen": "massless"}), "force_balance")
 
 
 def test_a_check_at_fracture_counts_those_that_break(tmp_path: Path) -> None:

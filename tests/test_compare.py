@@ -104,7 +104,8 @@ def test_holm_steps_down_and_stops() -> None:
 
 
 def test_what_moved_and_what_did_not(pair: tuple[Path, Path]) -> None:
-    found = compare_folders(*pair)
+    compared = compare_folders(*pair)
+    found = compared.document()
     by_name = {(c["name"], c["statistic"]): c for c in found["changes"]}
     miss = by_name[("limits.crushing", "probability of missing the aim")]
     assert (miss["difference"], miss["verdict"]) == (pytest.approx(0.0178, rel=1e-9), "changed")
@@ -114,13 +115,13 @@ def test_what_moved_and_what_did_not(pair: tuple[Path, Path]) -> None:
         {"limit": "crushing", "before": True, "after": False, "target_before": 0.02, "target_after": 0.02}
     ]
     assert not found["identical"]
-    text = comparison_text(found)
+    text = comparison_text(compared)
     assert "The verdict on crushing is another one." in text
     assert "NOT MET" in text
 
 
 def test_a_run_beside_itself(pair: tuple[Path, Path]) -> None:
-    found = compare_folders(pair[0], pair[0])
+    found = compare_folders(pair[0], pair[0]).document()
     assert found["identical"]
     assert found["causes"] == []
     assert {c["verdict"] for c in found["changes"]} <= {"not seen", "the same", "not known"}
@@ -133,7 +134,7 @@ def test_inputs_that_were_changed_are_named(pair: tuple[Path, Path]) -> None:
     resolved["random"]["striker.speed"]["given"] = {"mean": 0.6, "cov": 0.02}
     resolved["analysis"]["accuracy"]["mean"] = 0.001
     path.write_text(json.dumps(resolved))
-    causes = {c["what"]: (c["before"], c["after"]) for c in compare_folders(*pair)["causes"]}
+    causes = {c["what"]: (c["before"], c["after"]) for c in compare_folders(*pair).document()["causes"]}
     assert causes["sphere.density"] == ("2650 kg/m3", "2700 kg/m3")
     assert causes["striker.speed"] == ("normal: mean 0.5, cov 0.02 (m/s)", "normal: mean 0.6, cov 0.02 (m/s)")
     assert causes["analysis.accuracy.mean"] == ("0.002", "0.001")
@@ -141,7 +142,7 @@ def test_inputs_that_were_changed_are_named(pair: tuple[Path, Path]) -> None:
 
 def test_answers_of_one_run_alone_are_named(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     other = write_folder(tmp_path / "other", quantities=("P_max",))
-    found = compare_folders(pair[0], other)
+    found = compare_folders(pair[0], other).document()
     assert any("p_max: mean" in text for text in found["only_before"])
     assert any("P_max: mean" in text for text in found["only_after"])
     assert found["limits"] == []

@@ -16,7 +16,7 @@ from tests.campaigns.fragility import straight_value, value_coverage
 from uqsphere.cli import main
 from uqsphere.report.margins import margin_answer
 from uqsphere.report.terminal import summary_of
-from uqsphere.results import Results
+from uqsphere.results import LimitEntry, MarginEntry, Results
 from uqsphere.runner.curve_rows import shared
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.margins import find_margins
@@ -104,10 +104,11 @@ def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
         assert "evaluations ran out" in answer.missed[0]
         assert "1,468 more" in answer.missed[0]
         assert all(e.value is None and "evaluations ran out" in str(e.reason) for e in answer.values.values())
-        results = {
-            "margins": {limit.name: {"solve": "striker.speed", "curve": [], **answer.about}},
-            "limits": {limit.name: {"aim": limit.aim, "target": limit.target, "quantity": limit.quantity}},
-        }
+        margin = MarginEntry.model_validate(
+            {"solve": "striker.speed", "unit": "m/s", "values": {}, "curve": [], **answer.about}
+        )
+        entry = LimitEntry.model_construct(aim=limit.aim, target=limit.target, quantity=limit.quantity)
+        results = Results.model_construct(margins={limit.name: margin}, limits={limit.name: entry}, inputs={})
         text = margin_answer(results, limit.name)
         assert "not known" in text
         assert "ran out" in text

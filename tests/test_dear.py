@@ -214,8 +214,9 @@ def test_a_rough_output_leaves_the_others_their_surrogates(study_from: Callable[
     assert results["plan"]["way"] == "surrogate"
     assert results["plan"]["why"].startswith("the surrogate is too rough (z: refused")
     assert "): the 592 runs are sampled; surrogates answer y" in results["plan"]["why"]
-    assert without_failed(results).startswith("of y mean, standard deviation and indices are those of a surrogate")
-    assert "; of the rest mean, standard deviation and indices are those of the others" in without_failed(results)
+    told = without_failed(found.results)
+    assert told.startswith("of y mean, standard deviation and indices are those of a surrogate")
+    assert "; of the rest mean, standard deviation and indices are those of the others" in told
     y, z = results["quantities"]["y"]["mean"], results["quantities"]["z"]["mean"]
     assert y["method"].startswith("surrogate")
     assert y["evaluations"] < z["evaluations"]

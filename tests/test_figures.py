@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.text import Text
-from report_folders import estimate, limit, with_pairs, write_folder
+from report_folders import estimate, limit, put, with_pairs, write_folder
 
 from uqsphere.report import history_figure, xt_figure
 from uqsphere.report.contents import read_contents
@@ -41,17 +41,17 @@ def few_misses(contents: Any, name: str) -> Picture | None:
 
 
 DRAWINGS: dict[str, Callable[[Any], Picture | None]] = {
-    "distribution": lambda c: distribution_figure(c, next(iter(c.results["quantities"]))),
-    "sensitivity": lambda c: sensitivity_figure(c, next(iter(c.results["quantities"]))),
+    "distribution": lambda c: distribution_figure(c, next(iter(c.results.quantities))),
+    "sensitivity": lambda c: sensitivity_figure(c, next(iter(c.results.quantities))),
     "margin": margin_figure,
-    "fragility": lambda c: fragility_figure(c, next(iter(c.results["limits"]))),
+    "fragility": lambda c: fragility_figure(c, next(iter(c.results.limits))),
     "convergence": convergence_figure,
     "speed": speed_figure,
-    "pairs": lambda c: pair_figure(c, next(iter(c.results["quantities"]))),
-    "groups": lambda c: group_figure(c, next(iter(c.results["quantities"]))),
-    "tornado": lambda c: tornado_figure(c, next(iter(c.results["quantities"]))),
-    "waterfall": lambda c: waterfall_figure(c, next(iter(c.results["limits"]))),
-    "surface": lambda c: few_misses(c, next(iter(c.results["limits"]))),
+    "pairs": lambda c: pair_figure(c, next(iter(c.results.quantities))),
+    "groups": lambda c: group_figure(c, next(iter(c.results.quantities))),
+    "tornado": lambda c: tornado_figure(c, next(iter(c.results.quantities))),
+    "waterfall": lambda c: waterfall_figure(c, next(iter(c.results.limits))),
+    "surface": lambda c: few_misses(c, next(iter(c.results.limits))),
     "force band": force_band_figure,
 }
 
@@ -184,16 +184,16 @@ def test_a_planned_point_beyond_the_axis_is_an_arrow_and_no_flat_curve(tmp_path:
     """A probability of 1e-16 is not drawn as one of 1e-6."""
     folder = write_folder(tmp_path, limits={"x": limit(3.9e-16, 0.01, True, half=1e-17)})
     contents = read_contents(folder)
-    entry = contents.results["margins"]["x"]
-    for point in entry["curve"][:6]:
-        point[1:] = [1e-30, 1e-31, 1e-29]
+    curve = [list(point) for point in contents.results.margins["x"].curve]
+    low = [[point[0], 1e-30, 1e-31, 1e-29] for point in curve[:6]]
+    contents = put(contents, {"results/margins/x/curve": [*low, *curve[6:]]})
     picture = fragility_figure(contents, "x")
     assert picture is not None
     axes = picture.figure.axes[0]
     marks = [line for line in axes.lines if line.get_marker() in ("D", "v", "^")]
     assert [line.get_marker() for line in marks] == ["v"]
-    curve = max(axes.lines, key=lambda line: len(line.get_xdata()))
-    assert min(curve.get_ydata()) < axes.get_ylim()[0]
+    drawn = max(axes.lines, key=lambda line: len(line.get_xdata()))
+    assert min(drawn.get_ydata()) < axes.get_ylim()[0]
     assert marks[0].get_ydata()[0] == pytest.approx(axes.get_ylim()[0])
 
 
@@ -209,7 +209,7 @@ def test_of_two_methods_for_one_question_the_better_is_labelled_and_none_below_t
 
 def test_errors_far_below_what_was_asked_leave_the_others_their_room(tmp_path: Path) -> None:
     contents = read_contents(write_folder(tmp_path))
-    contents.results["speed_error"][-1]["error"] = 1e-14
+    contents = put(contents, {f"results/speed_error/{len(contents.results.speed_error) - 1}/error": 1e-14})
     picture = convergence_figure(contents)
     assert picture is not None
     axes = picture.figure.axes[0]
@@ -258,10 +258,10 @@ def test_bars_are_sorted_and_the_largest_is_named(tmp_path: Path) -> None:
     inputs = ("sphere.nu", "sphere.E", "striker.speed")
     folder = write_folder(tmp_path, inputs=inputs)
     contents = read_contents(folder)
-    assert ranked(contents.results["sensitivity"]["p_max"]) == list(inputs)
-    entry = contents.results["sensitivity"]["p_max"]
-    entry["first"]["striker.speed"], entry["total"]["striker.speed"] = estimate(0.7), estimate(0.9)
-    assert ranked(entry)[0] == "striker.speed"
+    assert ranked(contents.results.sensitivity["p_max"]) == list(inputs)
+    first, total = (f"results/sensitivity/p_max/{order}/striker.speed" for order in ("first", "total"))
+    contents = put(contents, {first: estimate(0.7), total: estimate(0.9)})
+    assert ranked(contents.results.sensitivity["p_max"])[0] == "striker.speed"
     finding = sensitivity_finding(contents, "p_max")
     assert finding.startswith("Speed of the striker drives 90 % with its interactions (70 % alone) of the variance")
 

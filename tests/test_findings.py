@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_folders import estimate, limit, with_pairs, write_folder
+from report_folders import estimate, limit, put, with_pairs, write_folder
 from scipy.stats import norm, weibull_min
 
 from uqsphere.report import build_report
@@ -77,12 +77,12 @@ def test_as_many_samples_miss_the_aim_as_the_law_says(contents: Contents) -> Non
 
 def test_a_dependent_strength_follows_its_input(contents: Contents) -> None:
     tie = {"of": ["sphere.E", "limits.x.strength"], "copula": "gaussian", "spearman": 0.6, "kendall": None}
-    tied = replace(contents, resolved={**contents.resolved, "dependence": [tie]})
+    tied = put(contents, {"resolved/dependence": [tie]})
     sides = sides_of(tied, "x")
     assert sides is not None
     ranks = np.array([np.argsort(np.argsort(v)) for v in (sides.x, sides.strength)], dtype=float)
     assert np.corrcoef(ranks)[0, 1] == pytest.approx(0.6, abs=0.02)
-    other = replace(contents, resolved={**contents.resolved, "dependence": [{**tie, "copula": "clayton"}]})
+    other = put(contents, {"resolved/dependence": [{**tie, "copula": "clayton"}]})
     assert sides_of(other, "x") is None
 
 
@@ -90,8 +90,8 @@ def test_pairs_are_named_with_their_share_and_refused_with_their_reason(tmp_path
     found = read_contents(with_pairs(write_folder(tmp_path)))
     text = pair_finding(found, "p_max")
     assert text.startswith("Young's modulus of the sphere and speed of the striker together carry 4 % of the variance")
-    nothing = {"second": {"a|b": estimate(None, reason="beyond the budget")}}
-    absent = replace(found, results={**found.results, "sensitivity": {"p_max": nothing}})
+    nothing = {"first": {}, "total": {}, "second": {"a|b": estimate(None, reason="beyond the budget")}}
+    absent = put(found, {"results/sensitivity": {"p_max": nothing}})
     assert pair_finding(absent, "p_max").endswith("is not known: beyond the budget.")
     assert pair_figure(absent, "p_max") is None
 

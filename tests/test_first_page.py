@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_folders import estimate, limit, write_folder
+from report_folders import est, estimate, limit, put, write_folder
 from scipy.special import ndtr
 
 from uqsphere.report.assumptions import (
@@ -29,7 +29,7 @@ from uqsphere.report.phrases import answer_text, breaks, missing, safe_side
 from uqsphere.report.tables import answer_checks_table, margins_table
 from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import cautions, glances, verdicts
-from uqsphere.results import Results
+from uqsphere.results import AssumedEntry, CheckEntry, LimitEntry, LognormalEntry, MarginEntry
 
 _ASSUMED = [
     {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(0.0105, 1e-4), "met": False},
@@ -116,7 +116,7 @@ def test_the_first_page_says_what_follows_without_the_assumed_dependence(content
     table = granted_table(contents)
     assert table is not None
     assert [row[-1] for row in table.rows] == ["met", "not met", "met", "met"]
-    assert "without the assumed dependence" in summary_of(Results.model_validate(contents.results))
+    assert "without the assumed dependence" in summary_of(contents.results)
 
 
 def test_an_interval_of_the_computation_is_called_that(contents: Contents) -> None:
@@ -144,12 +144,12 @@ def test_the_headline_says_where_the_bars_yield(contents: Contents) -> None:
         and "the probability that the sphere breaks is smaller than stated" in text
         for text in cautions(contents)
     )
-    elastic = {**contents.results["margins"]["x"], "value": estimate(0.29)}
+    elastic = contents.results.margins["x"].model_copy(update={"value": est(0.29)})
     assert beyond_bars(elastic, "striker.speed") == ""
 
 
 def test_operating_point_reserve_and_reflections_are_on_the_first_page(contents: Contents) -> None:
-    assert reserve(contents, contents.results["margins"]["x"], contents.results["limits"]["x"]) == pytest.approx(1.317)
+    assert reserve(contents, contents.results.margins["x"], contents.results.limits["x"]) == pytest.approx(1.317)
     text = _page(contents)
     assert "The study stands at 0.5 m/s: a reserve of 1.31 in speed of the striker." in text
     assert "As planned, at 0.5 m/s, the sphere breaks with a probability of 0.200 %, at most 1 % allowed: met." in text
@@ -173,7 +173,7 @@ def test_the_event_has_one_name_whatever_the_aim(two: Contents) -> None:
     assert "too low by a factor of 3.59 in speed of the striker, a shortfall" in text
     assert "Shortfall (“y”)" in [g.question for g in glances(two)]
     assert "short of it, the strength is still 1.50 times the demand" in margin_finding(
-        "y", two.results["limits"]["y"]["margin"], "break"
+        "y", two.results.limits["y"].margin, "break"
     )
 
 
@@ -192,13 +192,14 @@ def test_what_the_tests_leave_open_comes_before_the_computation(two: Contents) -
 def test_a_strength_outside_of_what_was_tested_is_said(two: Contents) -> None:
     law = {"dist": "weibull", "parameters": {"modulus": 9.0, "scale": 4e9, "threshold": 0.0}, "given": {},
            "lower": None, "upper": None, "data": [3.5e9, 3.9e9, 4.4e9]}  # fmt: skip
-    random = {**two.resolved["random"], "limits.x.strength": law}
-    margins = {**two.results["margins"]}
-    margins["x"] = {**margins["x"], "lost_to": {"shares": {}, "partial": {"limits.x.strength": {"design": 3.1e9}}}}
-    found = Contents(
-        results={**two.results, "margins": margins}, manifest=two.manifest, resolved={**two.resolved, "random": random},
-        samples=two.samples, failed=0.0, points=two.points,
-    )  # fmt: skip
+    partial = {"limits.x.strength": {"design": 3.1e9, "characteristic": 3.5e9, "factor": 3.5 / 3.1}}
+    found = put(
+        two,
+        {
+            "resolved/random/limits.x.strength": law,
+            "results/margins/x/lost_to": {"shares": {}, "partial": partial},
+        },
+    )
     (text,) = (text for text in cautions(found) if text.startswith("Beyond the tests of “x”"))
     assert "the 3 specimens that broke did so at 3.5 GPa to 4.4 GPa" in text
     assert "the answer 0.658 m/s rests on strengths about 3.1 GPa" in text
@@ -215,7 +216,7 @@ def test_a_strength_outside_of_what_was_tested_is_said(two: Contents) -> None:
     ],
 )
 def test_a_limit_is_rounded_to_the_safe_side(value: float, half: float, most: bool, expected: str) -> None:
-    assert safe_side(estimate(value, half), "striker.speed", at_most=most) == expected
+    assert safe_side(est(value, half), "striker.speed", at_most=most) == expected
 
 
 def test_the_answer_is_one_text_everywhere(contents: Contents) -> None:
@@ -225,8 +226,14 @@ def test_the_answer_is_one_text_everywhere(contents: Contents) -> None:
 
 
 def test_a_check_of_two_grades_names_both_thresholds(contents: Contents) -> None:
-    check = {"check": "force_balance", "share_information": 0.362, "share_warning": 0.224, "share_failure": 0.0,
-             "text": "in 58.6 % of the specimens that break"}  # fmt: skip
+    check = CheckEntry(
+        check="force_balance",
+        share=0.224,
+        share_information=0.362,
+        share_warning=0.224,
+        worst=None,
+        text="in 58.6 % of the specimens that break",
+    )
     assert breach(check, "warning") == (
         "the two contact forces differ (beyond 0.1 in 22.4 % of the specimens that break, beyond 0.05 in 58.6 %)"
     )
@@ -237,7 +244,8 @@ def test_the_lognormal_curve_is_not_drawn_where_it_would_mislead() -> None:
     x = np.array([0.5, 0.7, 1.0, 1.4])
     z = np.log(x) / 0.25
     curve = np.stack([x, ndtr(z)], axis=1)
-    entry = {"lognormal": {"median": estimate(1.0), "dispersion": estimate(0.25), "rising": True}}
+    fitted = LognormalEntry(median=est(1.0), dispersion=est(0.25), rising=True)
+    entry = MarginEntry(solve="x", unit="", values={}, curve=(), lognormal=fitted)
     assert np.isfinite(lognormal_scores(entry, curve)).all()
     curve[0, 1] *= 50.0
     assert np.isnan(lognormal_scores(entry, curve)).tolist() == [True, False, False, False]
@@ -283,6 +291,6 @@ def test_the_table_of_margins_says_where_the_bars_yield(two: Contents) -> None:
 def test_a_verdict_that_turns_on_an_assumption_is_told(
     assumption: str, met: bool, instead: bool | None, told: bool
 ) -> None:
-    row = {"assumption": assumption, "miss": estimate(0.02), "met": instead}
-    assert turns({"target": 0.01, "met": met}, row) is told
-    assert not turns({"target": None, "met": met}, row)
+    row = AssumedEntry.model_construct(assumption=assumption, miss=est(0.02), met=instead)
+    assert turns(LimitEntry.model_validate(limit(0.02, 0.01, met)), row) is told
+    assert not turns(LimitEntry.model_validate(limit(0.02, None, met)), row)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from report_folders import put
 from scipy.special import ndtr, owens_t
 
 import uqsphere
@@ -362,8 +363,9 @@ def test_the_union_over_the_speed_lies_above_each_limit(several: uqsphere.Run) -
 def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_all(several: uqsphere.Run) -> None:
     contents = read_contents(several.folder)
     first = several.results.document()["fracture"]["limits"][0]
-    for point in contents.results["margins"][first]["curve"][:4]:
-        point[2:] = [0.1 * point[1], min(1.0, 10.0 * point[1])]
+    curve = contents.results.margins[first].curve
+    wide = [[p.value, p.probability, 0.1 * p.probability, min(1.0, 10.0 * p.probability)] for p in curve[:4]]
+    contents = put(contents, {f"results/margins/{first}/curve": [*wide, *map(list, curve[4:])]})
     drawn = []
     for name in (first, several.results.document()["fracture"]["limits"][1]):
         picture = interplay_figure(contents)
@@ -376,8 +378,8 @@ def test_the_curve_of_a_limit_that_is_hardly_known_is_not_drawn_above_that_of_al
     (remark,) = interplay_remarks(contents)
     assert f"“{first}” (" in remark
     assert several.results.document()["fracture"]["limits"][1] not in remark
-    for point in contents.results["margins"][first]["curve"]:
-        point[2:] = [point[1], point[1]]
+    sure = [[p.value, p.probability, p.probability, p.probability] for p in curve]
+    contents = put(contents, {f"results/margins/{first}/curve": sure})
     assert interplay_remarks(contents) == ()
 
 

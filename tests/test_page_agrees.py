@@ -167,7 +167,7 @@ def test_a_comparison_shows_what_the_verdicts_take_for_granted(tmp_path: Path) -
         row = {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(miss, 1e-5), "met": False}
         assumed = {**limit(0.002, 0.01, True), "assumed": [row]}
         folders.append(write_folder(tmp_path / name, limits={"crushing": assumed}))
-    found = compare_folders(*folders)
+    found = compare_folders(*folders).document()
     (change,) = [c for c in found["changes"] if "without the assumed dependence" in c["statistic"]]
     assert (change["before"]["value"], change["after"]["value"]) == (0.0105, 0.0305)
     assert change["verdict"] == "changed"

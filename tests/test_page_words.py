@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from itertools import pairwise
@@ -11,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from report_folders import estimate, limit, write_folder
+from report_folders import estimate, limit, put, write_folder
 from test_page_agrees import headings, solved
 
 from uqsphere.report.assumptions import check_name
@@ -26,6 +25,7 @@ from uqsphere.report.page import build_report, new_environment, unbroken
 from uqsphere.report.phrases import law_name, mathematical, outward, probability_range
 from uqsphere.report.tables import _part_row
 from uqsphere.report.verdict import cautions, glances, verdicts
+from uqsphere.results import MeasureEntry, PartEntry, read_results
 from uqsphere.runner.band import METHOD
 
 ROOT = Path(__file__).parents[1]
@@ -44,9 +44,9 @@ def narrowest(table: Table) -> float:
 
 @pytest.mark.parametrize("name", ["granite", "crusher-margin"])
 def test_the_table_of_most_columns_fits_the_page_and_the_paper(name: str) -> None:
-    results = json.loads((ROOT / "reports" / name / "results.json").read_text("utf-8"))
+    results = read_results(ROOT / "reports" / name)
     contents: Any = SimpleNamespace(results=results, subject=lambda variable: subject_of(results, variable))
-    for limit_name in results["limits"]:
+    for limit_name in results.limits:
         table = given_failure_table(contents, limit_name)
         assert table is not None
         assert len(table.header) == 6
@@ -124,8 +124,8 @@ def test_the_two_medians_of_a_margin_are_told_apart(tmp_path: Path) -> None:
     table = parts_table(contents, "chute")
     assert table is not None
     assert "is the middle of strength over demand taken case by case; 1.46 is the middle strength" in table.note
-    same = contents.results["limits"]["chute"]["margin"]["median"]["value"]
-    contents.results["margins"]["chute"]["factors"]["medians"] = same
+    same = contents.results.limits["chute"].margin["median"].value
+    contents = put(contents, {"results/margins/chute/factors/medians": same})
     table = parts_table(contents, "chute")
     assert table is not None
     assert "case by case" not in table.note
@@ -133,9 +133,8 @@ def test_the_two_medians_of_a_margin_are_told_apart(tmp_path: Path) -> None:
 
 def _margined(tmp_path: Path, medians: float) -> Contents:
     contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
-    contents.results["margins"]["chute"]["factors"] = {
-        "medians": medians, "fractiles": 1.04, "fractiles_of": {"strength": 0.05, "demand": 0.95}}  # fmt: skip
-    return contents
+    factors = {"medians": medians, "fractiles": 1.04, "fractiles_of": {"strength": 0.05, "demand": 0.95}}
+    return put(contents, {"results/margins/chute/factors": factors})
 
 
 def _broken(name: str, warning: float) -> dict[str, Any]:
@@ -145,8 +144,9 @@ def _broken(name: str, warning: float) -> dict[str, Any]:
 
 def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
     contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
-    contents.results["validity"] = [_broken("bar_yield_contact", 0.1)]
-    contents.results["margins"]["chute"]["validity"] = {"samples": 128, "checks": [_broken("bar_yield_contact", 0.5)]}
+    there = {"value": 1.0, "samples": 128, "checks": [_broken("bar_yield_contact", 0.5)]}
+    planned = [_broken("bar_yield_contact", 0.1)]
+    contents = put(contents, {"results/validity": planned, "results/margins/chute/validity": there})
     page = " ".join(cautions(contents))
     assert page.count("dent widens the contact") == 1
     assert "as planned: the bars yield under the sphere (10 % of the samples), to the same effect" in page
@@ -159,9 +159,9 @@ def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
 
 def test_what_the_bars_stand_is_said_once(tmp_path: Path) -> None:
     contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True), second=limit(0.0075, 0.01, True)))
-    for entry in contents.results["margins"].values():
-        entry["bars"] = {"yield_strength": 1.9e9, "contact_everywhere": "elastic", "pulse_value": 97.5,
-                         "contact": None, "contact_probability": 0.01}  # fmt: skip
+    bars = {"yield_strength": 1.9e9, "contact_everywhere": "elastic", "pulse_value": 97.5,
+            "contact": None, "contact_probability": 0.01}  # fmt: skip
+    contents = put(contents, {f"results/margins/{name}/bars": bars for name in contents.results.margins})
     lines = [line for verdict in margin_verdicts(contents) for line in verdict.lines]
     assert sum("The bars (yield strength" in line for line in lines) == 1
 
@@ -174,7 +174,7 @@ def test_tests_are_counted_in_all_everywhere() -> None:
         "sway": estimate(1.8e-4, 1e-6),
         "share": 0.98,
     }
-    entry = {"of": "probability", "wanted": 0.1, "probability": 4.45e-5, "rows": [row]}
+    entry = MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "probability": 4.45e-5, "rows": [row]})
     assert "after 1\u202f692 tests of it in all, 1\u202f672 more than there are, if only" in measure_finding(entry)
     table = measure_table(entry, "c")
     assert table is not None
@@ -211,10 +211,10 @@ def test_paper_names_the_figure_that_may_stand_on_the_next_page(tmp_path: Path) 
 
 def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) -> None:
     contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
-    entry = contents.results["margins"]["chute"]
     member = {"values": {"0.5": estimate(1.0), "0.1": estimate(0.8)},
               "curve": [[0.5 + 0.1 * k, 0.05 + 0.1 * k, 0.04, 0.99] for k in range(9)]}  # fmt: skip
-    entry["family"] = {"path": "sphere.radius", "members": [{"value": r, **member} for r in (0.008, 0.012)]}
+    family = {"path": "sphere.radius", "members": [{"value": r, **member} for r in (0.008, 0.012)]}
+    contents = put(contents, {"results/margins/chute/family": family})
     picture = family_figure(contents, "chute")
     assert picture is not None
     (axes,) = picture.figure.axes
@@ -233,7 +233,7 @@ def _label(contents: Contents) -> str:
 
 
 def test_seconds_of_a_part_are_whole_where_they_are_many() -> None:
-    part = {"part": "sensitivity", "likely": 1000, "most": 2000, "taken": 1280, "why": ""}
+    part = PartEntry(part="sensitivity", likely=1000, most=2000, taken=1280)
     assert _part_row(part, 132.4)[1].endswith("; took 1\u202f280 in 132 s")
     assert _part_row(part, 5234.2)[1].endswith(" in 5\u202f234 s")
     assert _part_row(part, 3.14159)[1].endswith(" in 3.1 s")

@@ -16,6 +16,7 @@ from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.limits import surface_figure
 from uqsphere.report.page import GLOSSARY, _distinct, _numbers_of, margin_boxes, unbroken, words_used
+from uqsphere.results.entries import Manifest
 
 STUDIES = Path(__file__).parents[1] / "studies"
 
@@ -56,12 +57,12 @@ def test_every_figure_has_its_numbers_in_a_file(tmp_path: Path, study: str) -> N
 
 
 def test_the_margins_of_paper_hold_title_day_and_number(tmp_path: Path) -> None:
-    sheet = margin_boxes('a"}</style>\\ <b>', {"finished": "2026-01-31"})
+    sheet = margin_boxes('a"}</style>\\ <b>', Manifest(finished="2026-01-31"))
     assert "counter(page)" in sheet
     assert "run of 2026\\2d 01\\2d 31" in sheet
     assert not set("<>&") & set(sheet)
     assert sheet.count('"') % 2 == 0
-    assert "run of" not in margin_boxes("a", {})
+    assert "run of" not in margin_boxes("a", Manifest())
     page = page_of(write_folder(tmp_path, title='</style><script>alert("x")</script>'))
     assert page.count("</style>") == 1
     assert "<script" not in page

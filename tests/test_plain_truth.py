@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_folders import estimate, limit, write_folder
+from report_folders import estimate, limit, put, write_folder
 
 from uqsphere.report.chapters import failure_heading
 from uqsphere.report.contents import Contents, read_contents
@@ -17,6 +17,7 @@ from uqsphere.report.figures.swings import Swing, _swing_bar, waterfall_heading
 from uqsphere.report.phrases import solved_name
 from uqsphere.report.terminal import _governing
 from uqsphere.report.verdict import _measure, glances, verdicts
+from uqsphere.results import LimitEntry, MeasureEntry, Results
 from uqsphere.uq.failure_indices import BY_DIRECTION
 
 
@@ -67,8 +68,8 @@ def test_small_interactions_are_not_said_to_be_unseen(
     tmp_path: Path, first: dict[str, Any], total: dict[str, Any], said: str
 ) -> None:
     contents = read_contents(write_folder(tmp_path, inputs=("sphere.E",)))
-    entry = contents.results["sensitivity"]["p_max"]
-    entry["first"]["sphere.E"], entry["total"]["sphere.E"] = first, total
+    place = "results/sensitivity/p_max"
+    contents = put(contents, {f"{place}/first/sphere.E": first, f"{place}/total/sphere.E": total})
     assert sensitivity_finding(contents, "p_max").endswith(said)
 
 
@@ -95,19 +96,21 @@ def test_a_name_of_the_user_has_no_article_and_keeps_its_letters(tmp_path: Path)
 def test_what_to_measure_begins_with_the_name_as_it_is(name: str, start: str) -> None:
     rows = [{"input": name, "sway": estimate(0.5, 0.1), "share": 1.0, "tests": 9, "observations": None}]
     entry = {"of": "probability", "wanted": 0.1, "rows": rows, "probability": 0.01, "reason": "", "method": ""}
-    assert _measure(entry).startswith(start)
+    assert _measure(MeasureEntry.model_validate(entry)).startswith(start)
 
 
 def test_a_free_scalar_of_the_user_keeps_its_letters() -> None:
-    assert solved_name({"inputs": {}}, "v") == "v"
-    assert solved_name({"inputs": {"v": {}}}, "v") == "Mean v"
-    assert solved_name({"inputs": {}}, "striker.speed") == "Speed of the striker"
+    plain, random = (Results.model_construct(inputs=inputs) for inputs in ({}, {"v": {}}))
+    assert solved_name(plain, "v") == "v"
+    assert solved_name(random, "v") == "Mean v"
+    assert solved_name(plain, "striker.speed") == "Speed of the striker"
 
 
 @pytest.mark.parametrize(("points", "told"), [(2, True), (1, False)])
 def test_the_terminal_says_of_which_way_to_fail_the_shares_are(points: int, told: bool) -> None:
     found = {**limit(0.0075, 0.01, True), "design_points": points}
-    assert ("limit x, the likeliest of 2 ways" in "\n".join(_governing({"limits": {"x": found}}, 80))) is told
+    results = Results.model_construct(limits={"x": LimitEntry.model_validate(found)})
+    assert ("limit x, the likeliest of 2 ways" in "\n".join(_governing(results, 80))) is told
 
 
 @pytest.mark.parametrize(("low", "boxes"), [(1.1, 2), (4.5, 0)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from conftest import SUM
+from report_folders import put
 
 import uqsphere
 from uqsphere.report.chapters import accuracy_heading, computed_chapter
@@ -22,7 +22,8 @@ from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
 from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import limits_are_accurate
-from uqsphere.results import MarginEntry, Results, SpeedRow
+from uqsphere.results import AccuracyEntry, LimitEntry, MarginEntry, QuestionRow, Results, SpeedRow
+from uqsphere.results.entries import Est
 from uqsphere.runner.account import FURTHER, further_rows
 from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.campaign import indices_missed
@@ -121,7 +122,7 @@ def given_up(run: Run) -> Contents:
         told | {"quantity": "limits.high", "question": "probability of exceedance", "reached": 9.0, "met": None},
     ]
     accuracy = run.results.document()["accuracy"] | {"met": False, "missed": ["a", "b", "c"], "questions": rows}
-    return replace(contents, results=run.results.document() | {"speed_error": course, "accuracy": accuracy})
+    return put(contents, {"results/speed_error": course, "results/accuracy": accuracy})
 
 
 def test_what_a_method_reached_whose_answers_were_not_taken_counts_for_nothing(given_up: Contents) -> None:
@@ -136,17 +137,15 @@ def test_what_a_method_reached_whose_answers_were_not_taken_counts_for_nothing(g
 
 
 def test_what_its_course_shows_is_not_said_to_be_missing_from_it(given_up: Contents) -> None:
-    course = [row | {"error": 2.0 * row["error"] * 8} for row in given_up.results["speed_error"]]
-    told = course_finding(replace(given_up, results=given_up.results | {"speed_error": course}), 0)
+    course = [row.document() | {"error": 16.0 * (row.error or 0.0)} for row in given_up.results.speed_error]
+    told = course_finding(put(given_up, {"results/speed_error": course}), 0)
     assert "above what was asked: worst index of y;" in told
 
 
 def test_two_errors_of_a_surrogate_have_labels_of_their_own(given_up: Contents) -> None:
     kinds = [f"share of the variance left unexplained{which}" for which in ("", " by the fit before (unseen runs)")]
-    row = given_up.results["speed_error"][0]
-    contents = replace(
-        given_up, results=given_up.results | {"speed_error": [row | {"error_kind": kind} for kind in kinds]}
-    )
+    row = given_up.results.speed_error[0].document()
+    contents = put(given_up, {"results/speed_error": [row | {"error_kind": kind} for kind in kinds]})
     assert [s.label for s in error_series(contents)] == ["y unexplained", "y by the fit before"]
 
 
@@ -155,17 +154,14 @@ def test_the_page_has_one_sentence_for_a_reason_and_its_cost(run: Run) -> None:
     missed = [f"y{k}: quantile {p}: too few samples beyond the {p} quantile {cost}"
               for k in range(9) for p in (0.01, 0.99)]  # fmt: skip
     missed += [f"y{k}: mean: half-width 0.{k + 3} of the standard deviation, asked 0.1 {cost}" for k in range(2)]
-    found = run.results.document() | {"accuracy": run.results.document()["accuracy"] | {"missed": missed}}
+    found = put(contents, {"results/accuracy/missed": missed})
     remarks = [
-        text
-        for block in computed_chapter(replace(contents, results=found)).blocks
-        for text in block.remarks
-        if text.startswith("Not reached: ")
+        text for block in computed_chapter(found).blocks for text in block.remarks if text.startswith("Not reached: ")
     ]
     assert len(remarks) == 2
     assert all(f"y{k} quantile {p}" in remarks[0] for k in range(9) for p in (0.01, 0.99))
     assert "y0 mean (0.3), y1 mean (0.4): half-width above the 0.1 of the standard deviation" in remarks[1]
-    flat = " ".join(summary_of(Results.model_validate(found), 100).split())
+    flat = " ".join(summary_of(found.results, 100).split())
     assert "y2 quantile 0.99 and 12 more: too few samples" in flat
     assert flat.count("20,000 evaluations would") == 2
 
@@ -311,13 +307,11 @@ def test_every_shortfall_of_a_quantity_has_its_own_cost(run: Run) -> None:
 
 def test_whether_limits_are_accurate_is_asked_of_their_questions() -> None:
     def told(*met: bool | None, value: float | None = 0.1) -> bool:
-        rows = [{"quantity": "limits.a", "met": one} for one in met]
-        return limits_are_accurate(
-            {
-                "limits": {"a": {"miss": {"value": value}}},
-                "accuracy": {"missed": ["as one may word it"], "questions": [{"quantity": "y", "met": False}, *rows]},
-            }
-        )
+        questions = [QuestionRow.model_construct(quantity="y", met=False)]
+        questions += [QuestionRow.model_construct(quantity="limits.a", met=one) for one in met]
+        accuracy = AccuracyEntry.model_construct(missed=("as one may word it",), questions=tuple(questions))
+        limit = LimitEntry.model_construct(miss=Est.model_construct(value=value))
+        return limits_are_accurate(Results.model_construct(limits={"a": limit}, accuracy=accuracy))
 
     assert told(True)
     # so small that nothing hangs on it

@@ -18,11 +18,13 @@ from uqsphere.report.blocks import index_cell
 from uqsphere.report.figures.canvas import slim
 from uqsphere.report.phrases import estimate_text, powers, probability_text
 from uqsphere.report.units import units_of
+from uqsphere.results import Results
+from uqsphere.results.entries import Est
 from uqsphere.units import UNITS
 
 
-def around(value: float, half: float) -> dict[str, float]:
-    return {"value": value, "low": value - half, "high": value + half}
+def around(value: float, half: float) -> Est:
+    return Est.of(value, value - half, value + half)
 
 
 @pytest.mark.parametrize("name", ["P_max", "p_max", "contact_time", "energy", "sphere.radius", "striker.speed"])
@@ -64,13 +66,13 @@ def test_a_page_of_small_pressures_is_in_one_unit_and_its_files_in_si(tmp_path: 
     entry = results["quantities"][name]
     entry["mean"], entry["sd"] = smaller(entry["mean"]), smaller(entry["sd"])
     entry["quantiles"] = {p: smaller(e) for p, e in entry["quantiles"].items()}
-    assert units_of(results)[name] != usual
+    assert units_of(Results.model_validate(results))[name] != usual
     (folder / "results.json").write_text(json.dumps(results))
     changed = (folder / "results.json").read_bytes()
     page = build_report(folder).read_text()
     table = re.search(rf"<caption[^>]*>{name}: values.*?</table>", page, re.DOTALL)
     assert table is not None
-    assert units_of(results)[name] in table[0]
+    assert units_of(Results.model_validate(results))[name] in table[0]
     assert usual not in table[0]
     assert (folder / "results.json").read_bytes() == changed != before
 
@@ -84,7 +86,7 @@ def test_a_page_of_small_pressures_is_in_one_unit_and_its_files_in_si(tmp_path: 
         (around(3.1e-7, 6e-7), "", "3.1 × 10⁻⁷ (−2.9 × 10⁻⁷ to 9.1 × 10⁻⁷)"),
     ],
 )
-def test_no_more_digits_than_are_read(estimate: dict[str, float], name: str, text: str) -> None:
+def test_no_more_digits_than_are_read(estimate: Est, name: str, text: str) -> None:
     assert estimate_text(estimate, name) == text
 
 

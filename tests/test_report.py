@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from report_folders import estimate, limit, write_folder
+from report_folders import est, limit, put, write_folder
 
 from uqsphere.errors import FolderError
 from uqsphere.report import build_report
@@ -21,7 +20,7 @@ from uqsphere.report.phrases import probability_text, rounded, share_text
 from uqsphere.report.tables import methods_table, paper_table
 from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import allowed_value, cautions, glances, verdicts
-from uqsphere.results import Results
+from uqsphere.results.entries import Est
 
 NASTY = '<script>alert(1)</script> $x^2$ "&\x07\u202e'
 
@@ -197,7 +196,7 @@ def test_study_without_scatter_has_values_and_no_figures(tmp_path: Path) -> None
 def test_limit_without_scatter_is_exceeded_or_not(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, scatter=False, margins=False, limits={"x": limit(0.0, 0.01, True)})
     contents = read_contents(folder)
-    found = verdicts(replace(contents, resolved={**contents.resolved, "random": {}}))[0]
+    found = verdicts(put(contents, {"resolved/random": {}}))[0]
     assert (
         found.lines[0]
         == "Limit “x” is not exceeded in the one scene of a study without scatter, target at most 1 %: met."
@@ -268,7 +267,7 @@ def test_one_evaluation_that_failed_is_one(tmp_path: Path) -> None:
         "numbers": {},
     }
     contents = read_contents(write_folder(tmp_path, model=model))
-    for text in (" ".join(cautions(contents)), summary_of(Results.model_validate(contents.results), 80)):
+    for text in (" ".join(cautions(contents)), summary_of(contents.results, 80)):
         assert "1 evaluation failed" in text
 
 
@@ -400,17 +399,17 @@ def test_seconds_come_in_the_order_of_the_rows(tmp_path: Path) -> None:
     [(0.0, 0.0, "0 %"), (1e-7, 1e-8, "1.00 × 10⁻⁷ (9.00 × 10⁻⁸ to 1.10 × 10⁻⁷)"), (0.5, 0.05, "50.0 (45.0 to 55.0) %")],
 )
 def test_probabilities_keep_what_their_interval_supports(value: float, half: float, words: str) -> None:
-    assert words in probability_text(estimate(value, half)).replace("none seen, at most ", "")
+    assert words in probability_text(est(value, half)).replace("none seen, at most ", "")
 
 
 def test_unseen_failures_are_a_bound() -> None:
-    assert probability_text({"value": 0.0, "low": 0.0, "high": 0.003}) == "none seen, at most 0.3 %"
-    assert probability_text({"value": 1.0, "low": 0.997, "high": 1.0}) == "all seen, at least 99.7 %"
-    assert probability_text(estimate(None)) == "–"
+    assert probability_text(Est.of(0.0, 0.0, 0.003)) == "none seen, at most 0.3 %"
+    assert probability_text(Est.of(1.0, 0.997, 1.0)) == "all seen, at least 99.7 %"
+    assert probability_text(est(None)) == "–"
 
 
 def test_single_values_are_rounded_to_their_interval() -> None:
-    assert rounded(estimate(2.5541e9, 4e6), "p_max") == "2.554 GPa"
-    assert rounded(estimate(2.5541e9, 4e8), "p_max") == "2.6 GPa"
-    assert rounded(estimate(2.3474e-3, 1e-4), "contact_time") == "2300 µs"
-    assert share_text(estimate(-0.001, 0.02)) == "less than 1 %"
+    assert rounded(est(2.5541e9, 4e6), "p_max") == "2.554 GPa"
+    assert rounded(est(2.5541e9, 4e8), "p_max") == "2.6 GPa"
+    assert rounded(est(2.3474e-3, 1e-4), "contact_time") == "2300 µs"
+    assert share_text(est(-0.001, 0.02)) == "less than 1 %"

@@ -16,7 +16,7 @@ from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.report.compare import compare_folders, comparison_text
 from uqsphere.report.phrases import estimate_text
 from uqsphere.report.terminal import summary_of
-from uqsphere.results import Results
+from uqsphere.results import Results, read_results
 
 ROOT = Path(__file__).parent.parent
 PUBLISHED = sorted(path.parent for path in (ROOT / "reports").glob("*/results.json"))
@@ -65,9 +65,9 @@ def test_nothing_is_cut_off(results: dict[str, Any]) -> None:
 
 
 def test_numbers_are_those_of_the_page() -> None:
-    results = json.loads((ROOT / "reports/granite/results.json").read_text(encoding="utf-8"))
-    text = summary_of(Results.model_validate(results), 80)
-    for quantile in results["quantities"]["p_max"]["quantiles"].values():
+    results = read_results(ROOT / "reports/granite")
+    text = summary_of(results, 80)
+    for quantile in results.quantities["p_max"].quantiles.values():
         assert estimate_text(quantile, "p_max") in text
     # five digits at most of whatever has an interval; counts have commas at the thousands
     for number in re.findall(r"\d\.\d+(?= \()", text):
@@ -83,7 +83,9 @@ def test_a_comparison_fits_the_terminal(width: int, tmp_path: Path) -> None:
     before = write_folder(tmp_path / "before", limits={name: limit(0.0123, 0.02, True)})
     after = write_folder(tmp_path / "after", limits={name: limit(0.0301, 0.02, False)})
     found = compare_folders(before, after)
-    found["before"]["folder"], found["after"]["folder"] = "before-results", "after-results"
+    before_side = found.before.model_copy(update={"folder": "before-results"})
+    after_side = found.after.model_copy(update={"folder": "after-results"})
+    found = found.model_copy(update={"before": before_side, "after": after_side})
     text = comparison_text(found, width)
     assert longest(text) <= width
     assert "NOT MET" in text

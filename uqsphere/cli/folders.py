@@ -110,9 +110,10 @@ def command_compare(chosen: argparse.Namespace) -> int:
         if chosen.out is not None:
             from uqsphere.report.compare import write_page
 
-            found["page"] = str(write_page(chosen.before, chosen.after, found, chosen.out))
+            page = write_page(chosen.before, chosen.after, found, chosen.out)
+            found = found.model_copy(update={"page": str(page)})
     if chosen.json:
-        print_document(found)
+        print_document(found.document())
     else:
         print(comparison_text(found))
     return 0

@@ -6,8 +6,7 @@ The directions are those of theory section 9; how far an answer moves is never k
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -33,6 +32,8 @@ from uqsphere.report.phrases import (
     safe_side,
     value_text,
 )
+from uqsphere.results import AssumedEntry, CheckEntry, LimitEntry, MarginEntry
+from uqsphere.results.entries import Est
 
 __all__ = [
     "answer_breaches",
@@ -95,32 +96,32 @@ def check_name(check: str) -> str:
     return _NAMES.get(check, check.replace("_", " "))
 
 
-def grave(contents: Contents) -> list[Mapping[str, Any]]:
+def grave(contents: Contents) -> list[CheckEntry]:
     """Checks that fail in some samples."""
-    return [c for c in contents.results["validity"] if c.get("share_failure", 0.0) > 0.0]
+    return [c for c in contents.results.validity if c.share_failure > 0.0]
 
 
-def warned(contents: Contents) -> list[Mapping[str, Any]]:
+def warned(contents: Contents) -> list[CheckEntry]:
     """Checks that warn in some samples and fail in none."""
-    return [c for c in contents.results["validity"] if c not in grave(contents) and c.get("share_warning", 0.0) > 0.0]
+    return [c for c in contents.results.validity if c not in grave(contents) and c.share_warning > 0.0]
 
 
-def broken_words(check: Mapping[str, Any]) -> str:
+def broken_words(check: CheckEntry) -> str:
     """What is found where a check is broken, without how often."""
-    return _FOUND.get(check["check"], check_name(check["check"]))
+    return _FOUND.get(check.check, check_name(check.check))
 
 
-def breach(check: Mapping[str, Any], grade: str) -> str:
+def breach(check: CheckEntry, grade: str) -> str:
     """What is found, and in which share of what."""
     # at fracture the check is of those that break, which its text says
-    whom = "the specimens that break" if "specimens that break" in str(check["text"]) else "the samples"
+    whom = "the specimens that break" if "specimens that break" in str(check.text) else "the samples"
     words = broken_words(check)
-    text = plain_percent(check[f"share_{grade}"])
-    rule = next((r for r in RULES if r.name == check["check"]), None)
-    milder = check.get("share_information", 0.0)
+    text = plain_percent(getattr(check, f"share_{grade}"))
+    rule = next((r for r in RULES if r.name == check.check), None)
+    milder = check.share_information
     if rule is not None and rule.information is not None and grade == "warning" and milder > 0.0:
         # the check's own text counts both grades
-        both = plain_percent(float(f"{milder + check['share_warning']:.3g}"))
+        both = plain_percent(float(f"{milder + check.share_warning:.3g}"))
         return f"{words} (beyond {rule.warning:g} in {text} of {whom}, beyond {rule.information:g} in {both})"
     return f"{words} ({text} of {whom})"
 
@@ -130,7 +131,7 @@ def _probability(contents: Contents, name: str) -> str:
     results = contents.results
     if not breaks(results, name):
         return f"of missing {limit_name(name, 30)}"
-    own = f" ({limit_name(name, 30)})" if len(results["limits"]) > 1 else ""
+    own = f" ({limit_name(name, 30)})" if len(results.limits) > 1 else ""
     return f"that {missing(results, name)}{own}"
 
 
@@ -148,24 +149,24 @@ def bearing(contents: Contents, check: str, only: str = "") -> str:
     str
         Without a full stop at its end; of the quantities where there is no limit.
     """
-    limits = {n: limit for n, limit in contents.results["limits"].items() if only in ("", n)}
-    followed = contents.results["model"]["chosen"] != "massless"
+    limits = {n: limit for n, limit in contents.results.limits.items() if only in ("", n)}
+    followed = contents.results.model.chosen != "massless"
     lower, why = _LOWER.get(check, (frozenset(), ""))
     said: dict[str, list[str]] = {}
     for name, limit in limits.items():
-        if limit["quantity"] in lower:
-            text = "is smaller than stated" if limit["aim"] == "survive" else "is larger than stated"
-        elif check == "force_balance" and followed and limit["quantity"] in _EITHER_FACE:
+        if limit.quantity in lower:
+            text = "is smaller than stated" if limit.aim == "survive" else "is larger than stated"
+        elif check == "force_balance" and followed and limit.quantity in _EITHER_FACE:
             text = "does not move: the model follows both faces"
         else:
             text = "may move, in which direction is not known"
         said.setdefault(text, []).append(_probability(contents, name))
     parts = [f"the probability {listed(names)} {text}" for text, names in said.items()]
-    if any(limit["quantity"] in lower for limit in limits.values()):
+    if any(limit.quantity in lower for limit in limits.values()):
         return f"{why}: {'; '.join(parts)}, by how much is not known"
     if limits:
         return "; ".join(parts)
-    if lower & set(contents.results["quantities"]):
+    if lower & set(contents.results.quantities):
         return f"{why}, by how much is not known"
     return "in which direction that moves the answers is not known"
 
@@ -185,36 +186,36 @@ _FOUND_REACH = {
 }
 
 
-def yields_at(entry: Mapping[str, Any], p: str) -> float | None:
+def yields_at(entry: MarginEntry, p: str) -> float | None:
     """Share of the cases in which the bars yield under the contact at the value of a probability asked for."""
-    found = (entry.get("bars") or {}).get("yields_at") or {}
+    found = entry.bars.yields_at
     share = found.get(p)
     return None if share is None else float(share)
 
 
-def _rising(entry: Mapping[str, Any]) -> bool:
-    return bool(entry["curve"][-1][1] >= entry["curve"][0][1])
+def _rising(entry: MarginEntry) -> bool:
+    return bool(entry.curve[-1][1] >= entry.curve[0][1])
 
 
-def beyond_bars(entry: Mapping[str, Any], subject: str) -> str:
+def beyond_bars(entry: MarginEntry, subject: str) -> str:
     """What is to be said of a value at which the bars are no longer elastic, in a clause; empty where they are."""
-    bars = entry.get("bars") or {}
-    value = (entry.get("value") or {}).get("value")
-    contact = bars.get("contact") or {}
+    bars = entry.bars
+    value = entry.value.value
+    contact = bars.contact
     if value is None:
         return ""
-    if bars.get("contact_everywhere") == "yields":
-        share = yields_at(entry, format(entry["probability"], ".15g"))
+    if bars.contact_everywhere == "yields":
+        share = yields_at(entry, format(entry.probability, ".15g"))
         return f"the bars yield under the sphere there{_cases(share)}"
-    ends = [e for e in (contact.get("value"), bars.get("pulse_value")) if e is not None]
+    ends = [e for e in (contact.value, bars.pulse_value) if e is not None]
     passed = [e for e in ends if (value > e) == _rising(entry) and value != e]
     if not passed:
         return ""
     first = min(passed) if _rising(entry) else max(passed)
-    share = yields_at(entry, format(entry["probability"], ".15g"))
-    contacts = first == contact.get("value")
+    share = yields_at(entry, format(entry.probability, ".15g"))
+    contacts = first == contact.value
     does = f"they yield under the sphere{_cases(share)}" if contacts else "the pulse makes them yield"
-    told = contact if contacts else {"value": first, "low": None, "high": None}
+    told = contact if contacts else Est.of(first)
     stand = safe_side(told, subject, at_most=_rising(entry), digits=3)
     return f"that lies beyond what these bars stand ({stand}): there {does}"
 
@@ -239,43 +240,43 @@ def cases_text(share: float) -> str:
     return f"in {plain_percent(share if share > 0.99 else float(f'{share:.2g}'))} of the cases"
 
 
-def answer_checks(entry: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def answer_checks(entry: MarginEntry) -> list[CheckEntry]:
     """The checks at the answer of an inverse question, with the share of the curve's own cases where it is known.
 
     A check follows a hundred scenes or so; how often the bars yield is known better, of all cases of the curve, and
     is told with one number everywhere.
     """
-    found: list[Mapping[str, Any]] = []
-    for check in (entry.get("validity") or {}).get("checks", ()):
-        share = yields_at(entry, format(entry["probability"], ".15g"))
-        if check["check"] != "bar_yield_contact" or share is None or not check["share"]:
+    found: list[CheckEntry] = []
+    for check in entry.validity.checks:
+        share = yields_at(entry, format(entry.probability, ".15g"))
+        if check.check != "bar_yield_contact" or share is None or not check.share:
             found.append(check)
             continue
-        text = re.sub(r"^in (all|[\d.]+ % of the) scenes", cases_text(share), str(check["text"]))
-        rounded_share = {} if text == check["text"] else {"share_warning": float(f"{share:.2g}")}
-        found.append({**check, **rounded_share, "text": text})
+        text = re.sub(r"^in (all|[\d.]+ % of the) scenes", cases_text(share), str(check.text))
+        rounded_share = {} if text == check.text else {"share_warning": float(f"{share:.2g}")}
+        found.append(check.model_copy(update={**rounded_share, "text": text}))
     return found
 
 
-def answer_breaches(contents: Contents) -> list[tuple[str, list[Mapping[str, Any]]]]:
+def answer_breaches(contents: Contents) -> list[tuple[str, list[CheckEntry]]]:
     """Limit and the checks that are broken at the answer of its inverse question."""
     found = []
-    for name, entry in contents.results["margins"].items():
-        told = entry.get("validity") or {}
-        broken = [c for c in told.get("checks", ()) if c.get("share_failure", 0.0) + c.get("share_warning", 0.0) > 0.0]
+    for name, entry in contents.results.margins.items():
+        told = entry.validity
+        broken = [c for c in told.checks if c.share_failure + c.share_warning > 0.0]
         if broken:
             found.append((name, broken))
     return found
 
 
-def breach_text(contents: Contents, name: str, check: Mapping[str, Any]) -> str:
+def breach_text(contents: Contents, name: str, check: CheckEntry) -> str:
     """A broken check at the answer of a limit, with its share: of the curve's own cases where it is known of them."""
-    entry = contents.results["margins"][name]
-    share = check.get("share_failure", 0.0) + check.get("share_warning", 0.0)
-    if check["check"] == "bar_yield_contact":
-        known = yields_at(entry, format(entry["probability"], ".15g"))
+    entry = contents.results.margins[name]
+    share = check.share_failure + check.share_warning
+    if check.check == "bar_yield_contact":
+        known = yields_at(entry, format(entry.probability, ".15g"))
         share = share if known is None else known
-    words = _FOUND_REACH.get(check["check"], check_name(check["check"]))
+    words = _FOUND_REACH.get(check.check, check_name(check.check))
     return f"{words} ({cases_text(share)})"
 
 
@@ -283,11 +284,11 @@ def reach_cautions(contents: Contents) -> list[str]:
     """Where the model does not hold at the answer of an inverse question, and what that does to it."""
     found = []
     for name, broken in answer_breaches(contents):
-        entry = contents.results["margins"][name]
-        which = f"{input_name(entry['solve'])} {answer_text(contents, name)}{of_limit(contents.results, name)}"
+        entry = contents.results.margins[name]
+        which = f"{input_name(entry.solve)} {answer_text(contents, name)}{of_limit(contents.results, name)}"
         said: dict[str, list[str]] = {}
         for check in broken:
-            said.setdefault(bearing(contents, check["check"], only=name), []).append(breach_text(contents, name, check))
+            said.setdefault(bearing(contents, check.check, only=name), []).append(breach_text(contents, name, check))
         whole = " ".join(f"{capital(listed(texts))}. {capital(does)}." for does, texts in said.items())
         found.append(f"At the answer, {which}: {whole[:1].lower()}{whole[1:]}")
     return found
@@ -299,23 +300,22 @@ def reach_cautions(contents: Contents) -> list[str]:
 def extrapolation_cautions(contents: Contents) -> list[str]:
     """Limits whose verdict or answer rests on strengths outside of what was tested."""
     found = []
-    for name, limit in contents.results["limits"].items():
+    for name, limit in contents.results.limits.items():
         key = f"limits.{name}.strength"
-        data = (contents.resolved["random"].get(key) or {}).get("data") or []
-        if not data:
+        if key not in contents.resolved.random or not contents.resolved.random[key].data:
             continue
-        quantity = limit["quantity"]
+        data = contents.resolved.random[key].data
+        quantity = limit.quantity
         weakest, strongest = min(data), max(data)
         parts = []
-        margin = contents.results["margins"].get(name) or {}
-        design = ((margin.get("lost_to") or {}).get("partial") or {}).get(key, {}).get("design")
-        value = (margin.get("value") or {}).get("value")
-        if design is not None and value is not None and not weakest <= design <= strongest:
+        margin = contents.results.margins.get(name)
+        partial = margin.lost_to.partial.get(key) if margin is not None and margin.value.value is not None else None
+        if partial is not None and not weakest <= partial.design <= strongest:
             at = answer_text(contents, name)
-            parts.append(f"the answer {at} rests on strengths about {value_text(design, quantity, 3)}")
-        given = ((limit.get("drivers") or {}).get("given_failure") or {}).get(key) or {}
-        mean = (given.get("mean") or {}).get("value")
-        if mean is not None and limit["aim"] == "survive" and mean < weakest:
+            parts.append(f"the answer {at} rests on strengths about {value_text(partial.design, quantity, 3)}")
+        given = (limit.drivers.given_failure or {}).get(key)
+        mean = given.mean.value if given is not None else None
+        if mean is not None and limit.aim == "survive" and mean < weakest:
             parts.append(f"the verdict as planned rests on strengths about {value_text(mean, quantity, 3)}")
         if parts:
             ends = f"{value_text(weakest, quantity, 3)} to {value_text(strongest, quantity, 3)}"
@@ -331,11 +331,9 @@ def extrapolation_cautions(contents: Contents) -> list[str]:
 
 def judged_cautions(contents: Contents) -> list[str]:
     """That only what has a limit is judged."""
-    if contents.black_box or not (contents.results.get("fracture") or {}).get("limits"):
+    if contents.black_box or not contents.results.fracture.limits:
         return []
-    judged = list(
-        dict.fromkeys(contents.results["limits"][n]["quantity"] for n in contents.results["fracture"]["limits"])
-    )
+    judged = list(dict.fromkeys(contents.results.limits[n].quantity for n in contents.results.fracture.limits))
     names = listed([f"the {call(n)}" if n in OUTPUTS else n for n in judged])
     places = {lookup(name).place for name in judged}
     others = [
@@ -355,7 +353,7 @@ def reach_note(contents: Contents) -> str:
     if contents.black_box:
         return ""
     text = "The speed is that of the striker of this rig, not that of a sphere that falls or is thrown." * any(
-        entry["solve"] == "striker.speed" for entry in contents.results["margins"].values()
+        entry.solve == "striker.speed" for entry in contents.results.margins.values()
     )
     radius = _span(contents, "sphere.radius")
     if radius:
@@ -371,20 +369,20 @@ def reach_note(contents: Contents) -> str:
 def _span(contents: Contents, name: str) -> str:
     law = law_of(contents.resolved, name)
     if law is None:
-        fixed = contents.resolved["fixed"].get(name)
+        fixed = contents.resolved.fixed.get(name)
         return "" if fixed is None else value_text(float(fixed), name, 4)
     low, high = (float(x) for x in law.ppf(np.array([0.001, 0.999])))
-    ends = [rounded({"value": v, "low": None, "high": None}, name, 3) for v in (low, high)]
+    ends = [rounded(Est.of(v), name, 3) for v in (low, high)]
     return " to ".join(ends)
 
 
 def _size_free(contents: Contents) -> bool:
     """Whether no strength is tied to the sphere's size, by a dependence or by a criterion that counts flaws."""
-    limits = contents.results["limits"]
-    if not any(f"limits.{name}.strength" in contents.resolved["random"] for name in limits):
+    limits = contents.results.limits
+    if not any(f"limits.{name}.strength" in contents.resolved.random for name in limits):
         return False
-    tied = any("sphere.radius" in group["of"] for group in contents.resolved.get("dependence", []))
-    plain = all(limit["quantity"] in OUTPUTS and "weakest" not in limit["quantity"] for limit in limits.values())
+    tied = any("sphere.radius" in group.of for group in contents.resolved.dependence)
+    plain = all(limit.quantity in OUTPUTS and "weakest" not in limit.quantity for limit in limits.values())
     return not tied and plain
 
 
@@ -399,115 +397,113 @@ def verdict_word(met: bool | None) -> str:
     return {True: "met", False: "not met", None: "undecided"}[met]
 
 
-def short_probability(miss: Mapping[str, Any]) -> str:
+def short_probability(miss: Est) -> str:
     """A probability in three digits at most, without its interval."""
-    value, low, high = miss["value"], miss["low"], miss["high"]
+    value, low, high = miss.value, miss.low, miss.high
     if value is None or value == 0.0 or value > 0.99:
         return plain_percent(value or 0.0)
     if value < 1e-4:
         return rounded(miss, digits=2)
-    part = {"value": 100.0 * value, "low": None if low is None else 100.0 * low,
-            "high": None if high is None else 100.0 * high}  # fmt: skip
-    return rounded(part, digits=3) + " %"
+    return rounded(Est.of(*(None if end is None else 100.0 * end for end in (value, low, high))), digits=3) + " %"
 
 
-def _rank(contents: Contents, row: Mapping[str, Any]) -> str:
+def _rank(contents: Contents, row: AssumedEntry) -> str:
     """The rank correlation of a strength with the inputs of a row, where one number stands for all."""
-    groups = contents.resolved.get("dependence", [])
+    groups = contents.resolved.dependence
     told = {
-        f"{key.capitalize()} {group[key]:g}"
+        f"{name} {rank:g}"
         for group in groups
-        for key in ("spearman", "kendall")
-        if group.get(key) is not None and set(row["with"]) & set(group["of"])
+        for name, rank in (("Spearman", group.spearman), ("Kendall", group.kendall))
+        if rank is not None and set(row.others) & set(group.of)
     }
     return next(iter(told)) if len(told) == 1 else ""
 
 
-def instead_text(row: Mapping[str, Any]) -> str:
+def instead_text(row: AssumedEntry) -> str:
     """What is put in place of what is assumed, as a clause that begins a sentence."""
-    if row["assumption"] == "dependence":
-        return f"without the assumed dependence of the strength on {listed([input_name(n) for n in row['with']])}"
-    if row["assumption"] == "law":
-        return f"with a {law_name(row['instead'])} law of the strength, of the same mean and scatter"
-    what = "Weibull modulus of the strength" if row["assumption"] == "modulus" else "scatter of the strength"
-    if row["assumption"] == "modulus":
-        return f"with a {what} of {row['instead']:.3g} instead of {row['taken']:.3g}"
-    return f"with a {what} of {100.0 * row['instead']:.3g} % instead of {100.0 * row['taken']:.3g} %"
+    if row.assumption == "dependence":
+        return f"without the assumed dependence of the strength on {listed([input_name(n) for n in row.others])}"
+    if not isinstance(row.instead, float | int) or not isinstance(row.taken, float | int):
+        return f"with a {law_name(str(row.instead))} law of the strength, of the same mean and scatter"
+    what = "Weibull modulus of the strength" if row.assumption == "modulus" else "scatter of the strength"
+    if row.assumption == "modulus":
+        return f"with a {what} of {row.instead:.3g} instead of {row.taken:.3g}"
+    return f"with a {what} of {100.0 * row.instead:.3g} % instead of {100.0 * row.taken:.3g} %"
 
 
-def _consequence(limit: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    text = short_probability(row["miss"])
-    if limit["target"] is None:
+def _consequence(limit: LimitEntry, row: AssumedEntry) -> str:
+    text = short_probability(row.miss)
+    if limit.target is None:
         return text
-    word = {True: "target met", False: "target missed", None: "undecided"}[row["met"]]
+    word = {True: "target met", False: "target missed", None: "undecided"}[row.met]
     return f"{text} ({word})"
 
 
 def granted_line(contents: Contents, name: str) -> str:
     """What the probability would be without the assumption that matters most, and by another tail; empty if none."""
-    limit = contents.results["limits"][name]
-    rows = [row for row in limit.get("assumed") or () if row["miss"]["value"] is not None]
+    limit = contents.results.limits[name]
+    rows = [row for row in limit.assumed or () if row.miss.value is not None]
     parts = []
     for row in rows:
-        if row["assumption"] == "dependence":
+        if row.assumption == "dependence":
             own = f" ({_rank(contents, row)})" if _rank(contents, row) else ""
             parts.append(f"{capital(instead_text(row))}{own} it would be {_consequence(limit, row)}.")
-    shapes = [row for row in rows if row["assumption"] in ("modulus", "cov")]
+    shapes = [row for row in rows if row.assumption in ("modulus", "cov")]
     if shapes:
-        worst = max(shapes, key=lambda row: float(row["miss"]["value"]))
+        worst = max(shapes, key=lambda row: row.miss.number)
         parts.append(f"{capital(instead_text(worst))} it would be {_consequence(limit, worst)}.")
     return " ".join(parts)
 
 
-def turns(limit: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
+def turns(limit: LimitEntry, row: AssumedEntry) -> bool:
     """Whether the verdict on a limit turns on an assumption; on a law's family only where that loses the target."""
-    if limit["target"] is None or row["miss"]["value"] is None or row["met"] == limit["met"]:
+    if limit.target is None or row.miss.value is None or row.met == limit.met:
         return False
-    return row["assumption"] != "law" or limit["met"] is True
+    return row.assumption != "law" or limit.met is True
 
 
 def granted_cautions(contents: Contents) -> list[str]:
     """Assumptions on which a verdict turns."""
     found = []
-    for name, limit in contents.results["limits"].items():
-        for row in limit.get("assumed") or ():
+    for name, limit in contents.results.limits.items():
+        for row in limit.assumed or ():
             if not turns(limit, row):
                 continue
-            own = f" on {limit_name(name)}" if len(contents.results["limits"]) > 1 else ""
-            source = "; the dependence is an assumption of the study" if row["assumption"] == "dependence" else ""
+            own = f" on {limit_name(name)}" if len(contents.results.limits) > 1 else ""
+            source = "; the dependence is an assumption of the study" if row.assumption == "dependence" else ""
             found.append(
                 f"The verdict{own} turns on an assumption: {instead_text(row)} the probability that "
-                f"{missing(contents.results, name)} would be {short_probability(row['miss'])}, at most "
-                f"{plain_percent(limit['target'])} is allowed: {verdict_word(row['met'])}{source}."
+                f"{missing(contents.results, name)} would be {short_probability(row.miss)}, at most "
+                f"{plain_percent(limit.target or 0.0)} is allowed: {verdict_word(row.met)}{source}."
             )
     return found
 
 
 def granted_table(contents: Contents) -> Table | None:
     """Every assumption about a strength, what is put instead, and the probability and verdict that follow."""
-    limits = contents.results["limits"]
+    limits = contents.results.limits
     several, rows = len(limits) > 1, []
     for name, limit in limits.items():
         own = (limit_name(name),) if several else ()
-        known = [row for row in limit.get("assumed") or () if row["miss"]["value"] is not None]
-        opened = limit.get("ignorance") or {}
-        if not known and "miss" not in opened:
+        known = [row for row in limit.assumed or () if row.miss.value is not None]
+        opened = limit.ignorance
+        if not known and not opened.known:
             continue
-        rows.append((*own, "as the study has it", cell(limit["miss"], probability=True), _word(limit, limit["met"])))
-        if "miss" in opened:
-            tests = listed([f"{entry['tests']} tests" for entry in opened["from"]])
-            text = probability_range(*opened["miss"])
-            rows.append((*own, f"by all laws that the {tests} allow (95 %)", text, _word(limit, opened["met"])))
-        rows += [(*own, instead_text(row), _chance(row["miss"]), _word(limit, row["met"])) for row in known]
+        rows.append((*own, "as the study has it", cell(limit.miss, probability=True), _word(limit, limit.met)))
+        if opened.known:
+            tests = listed([f"{entry.tests} tests" for entry in opened.fitted])
+            text = probability_range(*opened.miss)
+            rows.append((*own, f"by all laws that the {tests} allow (95 %)", text, _word(limit, opened.met)))
+        rows += [(*own, instead_text(row), _chance(row.miss), _word(limit, row.met)) for row in known]
     if not rows:
         return None
     header = (*(("limit",) if several else ()), "what is assumed", "probability of missing the aim", "target")
     return Table(caption="What the verdict takes for granted of the strength", header=header, rows=tuple(rows))
 
 
-def _chance(miss: Mapping[str, Any]) -> str:
+def _chance(miss: Est) -> str:
     """A probability with its interval; how many nines one has is of no use beyond six."""
-    low = miss["low"]
+    low = miss.low
     return f"more than {plain_percent(_SURE)}" if low is not None and low > _SURE else cell(miss, probability=True)
 
 
@@ -518,5 +514,5 @@ def granted_block(contents: Contents, heading: str) -> Block:
     return Block(heading=heading, table=table, files=files)
 
 
-def _word(limit: Mapping[str, Any], met: bool | None) -> str:
-    return number_text(verdict_word(met)) if limit["target"] is not None else "no target"
+def _word(limit: LimitEntry, met: bool | None) -> str:
+    return number_text(verdict_word(met)) if limit.target is not None else "no target"

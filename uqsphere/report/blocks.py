@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from uqsphere.report.figures.canvas import Picture
 from uqsphere.report.phrases import (
@@ -16,6 +14,7 @@ from uqsphere.report.phrases import (
     number_text,
     probability_text,
 )
+from uqsphere.results.entries import Est
 
 __all__ = ["Block", "Chapter", "Table", "Verdict", "cell", "index_cell", "thousands"]
 
@@ -30,26 +29,24 @@ class Table:
     note: str = ""
 
 
-def cell(
-    estimate: Mapping[str, Any] | None, name: str = "", *, probability: bool = False, digits: int = MOST_DIGITS
-) -> str:
+def cell(estimate: Est | None, name: str = "", *, probability: bool = False, digits: int = MOST_DIGITS) -> str:
     """An estimate with its interval and unit, or a dash and the reason why it is absent; None was never asked for."""
     if estimate is None:
         return ABSENT
-    if estimate["value"] is None:
+    if estimate.value is None:
         return f"{ABSENT} ({absent_reason(estimate)})"
     return probability_text(estimate) if probability else estimate_text(estimate, name, digits)
 
 
-def index_cell(estimate: Mapping[str, Any] | None) -> str:
+def index_cell(estimate: Est | None) -> str:
     """An index, a share of one, to four places: further ones change no ranking.
 
-    >>> index_cell({"value": 0.0719853, "low": 0.0719754, "high": 0.0719953})
+    >>> index_cell(Est.of(0.0719853, 0.0719754, 0.0719953))
     '0.0720'
     """
-    if estimate is None or estimate["value"] is None or estimate["low"] is None or estimate["high"] is None:
+    if estimate is None or estimate.value is None or estimate.low is None or estimate.high is None:
         return cell(estimate)
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     if high - low >= 1e-4:
         # what is small keeps the digits of its interval, and no more than four places
         places = min(4, max(0, 1 - math.floor(math.log10(0.5 * (high - low)))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
 from uqsphere.report.assumptions import answer_checks, granted_block, turns
@@ -119,6 +119,8 @@ from uqsphere.report.tables import (
     plan_table,
     quantity_table,
 )
+from uqsphere.results import IndexEntry, MeasureEntry
+from uqsphere.results.entries import Est
 
 __all__ = [
     "CHAPTERS",
@@ -157,33 +159,33 @@ def _told(subject: str, finding: str) -> str:
 
 def fragility_heading(contents: Contents, name: str) -> str:
     """Where the curve reaches the accepted probability, or one half where none was accepted."""
-    entry = contents.results["margins"][name]
+    entry = contents.results.margins[name]
     subject = f"Fragility of {limit_name(name)}"
-    if (entry.get("value") or {}).get("value") is not None and entry.get("probability"):
-        return f"{subject}: {plain_percent(entry['probability'])} at {answer_text(contents, name)}"
-    middle = entry["values"].get("0.5")
-    if not middle or middle["value"] is None:
+    if entry.value.value is not None and entry.probability:
+        return f"{subject}: {plain_percent(entry.probability)} at {answer_text(contents, name)}"
+    middle = entry.values.get("0.5")
+    if not middle or middle.value is None:
         return subject
-    return f"{subject}: one half at {rounded(middle, contents.subject(entry['solve']))}"
+    return f"{subject}: one half at {rounded(middle, contents.subject(entry.solve))}"
 
 
 def family_heading(contents: Contents, name: str) -> str:
     """Between which values one half breaks over the family."""
-    entry = contents.results["margins"][name]
-    family = entry["family"]
-    subject = f"Fragility of {limit_name(name)} over {input_name(family['path'])}"
-    known = [m["values"]["0.5"] for m in family["members"] if (m["values"].get("0.5") or {}).get("value") is not None]
+    entry = contents.results.margins[name]
+    family = entry.family
+    subject = f"Fragility of {limit_name(name)} over {input_name(family.path)}"
+    known = [m.values["0.5"] for m in family.members if m.values.get("0.5", Est()).value is not None]
     if len(known) < 2:
         return subject
-    first, last = (rounded(e, contents.subject(entry["solve"])) for e in (known[0], known[-1]))
+    first, last = (rounded(e, contents.subject(entry.solve)) for e in (known[0], known[-1]))
     return f"{subject}: one half at {first} to {last}"
 
 
 def demand_heading(contents: Contents) -> str:
     """The median margin of one limit or of two."""
-    limits = contents.results["limits"]
-    known = {name: limit["margin"].get("median") for name, limit in limits.items()}
-    told = [(name, e) for name, e in known.items() if e and e["value"] is not None]
+    limits = contents.results.limits
+    known = {name: limit.margin["median"] for name, limit in limits.items()}
+    told = [(name, e) for name, e in known.items() if e and e.value is not None]
     if not told or len(limits) > 2:
         return "Strength over demand"
     texts = [(limit_name(name, 20), rounded(e, digits=3)) for name, e in told]
@@ -194,7 +196,7 @@ def demand_heading(contents: Contents) -> str:
 
 def parts_heading(contents: Contents, name: str) -> str:
     """What takes the largest part of a margin at the answer."""
-    shares = (contents.results["margins"][name].get("lost_to") or {}).get("shares") or {}
+    shares = contents.results.margins[name].lost_to.shares
     largest = max(shares, key=lambda key: shares[key], default=None)
     finding = "" if largest is None else f"{100.0 * shares[largest]:.0f} % by {the_input(largest)}"
     return _told(f"What the margin of {limit_name(name)} is made of", finding)
@@ -202,42 +204,42 @@ def parts_heading(contents: Contents, name: str) -> str:
 
 def fracture_heading(contents: Contents) -> str:
     """When it breaks in the median."""
-    found = contents.results.get("fracture") or {}
-    median = (found.get("time") or {}).get("median")
-    if median is None or median["value"] is None:
+    found = contents.results.fracture
+    median = found.time.median
+    if median.value is None:
         return "Fracture"
     return f"Fracture: in the median after {rounded(median, 'contact_time', 3)}"
 
 
 def distribution_heading(contents: Contents, name: str) -> str:
     """Between which values nine cases of ten lie."""
-    entry = contents.results["quantities"][name]
-    ends = [entry["quantiles"].get(p) for p in ("0.05", "0.95")]
+    entry = contents.results.quantities[name]
+    ends = [entry.quantiles.get(p, Est()) for p in ("0.05", "0.95")]
     finding = ""
-    if all(end and end["value"] is not None for end in ends) and ends[0]["value"] < ends[1]["value"]:
+    if all(end.value is not None for end in ends) and ends[0].number < ends[1].number:
         finding = " to ".join(rounded(end, name, 3) for end in ends) + " in nine cases of ten"
     return _told(begin(name, call(name)), finding)
 
 
 def failure_heading(contents: Contents, name: str) -> str:
     """What decides most whether an aim is missed, of what the indices are about."""
-    entry = contents.results["limits"][name].get("drivers") or {}
-    table = entry.get("shapley") or entry.get("total") or {}
-    known = {key: e["value"] for key, e in table.items() if e["value"] is not None}
+    entry = contents.results.limits[name].drivers
+    table = entry.shapley or entry.total or {}
+    known = {key: e.value for key, e in table.items() if e.value is not None}
     largest = max(known, key=lambda key: known[key], default=None)
     who = "" if largest is None or not told_from_none(table[largest]) else f"most by {the_input(largest)}"
-    if who and entry.get("of") != "missing the aim":
+    if who and entry.of != "missing the aim":
         who += ", of the model’s inputs"
     return _told(f"Missing the aim of {limit_name(name)}", who)
 
 
 def indices_heading(contents: Contents, name: str) -> str:
     """Which input drives a quantity, and how much of its variance."""
-    entry = contents.results["sensitivity"].get(name) or {}
+    entry = contents.results.sensitivity.get(name, IndexEntry())
     rows = ranked(entry) if entry else []
     if not rows:
         return symbol(name)
-    share = share_text(entry["first"][rows[0]])
+    share = share_text(entry.first[rows[0]])
     return f"{begin(rows[0], short_input(rows[0]))} drives {symbol(name)}: {share} of its variance by itself"
 
 
@@ -246,16 +248,16 @@ def swings_heading(contents: Contents, name: str, furthest: str) -> str:
     return _told(f"How far each input moves {symbol(name)}", furthest and f"{short_input(furthest)} furthest")
 
 
-def measure_heading(words: str, entry: Mapping[str, Any] | None) -> str:
+def measure_heading(words: str, entry: MeasureEntry | None) -> str:
     """Which input to measure first, where one can be told from those that do nothing."""
     first = first_to_measure(entry)
-    return _told(f"What to measure first for {words}", input_name(first["input"]) if first else "")
+    return _told(f"What to measure first for {words}", input_name(first.input) if first else "")
 
 
 def granted_heading(contents: Contents) -> str:
     """Whether a verdict turns on what is assumed of a strength."""
-    limits = contents.results["limits"].values()
-    rows = [(limit, row) for limit in limits for row in limit.get("assumed") or () if limit["target"] is not None]
+    limits = contents.results.limits.values()
+    rows = [(limit, row) for limit in limits for row in limit.assumed or () if limit.target is not None]
     finding = ""
     if any(turns(limit, row) for limit, row in rows):
         finding = "a verdict turns on it"
@@ -266,7 +268,7 @@ def granted_heading(contents: Contents) -> str:
 
 def checks_heading(checks: Any, subject: str) -> str:
     """How many of the validity checks are broken."""
-    broken = [c for c in checks if c.get("share_failure", 0.0) + c.get("share_warning", 0.0) > 0.0]
+    broken = [c for c in checks if c.share_failure + c.share_warning > 0.0]
     if not checks:
         return subject
     if not broken:
@@ -276,11 +278,11 @@ def checks_heading(checks: Any, subject: str) -> str:
 
 def accuracy_heading(contents: Contents) -> str:
     """How much of the accuracy asked for was not reached: of the questions of the table, where there are any."""
-    missed = len(contents.results["accuracy"]["missed"])
-    rows = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is not None]
-    late = sum(not row["met"] for row in rows)
+    missed = len(contents.results.accuracy.missed)
+    rows = [row for row in contents.results.accuracy.questions or () if row.met is not None]
+    late = sum(not row.met for row in rows)
     told = f"{late} of {len(rows)} not" if late else f"{missed} not" if missed else ""
-    told = "all of it" if contents.results["accuracy"]["met"] else told
+    told = "all of it" if contents.results.accuracy.met else told
     return capital(_told("what was asked, what was reached", told))
 
 
@@ -309,22 +311,22 @@ def _without_name(finding: str) -> str:
 
 def decided(contents: Contents) -> list[str]:
     """Quantities whose distribution is the figure of the decision: where no fragility was asked for."""
-    if contents.results["margins"]:
+    if contents.results.margins:
         return []
-    return of_limits(contents) or list(contents.results["quantities"])[:1]
+    return of_limits(contents) or list(contents.results.quantities)[:1]
 
 
 def of_limits(contents: Contents) -> list[str]:
     """Quantities that have a limit, each once."""
-    found = dict.fromkeys(limit["quantity"] for limit in contents.results["limits"].values())
-    return [name for name in found if name in contents.results["quantities"]]
+    found = dict.fromkeys(limit.quantity for limit in contents.results.limits.values())
+    return [name for name in found if name in contents.results.quantities]
 
 
 def indices_block(contents: Contents, name: str) -> Block:
     """What drives a quantity."""
-    entry = contents.results["sensitivity"][name]
+    entry = contents.results.sensitivity[name]
     picture = sensitivity_figure(contents, name)
-    remarks = [powers(str(entry.get("check", {}).get("text") or ""))] if picture is not None else []
+    remarks = [powers(str(entry.check.text or ""))] if picture is not None else []
     hidden = len(ranked(entry)) - MOST_INPUTS
     if hidden > 0:
         remarks.append(f"The figure shows the {MOST_INPUTS} largest; {hidden} more are in the table.")
@@ -377,21 +379,21 @@ def beyond_blocks(contents: Contents, name: str) -> list[Block]:
 
 def has_indices(contents: Contents, name: str) -> bool:
     """Whether anything was asked about what drives a quantity."""
-    return name in contents.results["sensitivity"]
+    return name in contents.results.sensitivity
 
 
 def measure_block(contents: Contents, kind: str, name: str) -> Block:
     """What to measure first, for a limit (`kind` "limits") or for a quantity ("sensitivity")."""
-    first = contents.results[kind][name].get("measure_first")
     limit = kind == "limits"
+    first = (contents.results.limits[name] if limit else contents.results.sensitivity[name]).measure_first
     words = limit_name(name) if limit else symbol(name)
     caption = f"What better known laws are worth, {words}" if limit else f"What the variance of {words} would lose"
     table = measure_table(first, caption)
     heading = measure_heading(words, first)
-    if table is None or first is None:
+    if table is None:
         return Block(heading=heading)
-    method = str(first["method"])
-    if (first.get("probability") or 0.0) > 0.5:
+    method = first.method
+    if (first.probability or 0.0) > 0.5:
         method = method.replace("(0.1 p))^2", "(0.1 p))^2, p the smaller side of the probability", 1)
     return Block(
         heading=heading,
@@ -411,14 +413,14 @@ _SUBJECTS = 24
 def others(contents: Contents) -> list[str]:
     """Quantities that no limit asks about, where there are limits."""
     asked = of_limits(contents)
-    return [name for name in contents.results["quantities"] if name not in asked] if asked else []
+    return [name for name in contents.results.quantities if name not in asked] if asked else []
 
 
 def quantities_chapter(contents: Contents) -> Chapter:
     """The force over time, the hardest scene in its bars and inside; distributions too where there is no limit."""
     shown = {*decided(contents), *others(contents)}
-    blocks = [distribution_block(contents, name) for name in contents.results["quantities"] if name not in shown]
-    blocks = [] if contents.results["limits"] else blocks
+    blocks = [distribution_block(contents, name) for name in contents.results.quantities if name not in shown]
+    blocks = [] if contents.results.limits else blocks
     heading = "The quantities in full" if blocks else "Force and stress over time"
     blocks.append(
         Block(
@@ -451,24 +453,24 @@ def quantities_chapter(contents: Contents) -> Chapter:
 
 def computed_chapter(contents: Contents) -> Chapter:
     """Validity, the model that was chosen, and what of the accuracy asked for was reached."""
-    missed = shortfalls([str(text) for text in contents.results["accuracy"]["missed"]], _SUBJECTS)[:200]
+    missed = shortfalls([str(text) for text in contents.results.accuracy.missed], _SUBJECTS)[:200]
     blocks = [
         Block(
-            heading=checks_heading(contents.results["validity"], "Validity of the model"),
-            table=checks_table(contents) if contents.results["validity"] else None,
+            heading=checks_heading(contents.results.validity, "Validity of the model"),
+            table=checks_table(contents) if contents.results.validity else None,
             kind="checks notes",
             files=("tables/validity.csv",),
         ),
         *(
             Block(
                 heading=checks_heading(
-                    answer_checks(contents.results["margins"][name]),
+                    answer_checks(contents.results.margins[name]),
                     f"Validity of the model at the answer for {limit_name(name)}",
                 ),
                 table=answer_checks_table(contents, name),
                 kind="checks notes",
             )
-            for name in contents.results["margins"]
+            for name in contents.results.margins
         ),
         Block(
             heading="The paper’s formulas as printed, and corrected",
@@ -477,8 +479,8 @@ def computed_chapter(contents: Contents) -> Chapter:
             files=("tables/paper.csv",),
         ),
         Block(
-            heading=f"Model chosen: {contents.results['model']['chosen']}",
-            finding=f"The model is {contents.results['model']['chosen']}: {contents.results['model']['why']}.",
+            heading=f"Model chosen: {contents.results.model.chosen}",
+            finding=f"The model is {contents.results.model.chosen}: {contents.results.model.why}.",
             table=model_table(contents),
             appendix=True,
         ),
@@ -506,7 +508,7 @@ def inputs_chapter(contents: Contents) -> Chapter:
     blocks = (
         Block(
             heading="Random inputs",
-            table=inputs_table(contents) if contents.results["inputs"] else None,
+            table=inputs_table(contents) if contents.results.inputs else None,
             remarks=dependence,
             kind="notes",
             files=("tables/inputs.csv",),
@@ -580,11 +582,11 @@ def build_chapters(contents: Contents) -> list[Chapter]:
 
 def _twin(contents: Contents, name: str) -> str:
     """An earlier limit whose curve over the free scalar is the same; empty where there is none."""
-    margins = contents.results["margins"]
+    margins = contents.results.margins
     earlier = list(margins)[: list(margins).index(name)]
     own = margins[name]
-    same = (n for n in earlier if margins[n]["solve"] == own["solve"] and margins[n]["curve"] == own["curve"])
-    return next((n for n in same if margins[n]["values"].keys() == own["values"].keys() and own["curve"]), "")
+    same = (n for n in earlier if margins[n].solve == own.solve and margins[n].curve == own.curve)
+    return next((n for n in same if margins[n].values.keys() == own.values.keys() and own.curve), "")
 
 
 def _fragility(contents: Contents, name: str) -> Block:
@@ -609,7 +611,7 @@ def _fragility(contents: Contents, name: str) -> Block:
 
 
 def _family(contents: Contents, name: str) -> list[Block]:
-    if not contents.results["margins"][name].get("family"):
+    if not contents.results.margins[name].family:
         return []
     if _twin(contents, name):
         return []
@@ -625,9 +627,9 @@ def _family(contents: Contents, name: str) -> list[Block]:
 
 def decision_chapter(contents: Contents) -> Chapter:
     """Fragility with operating point and target; else the demand against the strength."""
-    blocks = [_fragility(contents, name) for name in contents.results["margins"]]
-    blocks += [block for name in contents.results["margins"] for block in energy_block(contents, name)]
-    blocks += [block for name in contents.results["margins"] for block in _family(contents, name)]
+    blocks = [_fragility(contents, name) for name in contents.results.margins]
+    blocks += [block for name in contents.results.margins for block in energy_block(contents, name)]
+    blocks += [block for name in contents.results.margins for block in _family(contents, name)]
     blocks += [distribution_block(contents, name) for name in decided(contents)]
     blocks.append(granted_block(contents, granted_heading(contents)))
     return Chapter(anchor="decision", heading="The decision", short="Decision", blocks=tuple(blocks))
@@ -635,8 +637,8 @@ def decision_chapter(contents: Contents) -> Chapter:
 
 def _same_tests(contents: Contents, one: str, other: str) -> bool:
     """Whether two limits rest on the same law, fitted to the same tests."""
-    laws = [contents.resolved["random"].get(f"limits.{name}.strength") for name in (one, other)]
-    units = [contents.results["limits"][name]["quantity"] for name in (one, other)]
+    laws = [contents.resolved.random.get(f"limits.{name}.strength") for name in (one, other)]
+    units = [contents.results.limits[name].quantity for name in (one, other)]
     return bool(laws[0] == laws[1] and units[0] == units[1])
 
 
@@ -649,23 +651,23 @@ def _sides(contents: Contents, name: str) -> Block:
 
 def margins_chapter(contents: Contents) -> Chapter:
     """How far the strength is from the demand, where the margin goes, and how it would be missed."""
-    limits, blocks = contents.results["limits"], []
+    limits, blocks = contents.results.limits, []
     if limits:
         blocks.append(
             Block(
                 heading=demand_heading(contents),
-                finding=" ".join(margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items()),
+                finding=" ".join(margin_finding(name, limit.margin, limit.aim) for name, limit in limits.items()),
                 picture=margin_figure(contents),
                 table=limits_table(contents),
                 appendix=True,
                 files=("tables/limits.csv",),
             )
         )
-    for name in contents.results["margins"]:
+    for name in contents.results.margins:
         parts = parts_table(contents, name)
         heading = parts_heading(contents, name)
         blocks.append(Block(heading=heading, finding=parts_finding(contents, name) if parts else "", table=parts))
-    if contents.results.get("fracture"):
+    if contents.results.fracture:
         blocks.append(
             Block(
                 heading=fracture_heading(contents),
@@ -719,8 +721,8 @@ def margins_chapter(contents: Contents) -> Chapter:
 def drivers_chapter(contents: Contents) -> Chapter:
     """What drives each limit, then each quantity, those of the limits first."""
     blocks = []
-    for name, limit in contents.results["limits"].items():
-        table = failure_table(contents, name) if limit.get("drivers") else None
+    for name, limit in contents.results.limits.items():
+        table = failure_table(contents, name) if limit.drivers else None
         if table is not None:
             blocks.append(
                 Block(
@@ -730,7 +732,7 @@ def drivers_chapter(contents: Contents) -> Chapter:
                     files=("tables/drivers.csv",),
                 )
             )
-    for name in [q for q in of_limits(contents) or contents.results["quantities"] if has_indices(contents, q)]:
+    for name in [q for q in of_limits(contents) or contents.results.quantities if has_indices(contents, q)]:
         blocks += [indices_block(contents, name), *beyond_blocks(contents, name)]
     return Chapter(
         anchor="drivers",
@@ -743,8 +745,8 @@ def drivers_chapter(contents: Contents) -> Chapter:
 
 def measure_chapter(contents: Contents) -> Chapter:
     """What to measure next, for every limit and its quantity; for every quantity where there is no limit."""
-    asked = of_limits(contents) or list(contents.results["sensitivity"])
-    blocks = [measure_block(contents, "limits", name) for name in contents.results["limits"]]
+    asked = of_limits(contents) or list(contents.results.sensitivity)
+    blocks = [measure_block(contents, "limits", name) for name in contents.results.limits]
     blocks += [measure_block(contents, "sensitivity", name) for name in asked if has_indices(contents, name)]
     return Chapter(
         anchor="measure",

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +28,7 @@ from uqsphere.report.blocks import Block, Table
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures.canvas import Picture, inline, render, shorten
 from uqsphere.report.figures.compare import (
+    Change,
     density_finding,
     density_picture,
     fragility_picture,
@@ -41,7 +43,6 @@ from uqsphere.report.phrases import (
     SAME,
     SURE,
     UNKNOWN,
-    Estimate,
     begin,
     call,
     estimate_text,
@@ -51,11 +52,11 @@ from uqsphere.report.phrases import (
     rounded,
     symbol,
 )
-from uqsphere.results.entries import read_resolved
+from uqsphere.results import Results
+from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_atomically
 
 __all__ = [
-    "Change",
     "compare_folders",
     "comparison_text",
     "difference_interval",
@@ -67,26 +68,54 @@ _LEVEL: Final = 0.05
 _SCORE: Final = 1.959963984540054
 
 
-@dataclass(frozen=True, kw_only=True)
-class Change:
-    """One answer of two runs: `section` and `name` say which; estimates as results.json has them.
+class Cause(Entry):
+    """What was changed in the study."""
 
-    `difference` is after minus before in SI, with its 95 % interval `low`, `high`; `relative` is it over the
-    value before; `significance` the two-sided probability of so large a difference by chance.
-    """
+    what: str
+    before: str
+    after: str
 
-    section: str
-    name: str
-    statistic: str
-    unit: str
-    before: Mapping[str, Any]
-    after: Mapping[str, Any]
-    difference: float | None = None
-    low: float | None = None
-    high: float | None = None
-    relative: float | None = None
-    significance: float | None = None
-    verdict: str = UNKNOWN
+
+class LimitPair(Entry):
+    """Whether a limit was met, before and after."""
+
+    limit: str
+    before: bool | None
+    after: bool | None
+    target_before: float | None
+    target_after: float | None
+
+
+class Side(Entry):
+    """One of the two runs."""
+
+    folder: str
+    title: str
+    hash: str
+    seed: int
+    version: str | None
+    model: str
+    evaluations: int
+    seconds: float | None
+
+
+class Comparison(Entry):
+    """What differs between two finished runs."""
+
+    schema_version: int
+    before: Side
+    after: Side
+    same_study: bool
+    identical: bool
+    causes: tuple[Cause, ...]
+    limits: tuple[LimitPair, ...]
+    changes: tuple[Change, ...]
+    compared: int
+    changed: int
+    perhaps: int
+    only_before: tuple[str, ...]
+    only_after: tuple[str, ...]
+    page: str = ""
 
 
 def difference_interval(
@@ -132,81 +161,104 @@ def judge_together(significances: list[float | None]) -> list[str]:
 # --- answers ------------------------------------------------------------------------------------------
 
 
-def _answers(results: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], str, Mapping[str, Any]]]:
-    """Every answer of a run: (section, name, statistic), unit, estimate."""
-    for name, limit in results["limits"].items():
-        yield (f"limits.{name}", "limits", "probability of missing the aim"), "", limit["miss"]
-        for row in limit.get("assumed") or ():
-            words = f"probability of missing the aim {instead_text(row)}"
-            yield (f"limits.{name}", "limits", words), "", row["miss"]
-        if limit["aim"] == "break":  # else it is the same number
-            yield (f"limits.{name}", "limits", "probability of exceeding the strength"), "", limit["exceedance"]
-        for key, estimate in limit["margin"].items():
+@dataclass(frozen=True, kw_only=True)
+class _Answer:
+    """An answer of a run, as `Change` has it of two."""
+
+    section: str
+    name: str
+    statistic: str
+    unit: str = ""
+    subject: str = ""
+    chance: bool = False
+    estimate: Est
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        return self.name, self.section, self.statistic
+
+
+def _answers(results: Results) -> Iterator[_Answer]:
+    """Every answer of a run."""
+    for name, limit in results.limits.items():
+        own = partial(_Answer, section="limits", name=f"limits.{name}")
+        missing = "probability of missing the aim"
+        yield own(statistic=missing, chance=True, estimate=limit.miss)
+        for row in limit.assumed:
+            yield own(statistic=f"{missing} {instead_text(row)}", chance=True, estimate=row.miss)
+        if limit.aim == "break":  # else it is the same number
+            yield own(statistic="probability of exceeding the strength", estimate=limit.exceedance)
+        for key, estimate in limit.margin.items():
             words = "median" if key == "median" else f"{100 * float(key):g} %"
-            yield (f"limits.{name}", "limits", f"strength over demand, {words}"), "", estimate
-    for name, entry in results["quantities"].items():
-        for key, words in (("mean", "mean"), ("sd", "standard deviation")):
-            yield (name, "quantities", words), entry["unit"], entry[key]
-        for p, estimate in entry["quantiles"].items():
-            yield (name, "quantities", f"{100.0 * float(p):.12g} % quantile"), entry["unit"], estimate
-        yield (name, "quantities", "censored share"), "", entry["censored_share"]
-    for name, entry in results["margins"].items():
-        for p, estimate in entry["values"].items():
-            words = f"{entry['solve']} at {100.0 * float(p):.12g} % exceedance"
-            yield (f"limits.{name}", "margins", words), entry["unit"], estimate
-    for name, entry in results["sensitivity"].items():
-        for kind, found in (
-            (("Shapley effect", entry.get("shapley") or {}),)
-            if entry.get("shapley")
-            else (
-                ("first index", entry["first"]),
-                ("total index", entry["total"]),
-            )
-        ):
+            yield own(statistic=f"strength over demand, {words}", estimate=estimate)
+    for name, entry in results.quantities.items():
+        own = partial(_Answer, section="quantities", name=name)
+        united = partial(own, unit=entry.unit, subject=name if entry.unit else "")
+        yield united(statistic="mean", estimate=entry.mean)
+        yield united(statistic="standard deviation", estimate=entry.sd)
+        for p, estimate in entry.quantiles.items():
+            yield united(statistic=f"{100.0 * float(p):.12g} % quantile", estimate=estimate)
+        yield own(statistic="censored share", chance=True, estimate=entry.censored_share)
+    for name, margin in results.margins.items():
+        own = partial(_Answer, section="margins", name=f"limits.{name}", unit=margin.unit)
+        for p, estimate in margin.values.items():
+            words = f"{margin.solve} at {100.0 * float(p):.12g} % exceedance"
+            yield own(statistic=words, subject=margin.solve if margin.unit else "", estimate=estimate)
+    for name, indices in results.sensitivity.items():
+        kinds = {"first index": indices.first, "total index": indices.total}
+        for kind, found in ({"Shapley effect": indices.shapley} if indices.shapley else kinds).items():
             for variable, estimate in found.items():
-                yield (name, "sensitivity", f"{kind} of {variable}"), "", estimate
+                yield _Answer(section="sensitivity", name=name, statistic=f"{kind} of {variable}", estimate=estimate)
 
 
-def _triple(estimate: Mapping[str, Any]) -> tuple[float, float, float] | None:
+def _triple(estimate: Est) -> tuple[float, float, float] | None:
     """Value and interval as numbers; an estimate without interval is exact only if it says so."""
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     return None if value is None or low is None or high is None else (float(value), float(low), float(high))
 
 
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[list[Change], list[str], list[str]]:
+def _difference_of(before: Est, after: Est) -> tuple[float, float, float, float | None, float | None] | None:
+    """Difference, low, high, relative difference and significance; None where one of the two is not known."""
+    a, b = _triple(before), _triple(after)
+    if a is None or b is None:
+        return None
+    difference, low, high, significance = difference_interval(a, b)
+    relative = difference / abs(a[0]) if a[0] else None
+    # two exact answers that agree are no evidence of anything
+    told = None if low == high == 0.0 else significance
+    return difference, low, high, relative if relative is None or math.isfinite(relative) else None, told
+
+
+def _changes(before: Results, after: Results) -> tuple[list[Change], list[str], list[str]]:
     """Answers that both runs have, and the names of those that one has alone."""
-    first = {key: (unit, estimate) for key, unit, estimate in _answers(before)}
-    second = {key: (unit, estimate) for key, unit, estimate in _answers(after)}
-    raw: list[dict[str, Any]] = []
-    for key, (unit, estimate) in first.items():
-        if key not in second or second[key][0] != unit:
-            continue
-        entry: dict[str, Any] = {
-            "section": key[1],
-            "name": key[0],
-            "statistic": key[2],
-            "unit": unit,
-            "before": estimate,
-            "after": second[key][1],
-        }
-        a, b = _triple(estimate), _triple(second[key][1])
-        if a is not None and b is not None:
-            difference, low, high, significance = difference_interval(a, b)
-            relative = difference / abs(a[0]) if a[0] else None
-            entry |= {"difference": difference, "low": low, "high": high}
-            # two exact answers that agree are no evidence of anything
-            entry["significance"] = None if low == high == 0.0 else significance
-            entry["relative"] = relative if relative is None or math.isfinite(relative) else None
-        raw.append(entry)
-    verdicts = judge_together([entry.get("significance") for entry in raw])
-    changes = [
-        Change(**entry, verdict=SAME if entry.get("difference") == 0.0 and entry["significance"] is None else verdict)
-        for entry, verdict in zip(raw, verdicts, strict=True)
-    ]
+    sides = [{answer.key: answer for answer in _answers(results)} for results in (before, after)]
+    first, second = sides
+    pairs = [(a, second[key]) for key, a in first.items() if key in second and second[key].unit == a.unit]
+    found = [_difference_of(a.estimate, b.estimate) or (None,) * 5 for a, b in pairs]
+    changes = []
+    verdicts = judge_together([significance for *_, significance in found])
+    for (a, b), told, verdict in zip(pairs, found, verdicts, strict=True):
+        difference, low, high, relative, significance = told
+        changes.append(
+            Change(
+                section=a.section,
+                name=a.name,
+                statistic=a.statistic,
+                unit=a.unit,
+                before=a.estimate,
+                after=b.estimate,
+                difference=difference,
+                low=low,
+                high=high,
+                relative=relative,
+                significance=significance,
+                verdict=SAME if difference == 0.0 and significance is None else verdict,
+                subject=a.subject,
+                chance=a.chance,
+            )
+        )
     shared = {(c.name, c.section, c.statistic) for c in changes}
-    lone = [
-        [f"{name}: {what}" for name, _, what in found if (name, _, what) not in shared] for found in (first, second)
-    ]
+    lone = [[f"{key[0]}: {key[2]}" for key in side if key not in shared] for side in sides]
     return changes, lone[0], lone[1]
 
 
@@ -225,22 +277,24 @@ def _flat(node: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield place, node
 
 
-def _causes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[dict[str, str]]:
+def _causes(before: Resolved, after: Resolved) -> list[Cause]:
     """What of the study differs: inputs first (fixed or random), then the rest."""
     found = []
     sides: list[dict[str, Any]] = []
     for resolved in (before, after):
-        numbers = {f"input {k}": v for k, v in {**resolved["fixed"], **resolved["random"]}.items()}
-        rest = {k: v for k, v in resolved.items() if k not in (*_APART, "fixed", "random")}
+        document = resolved.document()
+        numbers = {f"input {k}": v for k, v in {**document["fixed"], **document["random"]}.items()}
+        rest = {k: v for k, v in document.items() if k not in (*_APART, "fixed", "random")}
         sides.append({**numbers, **dict(_flat(rest))})
     for key in sorted(set(sides[0]) | set(sides[1]), key=lambda k: (not k.startswith("input "), k)):
         a, b = (side.get(key, _ABSENT) for side in sides)
         if a != b:
             name = key.removeprefix("input ")
-            found.append({"what": name, "before": _said(a, name), "after": _said(b, name)})
-    for key, words in (("model_digest", "the black box"), ("written_by", "version of uqsphere")):
-        if before.get(key) != after.get(key):
-            found.append({"what": words, "before": str(before.get(key)), "after": str(after.get(key))})
+            found.append(Cause(what=name, before=_said(a, name), after=_said(b, name)))
+    if before.model_digest != after.model_digest:
+        found.append(Cause(what="the black box", before=str(before.model_digest), after=str(after.model_digest)))
+    if before.written_by != after.written_by:
+        found.append(Cause(what="version of uqsphere", before=before.written_by, after=after.written_by))
     return found
 
 
@@ -276,16 +330,16 @@ def _unit_of(name: str) -> tuple[str, float]:
 # --- both together --------------------------------------------------------------------------------------
 
 
-def _open(folder: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+def _open(folder: Path) -> tuple[Results, Manifest, Resolved]:
     """results.json, manifest.json and study.resolved.json of a finished run."""
     from uqsphere.runner.finished import open_run
 
     run = open_run(folder)
-    return run.results.document(), run.manifest.document(), read_resolved(folder).document()
+    return run.results, run.manifest, read_resolved(folder)
 
 
-def compare_folders(before: Path, after: Path) -> dict[str, Any]:
-    """What differs between two finished runs, ready for JSON.
+def compare_folders(before: Path, after: Path) -> Comparison:
+    """What differs between two finished runs.
 
     Raises
     ------
@@ -295,137 +349,128 @@ def compare_folders(before: Path, after: Path) -> dict[str, Any]:
     (first, manifest_a, resolved_a), (second, manifest_b, resolved_b) = _open(before), _open(after)
     changes, lone_a, lone_b = _changes(first, second)
     verdicts = [
-        {
-            "limit": name,
-            "before": limit["met"],
-            "after": second["limits"][name]["met"],
-            "target_before": limit["target"],
-            "target_after": second["limits"][name]["target"],
-        }
-        for name, limit in first["limits"].items()
-        if name in second["limits"]
+        LimitPair(
+            limit=name,
+            before=limit.met,
+            after=second.limits[name].met,
+            target_before=limit.target,
+            target_after=second.limits[name].target,
+        )
+        for name, limit in first.limits.items()
+        if name in second.limits
     ]
-    known = [c for c in changes if c.significance is not None]
-    return {
-        "schema_version": 1,
-        "before": _about(before, first, manifest_a),
-        "after": _about(after, second, manifest_b),
-        "same_study": first["study"]["hash"] == second["study"]["hash"],
-        "identical": {k: v for k, v in first.items() if k != "versions"}
-        == {k: v for k, v in second.items() if k != "versions"},
-        "causes": _causes(resolved_a, resolved_b),
-        "limits": verdicts,
-        "changes": [asdict(change) for change in changes],
-        "compared": len(known),
-        "changed": sum(c.verdict == SURE for c in changes),
-        "perhaps": sum(c.verdict == PERHAPS for c in changes),
-        "only_before": lone_a,
-        "only_after": lone_b,
-    }
+    return Comparison(
+        schema_version=1,
+        before=_about(before, first, manifest_a),
+        after=_about(after, second, manifest_b),
+        same_study=first.study.hash == second.study.hash,
+        identical=first.model_copy(update={"versions": {}}) == second.model_copy(update={"versions": {}}),
+        causes=tuple(_causes(resolved_a, resolved_b)),
+        limits=tuple(verdicts),
+        changes=tuple(changes),
+        compared=sum(c.significance is not None for c in changes),
+        changed=sum(c.verdict == SURE for c in changes),
+        perhaps=sum(c.verdict == PERHAPS for c in changes),
+        only_before=tuple(lone_a),
+        only_after=tuple(lone_b),
+    )
 
 
-def _about(folder: Path, results: Mapping[str, Any], manifest: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "folder": str(folder),
-        "title": results["study"]["title"],
-        "hash": results["study"]["hash"],
-        "seed": results["study"]["seed"],
-        "version": results["versions"].get("uqsphere"),
-        "model": results["model"]["chosen"],
-        "evaluations": manifest.get("evaluations"),
-        "seconds": manifest.get("seconds", {}).get("total"),
-    }
+def _about(folder: Path, results: Results, manifest: Manifest) -> Side:
+    return Side(
+        folder=str(folder),
+        title=results.study.title,
+        hash=results.study.hash,
+        seed=results.study.seed,
+        version=results.versions.get("uqsphere"),
+        model=results.model.chosen,
+        evaluations=manifest.evaluations,
+        seconds=manifest.seconds.get("total"),
+    )
 
 
 # --- for the terminal -------------------------------------------------------------------------------------
 
 
-def subject_of(change: Mapping[str, Any]) -> str:
-    """The name whose unit an answer has, or an empty text for a plain number."""
-    if not change["unit"]:
-        return ""
-    return str(change["statistic"]).partition(" at ")[0] if change["section"] == "margins" else str(change["name"])
-
-
-def difference_text(change: Mapping[str, Any]) -> str:
+def difference_text(change: Change) -> str:
     """A difference with its interval, and in per cent of what it was."""
-    if change["difference"] is None:
+    if change.difference is None:
         return "-"
-    if change["difference"] == 0.0:
+    if change.difference == 0.0:
         return "0"
-    subject = subject_of(change)
-    text = estimate_text({"value": change["difference"], "low": change["low"], "high": change["high"]}, subject)
-    relative = change["relative"]
-    if relative is None or change["section"] == "sensitivity":
+    subject = change.subject
+    text = estimate_text(Est.of(change.difference, change.low, change.high), subject)
+    relative = change.relative
+    if relative is None or change.section == "sensitivity":
         return text
     return f"{text}, {number_text(f'{100.0 * relative:+.3g}')} %"
 
 
-def _units(changes: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+def _units(changes: Iterable[Change]) -> dict[str, str]:
     """The unit in which each quantity of both runs is read; spreads follow what they are the spread of."""
     values: dict[str, list[float]] = {}
     for change in changes:
-        name = subject_of(change)
-        if name and change["statistic"] != "standard deviation" and lookup(name).display:
-            known = [float(change[side]["value"]) for side in ("before", "after") if change[side]["value"] is not None]
+        name = change.subject
+        if name and change.statistic != "standard deviation" and lookup(name).display:
+            known = [float(side.value) for side in (change.before, change.after) if side.value is not None]
             values.setdefault(name, []).extend(known)
     return {name: unit_that_reads(name, found) for name, found in values.items()}
 
 
-def headline(found: Mapping[str, Any]) -> str:
+def headline(found: Comparison) -> str:
     """What came of it, in a sentence or two."""
-    if found["identical"]:
+    if found.identical:
         return "Both runs have the same answers, to the last digit."
     said = (
-        f"Of {found['compared']} answers {found['changed']} changed significantly"
-        + (f", and {found['perhaps']} more perhaps" if found["perhaps"] else "")
+        f"Of {found.compared} answers {found.changed} changed significantly"
+        + (f", and {found.perhaps} more perhaps" if found.perhaps else "")
         + "."
     )
-    flipped = [entry["limit"] for entry in found["limits"] if entry["before"] is not entry["after"]]
+    flipped = [entry.limit for entry in found.limits if entry.before is not entry.after]
     if flipped:
         said += f" The verdict on {', '.join(flipped)} is another one."
     return said
 
 
-def comparison_text(found: Mapping[str, Any], width: int | None = None) -> str:
+def comparison_text(found: Comparison, width: int | None = None) -> str:
     """The comparison for the terminal, no line longer than `width` columns (the terminal's where it is None)."""
-    with reading_units(_units(found["changes"])):
+    with reading_units(_units(found.changes)):
         return writable("\n".join(_parts(found, screen_width() if width is None else width)))
 
 
-def _parts(found: Mapping[str, Any], width: int) -> list[str]:
-    first, second = found["before"], found["after"]
-    rows = [(key, *(_plainly(side[key]) for side in (first, second)))
+def _parts(found: Comparison, width: int) -> list[str]:
+    first, second = found.before, found.after
+    rows = [(key, *(_plainly(getattr(side, key)) for side in (first, second)))
             for key in ("folder", "title", "seed", "version", "evaluations")]  # fmt: skip
     parts = [wrap(headline(found), width, ""), "", table(("", "before", "after"), rows, width), ""]
-    if found["causes"]:
-        rows = [(c["what"], _cut(c["before"]), _cut(c["after"])) for c in found["causes"]]
+    if found.causes:
+        rows = [(c.what, _cut(c.before), _cut(c.after)) for c in found.causes]
         parts += ["changed in the study", table(("what", "before", "after"), rows, width), ""]
     else:
         parts += ["nothing was changed in the study", ""]
     words = {True: "met", False: "NOT MET", None: "undecided"}
     rows = [
-        (e["limit"], words[e["before"]] if e["target_before"] is not None else "no target",
-         words[e["after"]] if e["target_after"] is not None else "no target")
-        for e in found["limits"]
+        (e.limit, words[e.before] if e.target_before is not None else "no target",
+         words[e.after] if e.target_after is not None else "no target")
+        for e in found.limits
     ]  # fmt: skip
     if rows:
         parts += [table(("limit", "verdict before", "verdict after"), rows, width), ""]
     # intervals of both sides stand there where there is room; that of the difference always does
-    wide = _changes_table(found["changes"], estimate_text, "before (95 %)", "after (95 %)", None)
+    wide = _changes_table(found.changes, estimate_text, "before (95 %)", "after (95 %)", None)
     fits = max(map(len, wide.split("\n"))) <= width
-    parts.append(wide if fits else _changes_table(found["changes"], rounded, "before", "after", width))
-    for key, side in (("only_before", "before"), ("only_after", "after")):
-        if found[key]:
-            more = " ..." if len(found[key]) > 12 else ""
-            parts.append(wrap(f"only {side}: {'; '.join(found[key][:12])}{more}", width))
-    if found["perhaps"]:
+    parts.append(wide if fits else _changes_table(found.changes, rounded, "before", "after", width))
+    for lone, side in ((found.only_before, "before"), (found.only_after, "after")):
+        if lone:
+            more = " ..." if len(lone) > 12 else ""
+            parts.append(wrap(f"only {side}: {'; '.join(lone[:12])}{more}", width))
+    if found.perhaps:
         parts.append(
-            wrap(f'"perhaps": significant at 95 % taken alone; of {found["compared"]} answers about '
-                 f"{0.05 * found['compared']:.0f} would be so by chance", width)
+            wrap(f'"perhaps": significant at 95 % taken alone; of {found.compared} answers about '
+                 f"{0.05 * found.compared:.0f} would be so by chance", width)
         )  # fmt: skip
-    if "page" in found:
-        parts.append(f"page: {plain(found['page'])}")
+    if found.page:
+        parts.append(f"page: {plain(found.page)}")
     return parts
 
 
@@ -434,18 +479,18 @@ def _plainly(value: Any) -> str:
     return ", ".join(f"{n:,} {k}" for k, n in value.items()) if isinstance(value, Mapping) else str(value)
 
 
-def _changes_table(changes: Iterable[Mapping[str, Any]], said: Callable[[Estimate, str], str], *rest: Any) -> str:
+def _changes_table(changes: Iterable[Change], said: Callable[[Est, str], str], *rest: Any) -> str:
     """Both sides of every answer as `said` says them, the difference, and whether it is more than chance."""
     before, after, width = rest
     rows: list[tuple[str, ...] | str] = []
     name = ""
     for change in changes:
-        if change["name"] != name:
-            name = change["name"]
+        if change.name != name:
+            name = change.name
             rows.append(name)
-        subject = subject_of(change)
-        sides = [said(change[side], subject) for side in ("before", "after")]
-        rows.append((change["statistic"], *sides, difference_text(change), change["verdict"]))
+        subject = change.subject
+        sides = [said(side, subject) for side in (change.before, change.after)]
+        rows.append((change.statistic, *sides, difference_text(change), change.verdict))
     return table(("answer", before, after, "difference (95 %)", "change"), rows, width)
 
 
@@ -461,7 +506,7 @@ MOST_ROWS: Final = 400
 _WORDS: Final = {True: "met", False: "not met", None: "undecided"}
 
 
-def write_page(before: Path, after: Path, found: Mapping[str, Any], out: Path) -> Path:
+def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
     """Write the page of `uqsphere.report.compare.compare_folders`.
 
     Parameters
@@ -479,7 +524,7 @@ def write_page(before: Path, after: Path, found: Mapping[str, Any], out: Path) -
     if page.is_symlink():
         raise FolderError(f"{page} is a link: name another file")
     contents = read_contents(before), read_contents(after)
-    shared = [name for name in contents[0].results["quantities"] if name in contents[1].results["quantities"]]
+    shared = [name for name in contents[0].results.quantities if name in contents[1].results.quantities]
     laws = [
         Block(heading=begin(name, call(name)), finding=density_finding(*contents, name),
               picture=density_picture(*contents, name), table=_table(found, "quantities", name))
@@ -489,14 +534,14 @@ def write_page(before: Path, after: Path, found: Mapping[str, Any], out: Path) -
         Block(heading=symbol(name), finding=picture.finding if picture else "", picture=picture,
               table=_table(found, "sensitivity", name))
         for name in shared
-        if name in contents[0].results["sensitivity"] and name in contents[1].results["sensitivity"]
+        if name in contents[0].results.sensitivity and name in contents[1].results.sensitivity
         for picture in (index_picture(*contents, name),)
     ]  # fmt: skip
     margins = [
         Block(heading=f"Fragility of {limit_name(name)}", finding=picture.finding if picture else "", picture=picture,
               table=_table(found, "margins", f"limits.{name}"))
-        for name in contents[0].results["margins"]
-        if name in contents[1].results["margins"]
+        for name in contents[0].results.margins
+        if name in contents[1].results.margins
         for picture in (fragility_picture(*contents, name),)
     ]  # fmt: skip
     write_atomically(page, _page(found, {"laws": laws, "indices": indices, "margins": margins}))
@@ -512,12 +557,12 @@ _SUBJECTS: Final = {
 }
 
 
-def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
+def _table(found: Comparison, section: str, name: str) -> Table:
     """Before, after and difference of every answer of a section."""
     rows = [
-        (str(c["statistic"]), _cell(c, "before"), _cell(c, "after"), _difference(c), _share(c), str(c["verdict"]))
-        for c in found["changes"]
-        if c["section"] == section and (not name or c["name"] == name)
+        (str(c.statistic), _cell(c, c.before), _cell(c, c.after), _difference(c), _share(c), str(c.verdict))
+        for c in found.changes
+        if c.section == section and (not name or c.name == name)
     ]  # fmt: skip
     return Table(
         # a caption of its own: it names the region for those who cannot see what stands above it
@@ -527,51 +572,48 @@ def _table(found: Mapping[str, Any], section: str, name: str) -> Table:
     )
 
 
-def _cell(change: Mapping[str, Any], side: str) -> str:
-    if str(change["statistic"]).startswith(("censored share", "probability of missing the aim")):
-        return probability_text(change[side])
-    return estimate_text(change[side], subject_of(change))
+def _cell(change: Change, side: Est) -> str:
+    return probability_text(side) if change.chance else estimate_text(side, change.subject)
 
 
-def _difference(change: Mapping[str, Any]) -> str:
-    if change["difference"] is None:
+def _difference(change: Change) -> str:
+    if change.difference is None:
         return ABSENT
-    if change["difference"] == 0.0:
+    if change.difference == 0.0:
         return "none"
-    return estimate_text(
-        {"value": change["difference"], "low": change["low"], "high": change["high"]}, subject_of(change)
-    )
+    return estimate_text(Est.of(change.difference, change.low, change.high), change.subject)
 
 
-def _share(change: Mapping[str, Any]) -> str:
-    if change["relative"] is None or change["section"] == "sensitivity":
+def _share(change: Change) -> str:
+    if change.relative is None or change.section == "sensitivity":
         return ABSENT
-    return number_text(f"{100.0 * change['relative']:+.3g}") + " %"
+    return number_text(f"{100.0 * change.relative:+.3g}") + " %"
 
 
-def _limits(found: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _limits(found: Comparison) -> list[dict[str, Any]]:
     """One box per limit: its verdict before and after, and its probability."""
     boxes = []
-    for entry in found["limits"]:
-        name = entry["limit"]
+    for entry in found.limits:
+        name = entry.limit
         words = [
-            _WORDS[entry[side]] if entry[f"target_{side}"] is not None else "no target" for side in ("before", "after")
+            "no target" if target is None else _WORDS[met]
+            for met, target in ((entry.before, entry.target_before), (entry.after, entry.target_after))
         ]
-        miss = next(c for c in found["changes"] if c["name"] == f"limits.{name}" and c["section"] == "limits")
-        texts = [probability_text(miss[side]) for side in ("before", "after")]
+        miss = next(c for c in found.changes if c.name == f"limits.{name}" and c.section == "limits")
+        texts = [probability_text(side) for side in (miss.before, miss.after)]
         line = f"Probability of missing its aim: {texts[0]} before, {texts[1]} after."
-        if miss["verdict"] in (SURE, PERHAPS) and miss["relative"] is not None:
-            sign = "more" if miss["relative"] > 0.0 else "less"
-            doubt = "" if miss["verdict"] == SURE else ", which may be chance"
-            share = number_text(f"{100.0 * abs(miss['relative']):.3g}")
+        if miss.verdict in (SURE, PERHAPS) and miss.relative is not None:
+            sign = "more" if miss.relative > 0.0 else "less"
+            doubt = "" if miss.verdict == SURE else ", which may be chance"
+            share = number_text(f"{100.0 * abs(miss.relative):.3g}")
             line += f" That is {share} % {sign}{doubt}."
-        elif miss["difference"] is not None:
+        elif miss.difference is not None:
             line += " No difference is seen above the intervals."
         boxes.append({"name": shorten(name, 80), "before": words[0], "after": words[1], "line": line})
     return boxes
 
 
-def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
+def _page(found: Comparison, parts: Mapping[str, list[Block]]) -> str:
     from markupsafe import Markup
 
     room, taken = MOST_INLINED, list[str]()
@@ -591,24 +633,24 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
     causes = Table(
         caption="What was changed in the study",
         header=("number or choice", "before", "after"),
-        rows=tuple((c["what"], c["before"], c["after"]) for c in found["causes"][:MOST_ROWS]),
+        rows=tuple((c.what, c.before, c.after) for c in found.causes[:MOST_ROWS]),
     )
-    moved = moved_picture(found)
+    moved = moved_picture(found.changes)
     runs = Table(
         caption="The two runs",
         header=("", "before", "after"),
         rows=tuple(
-            (words, _shown(found["before"][key]), _shown(found["after"][key]))
+            (words, _shown(getattr(found.before, key)), _shown(getattr(found.after, key)))
             for key, words in (("folder", "folder"), ("title", "title"), ("hash", "study"), ("seed", "seed"),
                                ("version", "uqsphere"), ("model", "model"), ("evaluations", "evaluations"))
         ),
     )  # fmt: skip
-    titles = list(dict.fromkeys(str(found[side]["title"]) for side in ("before", "after")))
+    titles = list(dict.fromkeys(side.title for side in (found.before, found.after)))
     return (
         template.render(
             version="",
             title=" / ".join(titles),
-            margin_boxes=Markup(margin_boxes(" / ".join(titles), {})),
+            margin_boxes=Markup(margin_boxes(" / ".join(titles), Manifest())),
             headline=headline(found),
             boxes=_limits(found),
             causes=causes,
@@ -616,10 +658,10 @@ def _page(found: Mapping[str, Any], parts: Mapping[str, list[Block]]) -> str:
             limits=_table(found, "limits", ""),
             parts=parts,
             runs=runs,
-            alone=[("before", found["only_before"][:200]), ("after", found["only_after"][:200])],
-            compared=found["compared"],
-            perhaps=found["perhaps"],
-            same_seed=found["before"]["seed"] == found["after"]["seed"],
+            alone=[("before", found.only_before[:200]), ("after", found.only_after[:200])],
+            compared=found.compared,
+            perhaps=found.perhaps,
+            same_seed=found.before.seed == found.after.seed,
         )
         + "\n"
     )

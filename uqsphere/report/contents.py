@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import FolderError
-from uqsphere.results import read_results
-from uqsphere.results.entries import read_manifest, read_resolved
+from uqsphere.results import Results, read_results
+from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest, read_resolved
 from uqsphere.runner.samples import read_points
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
-from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law, LawError, make_law
 
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
@@ -41,9 +41,9 @@ class Contents:
     forces were followed over time.
     """
 
-    results: Mapping[str, Any]
-    manifest: Mapping[str, Any]
-    resolved: Mapping[str, Any]
+    results: Results
+    manifest: Manifest
+    resolved: Resolved
     samples: Mapping[str, Samples]
     failed: float
     points: Mapping[str, Array] = field(default_factory=dict)
@@ -51,36 +51,43 @@ class Contents:
 
     @property
     def black_box(self) -> bool:
-        return bool(self.resolved["kind"] == "black box")
+        return bool(self.resolved.kind == "black box")
 
     def subject(self, name: str) -> str:
         """The name whose unit a number has: a strength has that of the limit's quantity."""
-        return quantity_of(name, {limit: str(entry["quantity"]) for limit, entry in self.results["limits"].items()})
+        return quantity_of(name, {limit: str(entry.quantity) for limit, entry in self.results.limits.items()})
 
     def at_mean(self, name: str) -> float | None:
         """The number of an input that the study states: fixed, or the mean of its law (SI)."""
-        if name in self.resolved["fixed"]:
-            return float(self.resolved["fixed"][name])
+        if name in self.resolved.fixed:
+            return float(self.resolved.fixed[name])
         law = law_of(self.resolved, name)
         return None if law is None else law.nominal_mean()
 
 
-def law_of(resolved: Mapping[str, Any], name: str) -> Law | None:
+def family_of(table: LawTable) -> Family:
+    """The family of a law of the study."""
+    if table.dist not in FAMILIES:
+        raise FolderError(f"study.resolved.json is damaged: there is no distribution {table.dist[:60]!r}")
+    return FAMILIES[table.dist]
+
+
+def law_of(resolved: Resolved, name: str) -> Law | None:
     """The law of a random number of the study; None where it is not random."""
-    found = resolved["random"].get(name)
+    found = resolved.random.get(name)
     if found is None:
         return None
-    family = FAMILIES.get(found["dist"])
-    if family is not None and family.observed:
+    family = family_of(found)
+    if family.observed:
         return Law(
             family=family,
-            parameters=found["parameters"],
-            data=tuple(found["data"]),
-            lower=-np.inf if found["lower"] is None else found["lower"],
-            upper=np.inf if found["upper"] is None else found["upper"],
+            parameters=found.parameters,
+            data=tuple(found.data),
+            lower=-np.inf if found.lower is None else found.lower,
+            upper=np.inf if found.upper is None else found.upper,
         )
     try:
-        return make_law(found["dist"], found["parameters"], found["lower"], found["upper"])
+        return make_law(found.dist, found.parameters, found.lower, found.upper)
     except LawError as error:
         raise FolderError(f"study.resolved.json is damaged: {name}: {error}") from error
 
@@ -93,10 +100,10 @@ def read_contents(folder: Path) -> Contents:
     FolderError
         When a file is missing or is not what a run writes.
     """
-    results = read_results(folder).document()
-    manifest, resolved = read_manifest(folder).document(), read_resolved(folder).document()
-    strange = [name for name in results["limits"] if name not in resolved["limits"]]
-    strange += [name for name in results["inputs"] if name not in resolved["random"]]
+    results = read_results(folder)
+    manifest, resolved = read_manifest(folder), read_resolved(folder)
+    strange = [name for name in results.limits if name not in resolved.limits]
+    strange += [name for name in results.inputs if name not in resolved.random]
     if strange:
         raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
     inputs, quantities, rows = read_points(folder)

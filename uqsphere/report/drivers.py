@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
 from uqsphere.report.contents import Contents
@@ -21,6 +20,8 @@ from uqsphere.report.phrases import (
     two_digits,
     value_text,
 )
+from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, MeasureRow, SharesEntry
+from uqsphere.results.entries import Est, Ests
 
 if TYPE_CHECKING:
     pass
@@ -45,28 +46,28 @@ __all__ = [
 ]
 
 
-def _by_value(table: Mapping[str, Any]) -> list[str]:
-    return sorted(table, key=lambda name: -float(table[name]["value"] or 0.0))
+def _by_value(table: Ests) -> list[str]:
+    return sorted(table, key=lambda name: -float(table[name].value or 0.0))
 
 
-def _known(table: Mapping[str, Any] | None) -> list[str]:
+def _known(table: Ests | None) -> list[str]:
     """Names with a value, the largest first."""
-    return [name for name in _by_value(table or {}) if (table or {})[name]["value"] is not None]
+    return [name for name in _by_value(table or {}) if (table or {})[name].value is not None]
 
 
 # --- quantities -----------------------------------------------------------------------------------------
 
 
-def _shared_rows(entry: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
-    both = entry["kucherenko"]
+def _shared_rows(entry: SharesEntry) -> tuple[tuple[str, ...], ...]:
+    both = entry.kucherenko
     return tuple(
         (
             input_name(n),
-            index_cell(entry["shapley"][n]),
-            index_cell(both["first"].get(n)),
-            index_cell(both["total"].get(n)),
+            index_cell(entry.shapley[n]),
+            index_cell(both.first.get(n)),
+            index_cell(both.total.get(n)),
         )
-        for n in _by_value(entry["shapley"])
+        for n in _by_value(entry.shapley)
     )
 
 
@@ -75,8 +76,8 @@ _SHARED = ("input", "Shapley effect", "Kucherenko, first", "Kucherenko, total")
 
 def shapley_table(contents: Contents, quantity: str) -> Table | None:
     """Shapley effects and Kucherenko's indices, where inputs depend on each other."""
-    entry = contents.results["sensitivity"].get(quantity) or {}
-    if not entry.get("shapley"):
+    entry = contents.results.sensitivity.get(quantity, IndexEntry())
+    if not entry.shapley:
         return None
     return Table(
         caption=f"Shares of dependent inputs in the variance of {symbol(quantity)}, with 95 % intervals",
@@ -87,12 +88,12 @@ def shapley_table(contents: Contents, quantity: str) -> Table | None:
 
 def distances_table(contents: Contents, quantity: str) -> Table | None:
     """Borgonovo's delta and PAWN."""
-    entry = contents.results["sensitivity"].get(quantity) or {}
-    delta, pawn = entry.get("delta") or {}, entry.get("pawn") or {}
+    entry = contents.results.sensitivity.get(quantity, IndexEntry())
+    delta, pawn = entry.delta, entry.pawn
     names = _known(delta)
     if not names:
         return None
-    threshold = entry.get("pawn_threshold")
+    threshold = entry.pawn_threshold
     idle = "" if threshold is None else f"; without any effect PAWN stays below {number_text(f'{threshold:.2g}')}"
     return Table(
         caption=f"How far an input moves the whole law of {symbol(quantity)}{idle}",
@@ -103,7 +104,7 @@ def distances_table(contents: Contents, quantity: str) -> Table | None:
 
 def distances_finding(contents: Contents, quantity: str) -> str:
     """Which input moves the whole law of a quantity most; empty where that is not known."""
-    delta = (contents.results["sensitivity"].get(quantity) or {}).get("delta") or {}
+    delta = contents.results.sensitivity.get(quantity, IndexEntry()).delta
     names = _known(delta)
     if not names:
         return ""
@@ -116,39 +117,39 @@ def distances_finding(contents: Contents, quantity: str) -> str:
 
 def failure_table(contents: Contents, name: str) -> Table | None:
     """Indices of missing the aim of a limit."""
-    entry = contents.results["limits"][name].get("drivers")
+    entry = contents.results.limits[name].drivers
     if not entry:
         return None
-    caption = f"Indices of {entry['of']}, {limit_name(name)}, with 95 % intervals"
-    if entry.get("shapley"):
+    caption = f"Indices of {entry.of}, {limit_name(name)}, with 95 % intervals"
+    if entry.shapley:
         return Table(caption=caption, header=_SHARED, rows=_shared_rows(entry))
-    names = _known(entry["total"])
+    names = _known(entry.total)
     if not names:
         return None
-    rows = tuple((input_name(n), index_cell(entry["first"].get(n)), index_cell(entry["total"][n])) for n in names)
+    rows = tuple((input_name(n), index_cell(entry.first.get(n)), index_cell(entry.total[n])) for n in names)
     return Table(caption=caption, header=("input", "first (alone)", "total (with interactions)"), rows=rows)
 
 
-def told_from_none(estimate: Mapping[str, Any]) -> bool:
+def told_from_none(estimate: Est) -> bool:
     """Whether an index is above zero by more than its interval."""
-    return estimate["low"] is None or float(estimate["low"]) > 0.0
+    return estimate.low is None or float(estimate.low) > 0.0
 
 
 def failure_finding(contents: Contents, name: str) -> str:
     """Which input drives failure, or why that is not known."""
-    entry = contents.results["limits"][name].get("drivers") or {}
-    table = entry.get("shapley") or entry.get("total") or {}
+    entry = contents.results.limits[name].drivers
+    table = entry.shapley or entry.total or {}
     names = _known(table)
     if not names:
         reason = next((absent_reason(e) for e in table.values()), "nothing was computed")
         return f"What drives missing the aim is not known: {reason}."
-    kind = "Shapley effect" if entry.get("shapley") else "total index"
+    kind = "Shapley effect" if entry.shapley else "total index"
     largest = f"{input_name(names[0])} ({kind} {index_cell(table[names[0]])})"
-    whole = entry["of"] == "missing the aim"
+    whole = entry.of == "missing the aim"
     text = f"What drives it most: {largest}." if whole else f"Of the model’s inputs, what moves it most: {largest}."
     if not told_from_none(table[names[0]]):
         text = f"No input is told from one that does nothing; the largest index is that of {largest}."
-    explained = (entry.get("explained") or {}).get("value")
+    explained = entry.explained.value
     if explained is None or explained >= 0.9999:
         return text
     who = "The model’s inputs" if whole else "All of them"
@@ -158,22 +159,22 @@ def failure_finding(contents: Contents, name: str) -> str:
 
 def given_failure_table(contents: Contents, name: str) -> Table | None:
     """Inputs where the aim is missed, beside their laws."""
-    entry = (contents.results["limits"][name].get("drivers") or {}).get("given_failure") or {}
+    entry = (contents.results.limits[name].drivers).given_failure or {}
     rows = []
     for variable, found in entry.items():
-        if found["mean"]["value"] is None:
+        if found.mean.value is None:
             continue
         subject = contents.subject(variable)
-        law = found["law"]
+        law = found.law
         rows.append(
             (
                 input_name(variable),
                 # four digits: with more the table is wider than the page
-                cell(found["mean"], subject, digits=4),
-                cell(found["quantiles"]["0.05"], subject, digits=4),
-                cell(found["quantiles"]["0.95"], subject, digits=4),
-                value_text(law["mean"], subject),
-                _range(law["quantiles"]["0.05"], law["quantiles"]["0.95"], subject),
+                cell(found.mean, subject, digits=4),
+                cell(found.quantiles["0.05"], subject, digits=4),
+                cell(found.quantiles["0.95"], subject, digits=4),
+                value_text(law.mean, subject),
+                _range(law.quantiles["0.05"], law.quantiles["0.95"], subject),
             )
         )
     if not rows:
@@ -193,47 +194,47 @@ def _range(low: float, high: float, subject: str) -> str:
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def specimens(entry: Mapping[str, Any], row: Mapping[str, Any]) -> int | None:
+def specimens(entry: MeasureEntry, row: MeasureRow) -> int | None:
     """Specimens after which the mean of an input leaves the smaller side of a probability known as wanted.
 
     What is stored counts to a tenth, say, of the probability itself: of one near 1 any single specimen tells that,
     and nothing is learnt about how near it is.
 
-    >>> row = {"tests": 1, "sway": {"value": 1.83149e-4}}
-    >>> specimens({"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5}, row)
+    >>> row = MeasureRow(input="x", tests=1, share=1.0, sway=Est.of(1.83149e-4))
+    >>> specimens(MeasureEntry(of="probability", wanted=0.1, probability=1.0 - 4.45344e-5), row)
     1692
     """
-    p, sway = entry.get("probability"), (row.get("sway") or {}).get("value")
-    if entry["of"] != "probability" or p is None or not 0.5 < p < 1.0 or sway is None:
-        return None if row["tests"] is None else int(row["tests"])
-    return max(1, math.ceil((float(sway) / (float(entry["wanted"]) * (1.0 - float(p)))) ** 2))
+    p, sway = entry.probability, row.sway.value
+    if entry.of != "probability" or p is None or not 0.5 < p < 1.0 or sway is None:
+        return row.tests
+    return max(1, math.ceil((float(sway) / (float(entry.wanted) * (1.0 - float(p)))) ** 2))
 
 
-def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None:
+def measure_table(entry: MeasureEntry | None, caption: str) -> Table | None:
     """Inputs by what knowing them better is worth, with the number of specimens."""
-    if not entry or not entry.get("rows"):
+    if not entry or not entry.rows:
         return None
-    probability = entry["of"] == "probability"
+    probability = entry.of == "probability"
     rows: list[tuple[str, ...]] = []
     # one power of ten for the whole column
-    largest = max((abs(row["sway"]["value"] or 0.0) for row in entry["rows"]), default=0.0) if probability else 0.0
+    largest = max((abs(row.sway.value or 0.0) for row in entry.rows), default=0.0) if probability else 0.0
     power = math.floor(math.log10(largest)) if 0.0 < largest < 0.1 else 0
-    for row in entry["rows"]:
-        seen = row["observations"]
+    for row in entry.rows:
+        seen = row.observations
         count = specimens(entry, row)
         tests = (thousands(count) if count else "none") + ("" if seen is None else f" (the law rests on {seen})")
         if probability:
             rows.append(
                 (
-                    input_name(row["input"]),
-                    cell(_scaled(row["sway"], 10.0**-power)),
-                    two_digits(row["share"]),
+                    input_name(row.input),
+                    cell(_scaled(row.sway, 10.0**-power)),
+                    two_digits(row.part),
                     tests,
                 )
             )
         else:
-            rows.append((input_name(row["input"]), index_cell(row["share"]), tests))
-    wanted = f"{100.0 * entry['wanted']:g} %"
+            rows.append((input_name(row.input), index_cell(row.effect), tests))
+    wanted = f"{100.0 * entry.wanted:g} %"
     if probability:
         header: tuple[str, ...] = (
             "input",
@@ -252,44 +253,43 @@ def measure_table(entry: Mapping[str, Any] | None, caption: str) -> Table | None
     return Table(caption=caption, header=header, rows=tuple(rows), note=note)
 
 
-def _scaled(estimate: Mapping[str, Any], factor: float) -> dict[str, Any]:
+def _scaled(estimate: Est, factor: float) -> Est:
     """An estimate times a number."""
-    ends = {key: None if estimate[key] is None else factor * estimate[key] for key in ("value", "low", "high")}
-    return {**estimate, **ends}
+    return Est.of(*(None if end is None else factor * end for end in (estimate.value, estimate.low, estimate.high)))
 
 
-def first_to_measure(entry: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+def first_to_measure(entry: MeasureEntry | None) -> MeasureRow | None:
     """The row of the input that is worth most, None where no input can be told from one that does nothing.
 
     Of several inputs that do nothing one always comes first, by chance: three standard errors let hardly any pass.
     """
-    for row in (entry or {}).get("rows") or []:
-        found = row.get("sway") or row["share"]
-        if abs(found["value"] or 0.0) > 3.0 * (found["std_error"] or 0.0):
-            return dict(row)
+    for row in entry.rows if entry is not None else ():
+        found = row.effect
+        if abs(found.value or 0.0) > 3.0 * (found.std_error or 0.0):
+            return row
     return None
 
 
-def _side(entry: Mapping[str, Any]) -> str:
+def _side(entry: MeasureEntry) -> str:
     """Of which probability a tenth, say, is to be known."""
-    return "the probability to the contrary" if (entry.get("probability") or 0.0) > 0.5 else "the probability"
+    return "the probability to the contrary" if (entry.probability or 0.0) > 0.5 else "the probability"
 
 
-def measure_finding(entry: Mapping[str, Any] | None) -> str:
+def measure_finding(entry: MeasureEntry | None) -> str:
     """Which input to measure first, and how often."""
-    rows = (entry or {}).get("rows") or []
+    rows = entry.rows if entry is not None else ()
     if not rows or entry is None:
         return ""
-    first, wanted = first_to_measure(entry), f"{100.0 * entry['wanted']:g} %"
+    first, wanted = first_to_measure(entry), f"{100.0 * entry.wanted:g} %"
     if first is None:
-        of = "moves the probability" if entry["of"] == "probability" else "has a part in the variance"
+        of = "moves the probability" if entry.of == "probability" else "has a part in the variance"
         return f"No input is worth measuring by itself: none {of} by more than chance would show."
     count = specimens(entry, first) or 0
     tests = thousands(count) + f" test{'s' if count != 1 else ''}"
-    text = f"Measure {input_name(first['input'])} first: "
-    seen = first.get("observations")
+    text = f"Measure {input_name(first.input)} first: "
+    seen = first.observations
     more = f", {thousands(count - seen)} more than there are" if seen and count > seen else ""
-    if entry["of"] == "probability":
+    if entry.of == "probability":
         return text + (
             f"{_side(entry)} itself is known to {wanted} (one standard error) after {tests} of it in all{more}, if "
             "only its mean is unknown; how many settle the target is another question, and stands in the verdict."
@@ -299,15 +299,15 @@ def measure_finding(entry: Mapping[str, Any] | None) -> str:
 
 def design_table(contents: Contents, name: str) -> Table | None:
     """The design point of a limit: the likeliest values at which its aim is missed; None where there is none."""
-    limit = contents.results["limits"][name]
-    point = limit.get("design_point")
+    limit = contents.results.limits[name]
+    point = limit.design_point
     if not point:
         return None
-    shares = limit.get("governing_inputs") or {}
+    shares = limit.governing_inputs or {}
     rows = []
     for key in sorted(point, key=lambda k: -float(shares.get(k, 0.0))):
         share = two_digits(float(shares[key])) if key in shares else ABSENT
-        mean = contents.results["inputs"].get(key, {}).get("mean")
+        mean = contents.results.inputs[key].mean if key in contents.results.inputs else None
         subject = contents.subject(key)
         usual = ABSENT if mean is None else value_text(mean, subject)
         rows.append((input_name(key), value_text(point[key], subject), usual, share))
@@ -319,23 +319,23 @@ def design_table(contents: Contents, name: str) -> Table | None:
     )
 
 
-def mostly_missed(limit: Mapping[str, Any]) -> bool:
+def mostly_missed(limit: LimitEntry) -> bool:
     """Whether the aim of a limit is missed in more than half of the cases."""
-    return bool((limit["miss"]["value"] or 0.0) > 0.5)
+    return bool((limit.miss.value or 0.0) > 0.5)
 
 
 def design_finding(contents: Contents, name: str) -> str:
     """What the search for the design point found, in sentences."""
-    limit = contents.results["limits"][name]
-    reason = limit.get("design_point_reason")
-    if not limit.get("design_point"):
+    limit = contents.results.limits[name]
+    reason = limit.design_point_reason
+    if not limit.design_point:
         return f"No design point: {reason}." if reason else ""
     # where most samples miss the aim the point lies on the way to those that keep it
     which = "keep" if mostly_missed(limit) else "miss"
     text = f"Of all combinations of inputs that {which} the aim this is the likeliest; factors are its squared "
     text += "direction cosines in standard normal space."
-    if limit.get("design_points", 1) > 1:
-        text += f" {limit['design_points']} such points were found, of which this is the nearest."
+    if (limit.design_points or 0) > 1:
+        text += f" {limit.design_points} such points were found, of which this is the nearest."
     return text
 
 
@@ -349,10 +349,10 @@ def tied_inputs(contents: Contents, limit: str) -> list[tuple[str, float | None]
     """Inputs that the strength of a limit depends on, with their rank correlation where it is one number."""
     own = f"limits.{limit}.strength"
     found = []
-    for group in contents.resolved.get("dependence", []):
-        if own in group["of"]:
-            rank = group.get("spearman") if group.get("spearman") is not None else group.get("kendall")
-            found += [(name, rank) for name in group["of"] if name != own]
+    for group in contents.resolved.dependence:
+        if own in group.of:
+            rank = group.spearman if group.spearman is not None else group.kendall
+            found += [(name, rank) for name in group.of if name != own]
     return found
 
 
@@ -380,20 +380,20 @@ def drivers_remark(contents: Contents) -> str:
 def _bulges(contents: Contents) -> bool:
     """Whether a figure of indices has a violin that can be seen."""
     return any(
-        not entry.get("shapley") and any(_wide(e) for e in (*entry["first"].values(), *entry["total"].values()))
-        for entry in contents.results["sensitivity"].values()
+        not entry.shapley and any(_wide(e) for e in (*entry.first.values(), *entry.total.values()))
+        for entry in contents.results.sensitivity.values()
     )
 
 
-def _wide(estimate: Mapping[str, Any]) -> bool:
-    low, high = estimate["low"], estimate["high"]
-    return estimate["value"] is not None and None not in (low, high) and high - low > _VISIBLE
+def _wide(estimate: Est) -> bool:
+    low, high = estimate.low, estimate.high
+    return estimate.value is not None and low is not None and high is not None and high - low > _VISIBLE
 
 
 def _three_questions(contents: Contents) -> str:
     """Which question the shares of an input answer, and where the strength stands in each; empty without limits."""
-    limits = contents.results["limits"]
-    if not limits or not any(f"limits.{name}.strength" in contents.resolved["random"] for name in limits):
+    limits = contents.results.limits
+    if not limits or not any(f"limits.{name}.strength" in contents.resolved.random for name in limits):
         return ""
     names = listed([limit_name(name, 30) for name in limits])
     return (

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from uqsphere.quantities import format_value
 from uqsphere.report.assumptions import beyond_bars, reach_note
@@ -31,6 +29,8 @@ from uqsphere.report.phrases import (
     two_digits,
     value_text,
 )
+from uqsphere.results import BarsEntry, FactorsEntry, LimitEntry, MarginEntry, MarginOpenEntry, Results
+from uqsphere.results.entries import Est
 from uqsphere.study.axis import quantity_of
 
 __all__ = [
@@ -48,72 +48,72 @@ __all__ = [
 ]
 
 
-def subject_of(results: Mapping[str, Any], solve: str) -> str:
+def subject_of(results: Results, solve: str) -> str:
     """The name whose unit the free scalar has: a strength has that of its limit's quantity."""
-    return quantity_of(solve, {limit: str(entry["quantity"]) for limit, entry in results["limits"].items()})
+    return quantity_of(solve, {limit: str(entry.quantity) for limit, entry in results.limits.items()})
 
 
-def margin_answer(results: Mapping[str, Any], name: str) -> str:
+def margin_answer(results: Results, name: str) -> str:
     """At most or at least how much keeps the aim of a limit, in a sentence; empty where it has no target."""
-    entry, limit = results["margins"].get(name), results["limits"].get(name)
-    if not entry or not entry.get("value") or limit is None or limit["target"] is None:
+    entry, limit = results.margins.get(name), results.limits.get(name)
+    if not entry or not entry.value or limit is None or limit.target is None:
         return ""
-    value, solve = entry["value"], entry["solve"]
+    value, solve = entry.value, entry.solve
     subject = subject_of(results, solve)
-    survive = limit["aim"] == "survive"
-    chance = plain_percent(limit["target"] if survive else 1.0 - limit["target"])
+    survive = limit.aim == "survive"
+    chance = plain_percent(limit.target if survive else 1.0 - limit.target)
     share = f"at most {chance}" if survive else f"{chance} or more"
     aim = f"{event(results, name)} with a probability of {share}"
     own = of_limit(results, name)
-    if value["value"] is None:
+    if value.value is None:
         # that there is none may be said only where the whole range was looked at
-        if str(value["reason"]).startswith("no value between"):
-            return f"No {input_name(solve)} between the bounds of the study is such that {aim}{own}: {value['reason']}."
-        return f"At which {input_name(solve)} {aim}{own} is not known: {value['reason']}."
-    most = at_most(entry, limit["aim"])
+        if str(value.reason).startswith("no value between"):
+            return f"No {input_name(solve)} between the bounds of the study is such that {aim}{own}: {value.reason}."
+        return f"At which {input_name(solve)} {aim}{own} is not known: {value.reason}."
+    most = at_most(entry, limit.aim)
     word = "at most" if most else "at least"
-    opened = entry.get("ignorance") or {}
+    opened = entry.ignorance
     known = safe_side(value, subject, at_most=most)
     what = solved_name(results, solve)
-    if opened.get("sure") is not None:
+    if opened.sure is not None:
         # what the tests leave open comes first: the value by their fitted law is exact in nothing but the computation
-        exact = {"value": opened["sure"], "low": None, "high": None}
+        exact = Est.of(opened.sure)
         sure = safe_side(exact, subject, at_most=most, digits=3)
         text = (
-            f"{what}: {word} {sure} to be {plain_percent(opened['confidence'])} sure (one-sided) that {aim}{own}, the "
+            f"{what}: {word} {sure} to be {plain_percent(opened.confidence)} sure (one-sided) that {aim}{own}, the "
             f"value to keep to; {word} {known} by the law fitted to the {_tests(opened)}{_open_range(opened, subject)}"
         )
     else:
         text = f"{what}: {word} {known}, so that {aim}{own}"
-        if opened and "reason" not in opened:
-            confidence = plain_percent(opened["confidence"])
+        if opened and opened.reason is None:
+            confidence = plain_percent(opened.confidence)
             text += f"; {_tests(opened)} are too few to be {confidence} sure of any value looked at"
     beyond = beyond_bars(entry, subject)
     return f"{text}. {known} is the answer for elastic bars: {beyond}." if beyond else f"{text}."
 
 
-def _open_range(opened: Mapping[str, Any], subject: str) -> str:
+def _open_range(opened: MarginOpenEntry, subject: str) -> str:
     """Between which values the tests leave the answer, two-sided."""
-    if opened.get("low") is None or opened.get("high") is None:
+    if opened.low is None or opened.high is None:
         return ""
-    low, high = (value_text(opened[end], subject, 3) for end in ("low", "high"))
+    low, high = (value_text(end, subject, 3) for end in (opened.low, opened.high))
     return f", which leave open {low} to {high} (95 %)"
 
 
-def _tests(opened: Mapping[str, Any]) -> str:
-    stopped = opened.get("stopped", 0)
-    return f"{opened['tests']} tests" + (f" ({stopped} of them stopped before failure)" if stopped else "")
+def _tests(opened: MarginOpenEntry) -> str:
+    stopped = opened.stopped
+    return f"{opened.tests} tests" + (f" ({stopped} of them stopped before failure)" if stopped else "")
 
 
 def margin_verdicts(contents: Contents) -> list[Verdict]:
     """One answer for every limit with a target of a study that asks for margins."""
     found: list[Verdict] = []
     said = ""
-    for name in contents.results["margins"]:
+    for name in contents.results.margins:
         answer = margin_answer(contents.results, name)
         if not answer:
             continue
-        entry, limit = contents.results["margins"][name], contents.results["limits"][name]
+        entry, limit = contents.results.margins[name], contents.results.limits[name]
         lines = (
             *_headed(answer, entry, contents),
             _reserve(contents, entry, limit),
@@ -124,7 +124,7 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
         found.append(
             Verdict(
                 word="answer",
-                heading=f"{shorten(name, 60)}: {shorten(input_name(entry['solve']), 60)}",
+                heading=f"{shorten(name, 60)}: {shorten(input_name(entry.solve), 60)}",
                 lines=tuple(line for line in lines if line),
             )
         )
@@ -133,12 +133,13 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
     return found
 
 
-def _headed(answer: str, entry: Mapping[str, Any], contents: Contents) -> tuple[str, str]:
+def _headed(answer: str, entry: MarginEntry, contents: Contents) -> tuple[str, str]:
     """The answer in its first clause, with what the bars stand if that lies below it, and the rest of it."""
     first, *rest = re.split(r"; |\. ", answer, maxsplit=1)
-    sure = (entry.get("ignorance") or {}).get("sure")
-    told = entry["value"] if sure is None else {**entry["value"], "value": sure}
-    beyond = beyond_bars({**entry, "value": told}, contents.subject(entry["solve"])).partition(": there")[0]
+    sure = entry.ignorance.sure
+    told = entry.value if sure is None else entry.value.model_copy(update={"value": sure})
+    beyond = beyond_bars(entry.model_copy(update={"value": told}), contents.subject(entry.solve))
+    beyond = beyond.partition(": there")[0]
     head = first.rstrip(".") + (f"; {beyond}" if beyond else "")
     if rest and beyond and sure is None:
         # the head has it already
@@ -150,15 +151,15 @@ def no_common_value(contents: Contents) -> str:
     """That no value of the free scalar meets the aims of all limits, or which do; empty with fewer than two aims."""
     most: list[tuple[float, str]] = []
     least: list[tuple[float, str]] = []
-    for name, entry in contents.results["margins"].items():
-        limit, value = contents.results["limits"][name], (entry.get("value") or {}).get("value")
-        if value is not None and limit["target"] is not None:
-            (most if at_most(entry, limit["aim"]) else least).append((float(value), name))
+    for name, entry in contents.results.margins.items():
+        limit, value = contents.results.limits[name], entry.value.value
+        if value is not None and limit.target is not None:
+            (most if at_most(entry, limit.aim) else least).append((float(value), name))
     if not most or not least:
         return ""
     top, bottom = min(most), max(least)
     ends = [answer_text(contents, name) for _, name in (top, bottom)]
-    what = input_name(next(iter(contents.results["margins"].values()))["solve"])
+    what = input_name(next(iter(contents.results.margins.values())).solve)
     names = limit_name(top[1]), limit_name(bottom[1])
     if bottom[0] <= top[0]:
         return f"From {ends[1]} to {ends[0]} the aims of {names[1]} and {names[0]} are both reached."
@@ -168,27 +169,27 @@ def no_common_value(contents: Contents) -> str:
     )
 
 
-def reserve(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> float | None:
+def reserve(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> float | None:
     """Factor by which the free scalar may move before the target is reached; below 1 where it is missed."""
-    here, value = contents.at_mean(entry["solve"]), (entry.get("value") or {}).get("value")
+    here, value = contents.at_mean(entry.solve), entry.value.value
     if here is None or value is None or not (here > 0.0 and value > 0.0):
         return None
-    return float(value / here if at_most(entry, limit["aim"]) else here / value)
+    return float(value / here if at_most(entry, limit.aim) else here / value)
 
 
-def _reserve(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> str:
+def _reserve(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> str:
     """How far the study stands from the answer."""
     factor = reserve(contents, entry, limit)
-    here = contents.at_mean(entry["solve"])
+    here = contents.at_mean(entry.solve)
     if factor is None or here is None:
         return ""
-    what, subject = input_name(entry["solve"]), contents.subject(entry["solve"])
-    most = at_most(entry, limit["aim"])
+    what, subject = input_name(entry.solve), contents.subject(entry.solve)
+    most = at_most(entry, limit.aim)
     planned = f"The study stands at {value_text(here, subject)}"
     if factor < 1.0:
         way = "too high" if most else "too low"
         return f"{planned}: {way} by a factor of {up(1.0 / factor)} in {what}, a shortfall."
-    opened = (entry.get("ignorance") or {}).get("sure")
+    opened = entry.ignorance.sure
     sure = None if opened is None else (opened / here if most else here / opened)
     text = f"{planned}: a reserve of {down(factor)} in {what}"
     if sure is not None:
@@ -206,12 +207,13 @@ def up(ratio: float) -> str:
     return f"{math.ceil(100.0 * ratio - 1e-9) / 100.0:.2f}" if ratio < 100.0 else f"{math.ceil(ratio)}"
 
 
-def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]) -> str:
+def _lost(contents: Contents, entry: MarginEntry, limit: LimitEntry) -> str:
     """What the margin is lost to, how specimens scatter, and how far the value is known."""
     text = ""
-    what = input_name(entry["solve"])
-    shares = (entry.get("lost_to") or {}).get("shares")
-    chance = plain_percent(limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"])
+    what = input_name(entry.solve)
+    shares = entry.lost_to.shares
+    target = limit.target or 0.0
+    chance = plain_percent(target if limit.aim == "survive" else 1.0 - target)
     if shares:
         order = [n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] >= 0.02][:3]
         text = (
@@ -219,94 +221,94 @@ def _lost(contents: Contents, entry: Mapping[str, Any], limit: Mapping[str, Any]
             + listed([f"{input_name(n)} ({100.0 * shares[n]:.0f} %)" for n in order])
             + ". "
         )
-    split = entry.get("split") or {}
-    if split.get("scatter") is not None:
+    split = entry.split
+    if split.scatter is not None:
         text += (
-            f"From specimen to specimen the {what} that breaks it scatters by {two_digits(split['scatter'])}: that "
+            f"From specimen to specimen the {what} that breaks it scatters by {two_digits(split.scatter)}: that "
             f"is in the {chance} already, and no error of the answer. "
         )
-    if split.get("ignorance") is not None:
-        text += f"Few tests leave the answer uncertain by {two_digits(split['ignorance'])} (standard deviation)"
-        if split.get("numerical") is not None:
-            text += f", the computation by {100.0 * split['numerical']:.1g} %"
+    if split.ignorance is not None:
+        text += f"Few tests leave the answer uncertain by {two_digits(split.ignorance)} (standard deviation)"
+        if split.numerical is not None:
+            text += f", the computation by {100.0 * split.numerical:.1g} %"
         text += ". "
-    elif split.get("numerical") is not None:
+    elif split.numerical is not None:
         text += (
-            f"The computation leaves the answer uncertain by {100.0 * split['numerical']:.1g} % (standard deviation); "
+            f"The computation leaves the answer uncertain by {100.0 * split.numerical:.1g} % (standard deviation); "
             "how well the law of the strength is known is not in that. "
         )
     return text.strip()
 
 
-def _next(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents, said: str) -> str:
+def _next(entry: MarginEntry, limit: LimitEntry, contents: Contents, said: str) -> str:
     """What more tests would bring, and what the bars allow where the answer before has not said it already."""
     text = tests_text(entry, limit, contents)
-    bars = bars_text(entry["bars"], entry, contents) if entry.get("bars") else ""
+    bars = bars_text(entry.bars, entry, contents) if entry.bars else ""
     return (text + ("" if bars in said else bars)).strip()
 
 
-def tests_text(entry: Mapping[str, Any], limit: Mapping[str, Any], contents: Contents) -> str:
+def tests_text(entry: MarginEntry, limit: LimitEntry, contents: Contents) -> str:
     """How many tests settle whether the target is kept, then how many the value itself would take."""
-    tests = entry.get("more_tests") or {}
-    here = contents.at_mean(entry["solve"])
-    planned = "" if here is None else f" at the planned {value_text(here, contents.subject(entry['solve']))}"
+    tests = entry.more_tests
+    here = contents.at_mean(entry.solve)
+    planned = "" if here is None else f" at the planned {value_text(here, contents.subject(entry.solve))}"
     text = ""
-    if tests.get("to_settle") == 0:
-        word = "kept" if limit["met"] else "missed"
-        text = f"The {tests['tests']} tests settle with 95 % confidence that the target is {word}{planned}. "
-    elif tests.get("to_settle"):
-        text = f"About {tests['to_settle']} more tests of the strength, {tests['to_settle'] + tests['tests']} in all, "
+    if tests.to_settle == 0:
+        word = "kept" if limit.met else "missed"
+        text = f"The {tests.tests} tests settle with 95 % confidence that the target is {word}{planned}. "
+    elif tests.to_settle:
+        text = f"About {tests.to_settle} more tests of the strength, {tests.to_settle + tests.tests} in all, "
         text += f"would settle with 95 % confidence whether the target is kept{planned}. "
-    elif tests.get("reason"):
-        text = f"Whether the target is kept{planned} is too close to call: {tests['reason'].partition(':')[0]}. "
-    if tests.get("to_know_the_value"):
+    elif tests.reason:
+        text = f"Whether the target is kept{planned} is too close to call: {tests.reason.partition(':')[0]}. "
+    if tests.to_know_the_value:
         text += (
-            f"To know the {input_name(entry['solve'])} itself to {plain_percent(tests['known_to'])} (95 % half-width) "
-            f"would take about {tests['to_know_the_value']} more tests"
+            f"To know the {input_name(entry.solve)} itself to {plain_percent(tests.known_to)} (95 % half-width) "
+            f"would take about {tests.to_know_the_value} more tests"
         )
         # counted as everywhere else on the page
-        text += f", {tests['to_know_the_value'] + tests['tests']} in all. " if tests.get("tests") else ". "
+        text += f", {tests.to_know_the_value + tests.tests} in all. " if tests.tests else ". "
     return text or settling_text(contents, limit, planned)
 
 
-def settling_text(contents: Contents, limit: Mapping[str, Any], planned: str = "") -> str:
+def settling_text(contents: Contents, limit: LimitEntry, planned: str = "") -> str:
     """How many tests of a strength that is given as a law would show that the target is kept."""
-    settled = limit.get("tests_to_settle")
+    settled = limit.tests_to_settle
     if not settled:
         return ""
-    if settled["tests"] is None:
+    if settled.tests is None:
         return f"Whether the target is kept{planned} is too close to be settled by tests of the strength. "
-    word = {True: "kept", False: "missed"}.get(limit["met"], "kept or missed")
+    word = "kept or missed" if limit.met is None else "kept" if limit.met else "missed"
     return (
-        f"If the assumed law of the strength is right, about {settled['tests']} tests of it in all would show "
-        f"with {plain_percent(settled['confidence'])} confidence that the target is {word}{planned}. "
+        f"If the assumed law of the strength is right, about {settled.tests} tests of it in all would show "
+        f"with {plain_percent(settled.confidence)} confidence that the target is {word}{planned}. "
     )
 
 
-def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Contents) -> str:
+def bars_text(bars: BarsEntry, entry: MarginEntry, contents: Contents) -> str:
     """Where the bars stop being elastic, what comes first said first."""
-    subject = contents.subject(entry["solve"])
-    strength = number_text(format_value(bars["yield_strength"], "bars.yield_strength"))
-    contact, value = bars.get("contact"), None
-    rising = entry["curve"][-1][1] >= entry["curve"][0][1]
-    chance = plain_percent(bars.get("contact_probability", 0.0))
-    if contact and contact["value"] is not None:
+    subject = contents.subject(entry.solve)
+    strength = number_text(format_value(bars.yield_strength, "bars.yield_strength"))
+    contact, value = bars.contact, None
+    rising = entry.curve[-1][1] >= entry.curve[0][1]
+    chance = plain_percent(bars.contact_probability)
+    if contact and contact.value is not None:
         value = safe_side(contact, subject, at_most=rising, digits=3)
         text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
         text += f"{'from' if rising else 'below'} {value}"
         text += " on: harder or thicker bars are due" if beyond_bars(entry, subject) else " on"
-    elif bars.get("contact_everywhere") == "yields":
+    elif bars.contact_everywhere == "yields":
         text = (
             f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "
         )
         text += "whole curve: harder or thicker bars are due"
-    elif bars.get("contact_everywhere") == "elastic":
+    elif bars.contact_everywhere == "elastic":
         text = f"The bars (yield strength {strength}) stay elastic under the sphere over the whole curve"
     else:
         text = f"Whether the bars (yield strength {strength}) yield under the sphere is not known"
-    if bars.get("pulse_value") is not None:
-        return f"{text}; the pulse alone leaves them elastic up to {value_text(bars['pulse_value'], subject, 3)}."
-    return f"{text}; the pulse as planned {'leaves them elastic' if bars['pulse_elastic'] else 'makes them yield'}."
+    if bars.pulse_value is not None:
+        return f"{text}; the pulse alone leaves them elastic up to {value_text(bars.pulse_value, subject, 3)}."
+    return f"{text}; the pulse as planned {'leaves them elastic' if bars.pulse_elastic else 'makes them yield'}."
 
 
 # --- What a margin is made of, as a table: safety factors, partial factors, scatter, ignorance, error, and the bars.
@@ -314,14 +316,14 @@ def bars_text(bars: Mapping[str, Any], entry: Mapping[str, Any], contents: Conte
 
 def parts_finding(contents: Contents, name: str) -> str:
     """How far the value lies from the median of fracture, and to whom that is owed."""
-    entry = contents.results["margins"][name]
-    value, fitted = entry.get("value") or {}, entry.get("lognormal") or {}
-    middle = (entry["values"].get("0.5") or {}).get("value") or (fitted.get("median") or {}).get("value")
-    shares = (entry.get("lost_to") or {}).get("shares")
-    if not value.get("value") or not middle or not shares:
+    entry = contents.results.margins[name]
+    value, fitted = entry.value, entry.lognormal
+    middle = entry.values.get("0.5", Est()).value or fitted.median.value
+    shares = entry.lost_to.shares
+    if not value.value or not middle or not shares:
         return ""
-    subject = contents.subject(entry["solve"])
-    factor = middle / value["value"]
+    subject = contents.subject(entry.solve)
+    factor = middle / value.value
     if not factor > 0.0:
         # a scalar of either sign has no factors
         return ""
@@ -336,77 +338,76 @@ def parts_finding(contents: Contents, name: str) -> str:
     )
 
 
-def _factor(limit: Mapping[str, Any]) -> str:
+def _factor(limit: LimitEntry) -> str:
     """What strength over demand is called: safe above 1 where the sphere is to survive, short where it is to break."""
-    return "safety factor" if limit["aim"] == "survive" else "strength over demand (above 1: short of breaking)"
+    return "safety factor" if limit.aim == "survive" else "strength over demand (above 1: short of breaking)"
 
 
-def _likeliest(limit: Mapping[str, Any]) -> str:
-    return "failure" if limit["aim"] == "survive" else "survival"
+def _likeliest(limit: LimitEntry) -> str:
+    return "failure" if limit.aim == "survive" else "survival"
 
 
 def parts_table(contents: Contents, name: str) -> Table | None:
     """Everything that is known of a margin beside its curve; None for a folder of an earlier version."""
-    entry, limit = contents.results["margins"][name], contents.results["limits"][name]
-    if "factors" not in entry:
+    entry, limit = contents.results.margins[name], contents.results.limits[name]
+    if "factors" not in entry.model_fields_set:
         return None
-    subject, quantity = contents.subject(entry["solve"]), limit["quantity"]
+    subject, quantity = contents.subject(entry.solve), limit.quantity
     rows: list[tuple[str, str]] = []
     factor = reserve(contents, entry, limit)
     if factor is not None:
         word = "reserve" if factor >= 1.0 else "shortfall (reserve below 1)"
         told = down(factor) if factor >= 1.0 else f"{factor:.3g}"
-        rows.append((f"{word} in {input_name(entry['solve'])}: the answer against the planned value", told))
-    factors = entry["factors"]
-    if "medians" in factors:
-        of = factors["fractiles_of"]
+        rows.append((f"{word} in {input_name(entry.solve)}: the answer against the planned value", told))
+    factors = entry.factors
+    if factors.medians:
+        of = factors.fractiles_of
         rows += [
             (
                 f"{_factor(limit)} as planned: median strength over median demand",
-                _ranged(contents, name, factors["medians"], 0.5),
+                _ranged(contents, name, factors.medians, 0.5),
             ),
             (
-                f"{_factor(limit)} as planned: {plain_percent(of['strength'])} fractile of the strength over "
-                f"{plain_percent(of['demand'])} fractile of the demand (each by itself, without their dependence)",
-                _ranged(contents, name, factors["fractiles"], of["demand"]),
+                f"{_factor(limit)} as planned: {plain_percent(of.strength)} fractile of the strength over "
+                f"{plain_percent(of.demand)} fractile of the demand (each by itself, without their dependence)",
+                _ranged(contents, name, factors.fractiles, of.demand),
             ),
         ]
-    for key, part in (entry.get("lost_to") or {}).get("partial", {}).items():
+    for key, part in entry.lost_to.partial.items():
         strength = key.endswith(".strength")
         own = quantity if strength else key
-        fractile = "5 %" if limit["aim"] == "survive" else "95 %"
+        fractile = "5 %" if limit.aim == "survive" else "95 %"
         what = (
             f"its {fractile} fractile over its value at the likeliest {_likeliest(limit)}"
             if strength
             else f"its value at the likeliest {_likeliest(limit)} over its median"
         )
-        values = (part["characteristic"], part["design"]) if strength else (part["design"], part["characteristic"])
-        text = f"{part['factor']:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        values = (part.characteristic, part.design) if strength else (part.design, part.characteristic)
+        text = f"{part.factor:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
         rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
-    split = entry.get("split", {})
-    for key, words in (
-        ("scatter", "scatter from specimen to specimen, in the probability already"),
-        ("ignorance", "uncertainty of the answer from few tests"),
-        ("numerical", "uncertainty of the answer from computing"),
+    split = entry.split
+    for spread, words in (
+        (split.scatter, "scatter from specimen to specimen, in the probability already"),
+        (split.ignorance, "uncertainty of the answer from few tests"),
+        (split.numerical, "uncertainty of the answer from computing"),
     ):
-        if split.get(key) is not None:
-            rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{split[key]:#.2g}")))
-    opened = entry.get("ignorance") or {}
-    if "laws" in opened:
-        ends = [_three(opened[end], subject) if opened[end] is not None else "beyond the range" for end in
-                ("low", "high")]  # fmt: skip
-        rows.append((f"{input_name(entry['solve'])} that the tests leave open (95 %)", " to ".join(ends)))
-        if opened.get("mean_law") is not None:
+        if spread is not None:
+            rows.append((f"{words} (standard deviation of its logarithm)", number_text(f"{spread:#.2g}")))
+    opened = entry.ignorance
+    if opened.laws:
+        ends = [_three(end, subject) if end is not None else "beyond the range" for end in (opened.low, opened.high)]
+        rows.append((f"{input_name(entry.solve)} that the tests leave open (95 %)", " to ".join(ends)))
+        if opened.mean_law is not None:
             rows.append(
                 (
-                    f"{input_name(entry['solve'])} with the mean over all laws that the tests allow",
-                    _three(opened["mean_law"], subject),
+                    f"{input_name(entry.solve)} with the mean over all laws that the tests allow",
+                    _three(opened.mean_law, subject),
                 )
             )
-    standing = limit.get("ignorance") or {}
-    if standing.get("miss"):
-        rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing["miss"])))
-    at = f"{event(contents.results, name)} with a probability of {plain_percent(entry['probability'])}"
+    standing = limit.ignorance
+    if standing.known:
+        rows.append(("probability of missing the aim that the tests leave open", probability_range(*standing.miss)))
+    at = f"{event(contents.results, name)} with a probability of {plain_percent(entry.probability or 0.0)}"
     caption = f"Margin of {limit_name(name)}; the answer is where {at}"
     note = (
         "Partial factors have no interval: they are where a search for the likeliest fracture ended. Standard "
@@ -416,14 +417,14 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
 
 
-def _two_medians(limit: Mapping[str, Any], factors: Mapping[str, Any]) -> str:
+def _two_medians(limit: LimitEntry, factors: FactorsEntry) -> str:
     """Why the median margin is another number than the safety factor on medians; empty where both read the same."""
-    median = limit["margin"].get("median")
-    if not median or median["value"] is None or "medians" not in factors:
+    median = limit.margin["median"]
+    if median.value is None or not factors.medians:
         return ""
     # in as many digits as the margin is known to
-    off = factors["medians"] - median["value"]
-    moved = {key: None if median[key] is None else median[key] + off for key in ("value", "low", "high")}
+    off = factors.medians - median.value
+    moved = Est.of(*(None if end is None else end + off for end in (median.value, median.low, median.high)))
     margin, medians = rounded(median), rounded(moved)
     if margin == medians:
         return ""
@@ -436,14 +437,15 @@ def _two_medians(limit: Mapping[str, Any], factors: Mapping[str, Any]) -> str:
 
 def _three(value: float, subject: str) -> str:
     """A value of which three digits count, with the zeros among them."""
-    return rounded({"value": value, "low": None, "high": None}, subject, 3)
+    return rounded(Est.of(value), subject, 3)
 
 
 def _ranged(contents: Contents, name: str, factor: float, fractile: float) -> str:
     """A safety factor with the relative interval of the demand under it; the strength over it is exact by its law."""
-    limit = contents.resolved["limits"][name]
-    demand = contents.results["quantities"].get(limit["quantity"], {}).get("quantiles", {}).get(f"{fractile:g}")
-    if limit["model_factor"] != 1.0 or not demand or not demand["value"] or not demand["low"] or not demand["high"]:
+    limit = contents.resolved.limits[name]
+    quantity = contents.results.quantities.get(limit.quantity)
+    demand = quantity.quantiles.get(f"{fractile:g}", Est()) if quantity is not None else Est()
+    if limit.model_factor != 1.0 or not demand.value or not demand.low or not demand.high:
         return f"{factor:.3g} (no interval: the demand has none of its own)"
-    low, high = sorted((factor * demand["value"] / demand["high"], factor * demand["value"] / demand["low"]))
-    return cell({"value": factor, "low": low, "high": high})
+    low, high = sorted((factor * demand.value / demand.high, factor * demand.value / demand.low))
+    return cell(Est.of(factor, low, high))

@@ -6,7 +6,7 @@ import html
 import io
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -22,6 +22,7 @@ from uqsphere.report.margins import margin_verdicts
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, glances, verdicts
+from uqsphere.results.entries import Manifest
 from uqsphere.runner.sums import write_sums
 from uqsphere.store import csv_text, write_atomically
 
@@ -81,9 +82,9 @@ def loosened(text: str) -> str:
     return text.replace("\u00a0to\u00a0", "\u00a0to ")
 
 
-def margin_boxes(title: str, manifest: Mapping[str, Any]) -> str:
+def margin_boxes(title: str, manifest: Manifest) -> str:
     """The style sheet of the margins of paper; the day is that of the run, where its manifest has one."""
-    day = str(manifest.get("finished", ""))[:10]
+    day = str(manifest.finished)[:10]
     left = f"content: {_quoted(shorten(title, _LONGEST))}"
     right = f"content: {_quoted('run of ' + day)}" if day else "content: none"
     face = 'font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #444444'
@@ -323,7 +324,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
             numbers[k] = len(appendix)
         if block.picture is not None:
             figure_numbers[block.picture.name] = len(figure_numbers) + 1
-    title = shorten(str(contents.results["study"]["title"]), 300) or "Untitled study"
+    title = shorten(str(contents.results.study.title), 300) or "Untitled study"
     shown = {
         "title": title,
         "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
@@ -337,7 +338,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         "figure_numbers": figure_numbers,
         "repeat": repeat_rows(contents),
         "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
-        "version": contents.results["versions"].get("uqsphere", ""),
+        "version": contents.results.versions.get("uqsphere", ""),
         "black_box": contents.black_box,
     }
 

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import clean, shorten
+from uqsphere.results import MarginEntry, Results
+from uqsphere.results.entries import Est
 from uqsphere.uq.families import FAMILIES
 
 __all__ = [
     "ABSENT",
     "MOST_DIGITS",
     "SUBJECTS",
-    "Estimate",
     "absent_reason",
     "answer_text",
     "at_most",
@@ -55,8 +56,6 @@ __all__ = [
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
 MOST_DIGITS: Final = 5
-#: an EST of results.json
-Estimate = Mapping[str, Any]
 
 #: what is said of an answer in two runs: it moved, perhaps, not to be seen, the same in every bit, not known
 SURE, PERHAPS, NONE, SAME, UNKNOWN = "changed", "perhaps", "not seen", "the same", "not known"
@@ -193,15 +192,15 @@ def _tens(text: str) -> str:
     return _POWER.sub(lambda m: " × 10" + str(int(m[1])).translate(_SUPERSCRIPT), text)
 
 
-def estimate_text(estimate: Estimate, name: str = "", digits: int = MOST_DIGITS) -> str:
+def estimate_text(estimate: Est, name: str = "", digits: int = MOST_DIGITS) -> str:
     """Value and interval with unit; a dash for an absent answer, whose reason `absent_reason` gives.
 
     What is known beyond `digits` digits stands alone: nobody reads what comes after.
 
-    >>> estimate_text({"value": 1.75143e9, "low": 1.75142e9, "high": 1.75144e9}, "p_max")
+    >>> estimate_text(Est.of(1.75143e9, 1.75142e9, 1.75144e9), "p_max")
     '1.7514 GPa'
     """
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     if value is None:
         return ABSENT
     if low is None or high is None:
@@ -209,10 +208,10 @@ def estimate_text(estimate: Estimate, name: str = "", digits: int = MOST_DIGITS)
     if not low < high:
         return value_text(value, name, digits)
     if high - low < _last_place(value, digits):
-        return rounded({"value": value, "low": None, "high": None}, name, digits)
+        return rounded(Est.of(value), name, digits)
     text = format_estimate(value, low, high, name, digits)
     if re.fullmatch(r"(\S+) \(\1 to \1\)( .*)?", text):
-        return rounded({"value": value, "low": None, "high": None}, name, digits)
+        return rounded(Est.of(value), name, digits)
     body, end, unit = text.rpartition(")")
     body = re.sub(r"(?<![\w.])-(?=\d)", "−", _tens(body + end))
     return f"{body} {unit_text(unit.strip())}".rstrip()
@@ -223,20 +222,20 @@ def _last_place(value: float, digits: int) -> float:
     return 10.0 ** (math.floor(math.log10(abs(value)) + _ROUND) + 1 - digits) if value else 0.0
 
 
-def absent_reason(estimate: Estimate) -> str:
+def absent_reason(estimate: Est) -> str:
     """Why an answer is absent, or an empty text."""
-    return "" if estimate["value"] is not None else clean(str(estimate.get("reason") or "no reason is stored"))
+    return "" if estimate.value is not None else clean(str(estimate.reason or "no reason is stored"))
 
 
-def probability_text(estimate: Estimate) -> str:
+def probability_text(estimate: Est) -> str:
     """A probability with its interval, in per cent unless it is tiny.
 
-    >>> probability_text({"value": 0.0075, "low": 0.0071, "high": 0.0079})
+    >>> probability_text(Est.of(0.0075, 0.0071, 0.0079))
     '0.750 (0.710 to 0.790) %'
-    >>> probability_text({"value": 1.46e-7, "low": 0.0, "high": 1.2e-4})
+    >>> probability_text(Est.of(1.46e-7, 0.0, 1.2e-4))
     '1.5 × 10⁻⁷ (0 % to 0.012 %)'
     """
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     if value is None:
         return ABSENT
     if low is None or high is None:
@@ -253,7 +252,7 @@ def probability_text(estimate: Estimate) -> str:
         return estimate_text(estimate)
     # close to one the digits that count are those of what is missing
     digits = MOST_DIGITS if not 0.99 < value < 1.0 else 3 - math.floor(math.log10(1.0 - value))
-    return estimate_text({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}, digits=digits) + " %"
+    return estimate_text(Est.of(100.0 * value, 100.0 * low, 100.0 * high), digits=digits) + " %"
 
 
 def _lost(value: float, low: float, high: float) -> bool:
@@ -313,13 +312,13 @@ def plain_percent(value: float) -> str:
     return _percent(value)
 
 
-def rounded(estimate: Estimate, name: str = "", digits: int = 4) -> str:
+def rounded(estimate: Est, name: str = "", digits: int = 4) -> str:
     """The value alone, to what its interval supports and at most `digits` digits.
 
-    >>> rounded({"value": 4.0004e9, "low": 3.9986e9, "high": 4.0021e9}, "p_max")
+    >>> rounded(Est.of(4.0004e9, 3.9986e9, 4.0021e9), "p_max")
     '4.000 GPa'
     """
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     if value is None:
         return ABSENT
     if low is not None and high is not None and low < high and value != 0.0:
@@ -348,15 +347,15 @@ def two_digits(value: float) -> str:
     return f"{percent:.{decimals}f} %"
 
 
-def share_text(estimate: Estimate) -> str:
+def share_text(estimate: Est) -> str:
     """A Sobol' index as a share of the variance, rounded to what its interval supports.
 
-    >>> share_text({"value": 0.9574, "low": 0.9522, "high": 0.9626})
+    >>> share_text(Est.of(0.9574, 0.9522, 0.9626))
     '95.7 %'
-    >>> share_text({"value": 1.02, "low": 0.93, "high": 1.12})
+    >>> share_text(Est.of(1.02, 0.93, 1.12))
     'nearly all'
     """
-    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    value, low, high = estimate.value, estimate.low, estimate.high
     if value is None:
         return ABSENT
     if value > 0.995 and low is not None:
@@ -379,10 +378,10 @@ def failures_text(count: int) -> str:
     return f"{count:,} evaluation{'' if count == 1 else 's'} failed"
 
 
-def without_failed(results: Mapping[str, Any]) -> str:
+def without_failed(results: Results) -> str:
     """What the answers of a run in which evaluations failed are."""
-    quantities = results["quantities"]
-    names = [name for name, entry in quantities.items() if entry["mean"]["method"].startswith("surrogate")]
+    quantities = results.quantities
+    names = [name for name, entry in quantities.items() if entry.mean.method.startswith("surrogate")]
     if not names:
         return _WITHOUT_FAILED
     if len(names) == len(quantities):
@@ -398,62 +397,62 @@ def listed(words: list[str]) -> str:
 # --- What a limit's event is called: one name, in whichever way the aim puts it.
 
 
-def at_most(entry: Mapping[str, Any], aim: str) -> bool:
+def at_most(entry: MarginEntry, aim: str) -> bool:
     """Whether the aim is reached below the value (at most) or above it (at least)."""
-    curve = entry["curve"]
+    curve = entry.curve
     rising = bool(curve[-1][1] >= curve[0][1])
     return rising == (aim == "survive")
 
 
 def answer_text(contents: Contents, name: str) -> str:
     """The answer of a limit's inverse question as it is given everywhere: rounded to the safe side."""
-    entry = contents.results["margins"][name]
-    most = at_most(entry, contents.results["limits"][name]["aim"])
-    return safe_side(entry["value"], contents.subject(entry["solve"]), at_most=most)
+    entry = contents.results.margins[name]
+    most = at_most(entry, contents.results.limits[name].aim)
+    return safe_side(entry.value, contents.subject(entry.solve), at_most=most)
 
 
-def breaks(results: Mapping[str, Any], name: str) -> bool:
+def breaks(results: Results, name: str) -> bool:
     """Whether exceeding a limit means that the sphere breaks.
 
     A limit that the study leaves out of fracture still does where its aim is to break: nothing else is to be broken.
     """
-    found = results.get("fracture") or {}
-    left_out = name in found.get("left_out", ()) and results["limits"][name]["aim"] == "break"
-    return name in found.get("limits", ()) or left_out
+    found = results.fracture
+    left_out = name in found.left_out and results.limits[name].aim == "break"
+    return name in found.limits or left_out
 
 
-def event(results: Mapping[str, Any], name: str) -> str:
+def event(results: Results, name: str) -> str:
     """Exceeding a limit as a clause."""
     return "the sphere breaks" if breaks(results, name) else f"{limit_name(name)} is exceeded"
 
 
-def missing(results: Mapping[str, Any], name: str) -> str:
+def missing(results: Results, name: str) -> str:
     """Missing the aim of a limit as a clause."""
-    if results["limits"][name]["aim"] == "survive":
+    if results.limits[name].aim == "survive":
         return event(results, name)
     return "the sphere is left whole" if breaks(results, name) else f"{limit_name(name)} is not exceeded"
 
 
-def of_limit(results: Mapping[str, Any], name: str) -> str:
+def of_limit(results: Results, name: str) -> str:
     """The limit's name in brackets behind its event, where there are several limits."""
-    return f" (limit {limit_name(name)})" if breaks(results, name) and len(results["limits"]) > 1 else ""
+    return f" (limit {limit_name(name)})" if breaks(results, name) and len(results.limits) > 1 else ""
 
 
-def solved_name(results: Mapping[str, Any], solve: str) -> str:
+def solved_name(results: Results, solve: str) -> str:
     """The free scalar in words, with a capital letter; of one that scatters it is the mean that is solved for."""
-    return f"Mean {input_name(solve)}" if solve in results["inputs"] else begin(solve, input_name(solve))
+    return f"Mean {input_name(solve)}" if solve in results.inputs else begin(solve, input_name(solve))
 
 
-def safe_side(estimate: Mapping[str, Any], name: str, *, at_most: bool, digits: int = 4) -> str:
+def safe_side(estimate: Est, name: str, *, at_most: bool, digits: int = 4) -> str:
     """A limit in the digits that its interval supports, rounded to the safe side and never past the value.
 
-    >>> known = {"value": 0.65852, "low": 0.6573, "high": 0.6597}
+    >>> known = Est.of(0.65852, 0.6573, 0.6597)
     >>> safe_side(known, "striker.speed", at_most=True), safe_side(known, "striker.speed", at_most=False)
     ('0.658 m/s', '0.659 m/s')
     """
     text = rounded(estimate, name, digits)
     found = re.match(r"(−?)(\d+(?:\.(\d+))?)(?![\d.]| ×)", text)
-    value = estimate["value"]
+    value = estimate.value
     if found is None or value is None:
         return text
     # in the unit that the text is in: a prefix may differ from the one that is usual for the name

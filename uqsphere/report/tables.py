@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.report.assumptions import answer_checks, cases_text, check_name, yields_at
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
-from uqsphere.report.contents import Contents
+from uqsphere.report.contents import Contents, family_of
 from uqsphere.report.figures.indices import ranked
 from uqsphere.report.phrases import (
     ABSENT,
@@ -30,9 +29,9 @@ from uqsphere.report.phrases import (
     unit_text,
     value_text,
 )
-from uqsphere.results import ModelEntry
+from uqsphere.results import CheckEntry, LimitEntry, ModelEntry, PartEntry, QuestionRow
+from uqsphere.results.entries import Est
 from uqsphere.units import told_apart
-from uqsphere.uq.families import FAMILIES
 
 __all__ = [
     "Table",
@@ -57,16 +56,16 @@ __all__ = [
 
 def quantity_table(contents: Contents, quantity: str) -> Table:
     """Mean, standard deviation, quantiles and censored share with their intervals."""
-    entry = contents.results["quantities"][quantity]
-    mean, sd = entry["mean"]["value"], entry["sd"]["value"]
-    spread = cell(entry["sd"], quantity)
+    entry = contents.results.quantities[quantity]
+    mean, sd = entry.mean.value, entry.sd.value
+    spread = cell(entry.sd, quantity)
     if mean is not None and sd is not None and sd < 1e-9 * abs(mean):
         spread = "none seen"
-    rows = [("mean", cell(entry["mean"], quantity)), ("standard deviation", spread)]
-    if spread != "none seen" or entry["censored_share"]["value"]:
-        rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry["quantiles"].items()]
-    if entry["censored_share"]["value"] or lookup(quantity).censored:
-        rows.append(("share that outlasts the record", cell(entry["censored_share"], probability=True)))
+    rows = [("mean", cell(entry.mean, quantity)), ("standard deviation", spread)]
+    if spread != "none seen" or entry.censored_share.value:
+        rows += [(f"{100.0 * float(p):g} % quantile", cell(e, quantity)) for p, e in entry.quantiles.items()]
+    if entry.censored_share.value or lookup(quantity).censored:
+        rows.append(("share that outlasts the record", cell(entry.censored_share, probability=True)))
     return Table(
         caption=f"{symbol(quantity)}: values with 95 % intervals",
         header=("", "value (95 % interval)"),
@@ -76,11 +75,11 @@ def quantity_table(contents: Contents, quantity: str) -> Table:
 
 def index_table(contents: Contents, quantity: str) -> Table | None:
     """First and total indices with intervals."""
-    entry = contents.results["sensitivity"].get(quantity)
+    entry = contents.results.sensitivity.get(quantity)
     names = ranked(entry)
     if not names or entry is None:
         return None
-    rows = [(input_name(n), index_cell(entry["first"][n]), index_cell(entry["total"][n])) for n in names]
+    rows = [(input_name(n), index_cell(entry.first[n]), index_cell(entry.total[n])) for n in names]
     return Table(
         caption=f"Sobol’ indices of {symbol(quantity)} with 95 % intervals",
         header=("input", "first (alone)", "total (with interactions)"),
@@ -91,58 +90,58 @@ def index_table(contents: Contents, quantity: str) -> Table | None:
 def limits_table(contents: Contents) -> Table:
     """Probabilities, reliability index and margin of every limit."""
     rows: list[tuple[str, ...]] = []
-    for name, limit in contents.results["limits"].items():
-        index = limit["reliability_index"]
-        low, high = limit.get("reliability_index_interval") or (None, None)
-        beta = ABSENT if index is None else cell({"value": index, "low": low, "high": high})
+    for name, limit in contents.results.limits.items():
+        index = limit.reliability_index
+        low, high = limit.reliability_index_interval or (None, None)
+        beta = ABSENT if index is None else cell(Est.of(index, low, high))
         rows += [
-            (limit_name(name), "probability of exceeding the strength", cell(limit["exceedance"], probability=True)),
+            (limit_name(name), "probability of exceeding the strength", cell(limit.exceedance, probability=True)),
             (
                 limit_name(name),
-                f"probability of missing the aim ({limit['aim']})",
-                cell(limit["miss"], probability=True),
+                f"probability of missing the aim ({limit.aim})",
+                cell(limit.miss, probability=True),
             ),
             (limit_name(name), "reliability index", beta),
         ]
-        opened = limit.get("ignorance")
+        opened = limit.ignorance
         if opened:
-            text = ABSENT if "reason" in opened else probability_range(*opened["miss"]) + " (95 %)"
+            text = ABSENT if opened.reason is not None else probability_range(*opened.miss) + " (95 %)"
             rows.append((limit_name(name), "probability of missing the aim that the tests leave open", text))
         words = {"median": "margin, median", "0.05": "margin, 5 %", "0.95": "margin, 95 %"}
-        rows += [(limit_name(name), words.get(k, k), cell(e)) for k, e in limit["margin"].items()]
+        rows += [(limit_name(name), words.get(k, k), cell(e)) for k, e in limit.margin.items()]
         rows += _design_rows(name, limit)
     return Table(caption="Limits with 95 % intervals", header=("limit", "", "value (95 % interval)"), rows=tuple(rows))
 
 
-def _design_rows(name: str, limit: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def _design_rows(name: str, limit: LimitEntry) -> list[tuple[str, ...]]:
     """How many ways there are to miss the aim, and what the methods say; a design point has a table of its own."""
     rows: list[tuple[str, ...]] = []
-    if not limit.get("design_point") and limit.get("design_point_reason"):
-        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit['design_point_reason']})"))
-    if limit.get("modes"):
-        rows.append((limit_name(name), "separate ways to miss the aim", str(limit["modes"])))
-    return rows + [(limit_name(name), "check", str(text)) for text in limit.get("checks") or ()]
+    if not limit.design_point and limit.design_point_reason:
+        rows.append((limit_name(name), "design point", f"{ABSENT} ({limit.design_point_reason})"))
+    if limit.modes:
+        rows.append((limit_name(name), "separate ways to miss the aim", str(limit.modes)))
+    return rows + [(limit_name(name), "check", str(text)) for text in limit.checks or ()]
 
 
 def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> Table:
     """Values of the free scalar at the probabilities asked for, or at the one of the limit's target alone."""
-    entry = contents.results["margins"][name]
-    solve = entry["solve"]
+    entry = contents.results.margins[name]
+    solve = entry.solve
     subject = contents.subject(solve)
     what = event(contents.results, name) + of_limit(contents.results, name)
     header = ["probability", "value (95 % interval of the computation alone)"]
-    opened, decisive = entry.get("ignorance") or {}, format(entry.get("probability") or 0.0, ".15g")
-    tested = opened.get("low") is not None and opened.get("high") is not None
-    yields = bool((entry.get("bars") or {}).get("yields_at"))
+    opened, decisive = entry.ignorance, format(entry.probability or 0.0, ".15g")
+    tested = opened.low is not None and opened.high is not None
+    yields = bool(entry.bars.yields_at)
     header[1:1] = ["what the tests leave open (95 %)"] if tested else []
     header += ["bars yield under the sphere"] if yields else []
     rows = []
-    for p, e in entry["values"].items():
+    for p, e in entry.values.items():
         if only_own and p != decisive:
             continue
         row = [plain_percent(float(p)), cell(e, subject)]
         if tested:
-            ends = f"{value_text(opened['low'], subject, 3)} to {value_text(opened['high'], subject, 3)}"
+            ends = f"{value_text(opened.low, subject, 3)} to {value_text(opened.high, subject, 3)}"
             row[1:1] = [ends if p == decisive else ABSENT]
         if yields:
             share = yields_at(entry, p)
@@ -160,13 +159,13 @@ def margins_table(contents: Contents, name: str, *, only_own: bool = False) -> T
 
 def answer_checks_table(contents: Contents, name: str) -> Table | None:
     """The checks at the answer of a limit's inverse question; None where none were made."""
-    entry = contents.results["margins"].get(name) or {}
-    told = entry.get("validity")
-    if not told:
+    entry = contents.results.margins.get(name)
+    if entry is None or not entry.validity:
         return None
+    told = entry.validity
     at = answer_text(contents, name)
-    caption = f"The same at the answer for {limit_name(name)}, {at}, on {told['samples']} scenes"
-    if (entry.get("bars") or {}).get("yields_at"):
+    caption = f"The same at the answer for {limit_name(name)}, {at}, on {told.samples} scenes"
+    if entry.bars.yields_at:
         caption += "; how often the bars yield, of all cases of the curve"
     return _checks(answer_checks(entry), caption)
 
@@ -174,22 +173,26 @@ def answer_checks_table(contents: Contents, name: str) -> Table | None:
 def checks_table(contents: Contents) -> Table:
     """Validity checks, graded, with the share of the samples that break each."""
     caption = "Assumptions of the model, checked on a pilot sample of the study as planned"
-    if any("specimens that break" in str(check["text"]) for check in contents.results["validity"]):
+    if any("specimens that break" in str(check.text) for check in contents.results.validity):
         caption += (
             "; at fracture on specimens that break, drawn from the samples each with its own probability to break"
         )
-    return _checks(contents.results["validity"], caption)
+    return _checks(contents.results.validity, caption)
 
 
-def _checks(checks: Sequence[Mapping[str, Any]], caption: str) -> Table:
+def _checks(checks: Sequence[CheckEntry], caption: str) -> Table:
     rows = []
     for check in checks:
-        shares = [(grade, check.get(f"share_{grade}", 0.0)) for grade in ("failure", "warning", "information")]
+        shares = (
+            ("failure", check.share_failure),
+            ("warning", check.share_warning),
+            ("information", check.share_information),
+        )
         broken = [f"{plain_percent(share)} {grade}" for grade, share in shares if share > 0.0]
         grade = next((grade for grade, share in shares if share > 0.0), "ok")
-        if check["worst"] is None and grade == "ok":
+        if check.worst is None and grade == "ok":
             grade = "not checked"
-        rows.append((check_name(check["check"]), grade, ", ".join(broken) or "none", mathematical(str(check["text"]))))
+        rows.append((check_name(check.check), grade, ", ".join(broken) or "none", mathematical(str(check.text))))
     return Table(
         caption=caption,
         rows=tuple(rows),
@@ -199,15 +202,15 @@ def _checks(checks: Sequence[Mapping[str, Any]], caption: str) -> Table:
 
 def paper_table(contents: Contents) -> Table | None:
     """The paper's formulas as printed beside the corrected and the full answers."""
-    found = contents.results.get("paper") or []
+    found = contents.results.paper
     rows = []
     for row in found:
-        name = row["quantity"] if row["quantity"] in OUTPUTS else ""
-        texts = [_paper_number(row[key], name, row["unit"]) for key in ("as_printed", "corrected", "full")]
+        name = row.quantity if row.quantity in OUTPUTS else ""
+        texts = [_paper_number(number, name, row.unit) for number in (row.as_printed, row.corrected, row.full)]
         off = ABSENT
-        if row["as_printed"] is not None and row["full"]:
-            off = number_text(f"{100.0 * (row['as_printed'] / row['full'] - 1.0):+.3g}") + " %"
-        rows.append((str(row["quantity"]).replace("_", " ") if not name else call(name), *texts, off, str(row["note"])))
+        if row.as_printed is not None and row.full:
+            off = number_text(f"{100.0 * (row.as_printed / row.full - 1.0):+.3g}") + " %"
+        rows.append((str(row.quantity).replace("_", " ") if not name else call(name), *texts, off, str(row.note)))
     if not rows:
         return None
     return Table(
@@ -226,22 +229,22 @@ def _paper_number(value: float | None, name: str, unit: str) -> str:
     return ABSENT if value is None else value_text(value, name or _LIKE.get(unit, ""), 5)
 
 
-def _half(estimate: Mapping[str, Any]) -> float | None:
-    if estimate["value"] is None or estimate["low"] is None or estimate["high"] is None:
+def _half(estimate: Est) -> float | None:
+    if estimate.value is None or estimate.low is None or estimate.high is None:
         return None
-    return 0.5 * float(estimate["high"] - estimate["low"])
+    return 0.5 * float(estimate.high - estimate.low)
 
 
 def accuracy_table(contents: Contents) -> Table:
     """Half-widths asked and reached and what the rest would take, one row per question."""
-    told = contents.results["accuracy"].get("questions")
+    told = contents.results.accuracy.questions
     if told:
         return Table(
             caption="Half-widths of the 95 % intervals, asked and reached",
             rows=tuple(_question_row(row) for row in told),
             header=("question", "asked", "reached", "", "it would take"),
         )
-    asked = contents.resolved["analysis"]["accuracy"]
+    asked = contents.resolved.analysis.accuracy
     rows: list[tuple[str, ...]] = []
 
     def add(question: str, reached: float | None, allowed: float) -> None:
@@ -250,37 +253,38 @@ def accuracy_table(contents: Contents) -> Table:
         text = ABSENT if reached is None else number_text(told_apart(reached, allowed))
         rows.append((question, f"{allowed:g}", text, verdict))
 
-    for name, entry in contents.results["quantities"].items():
-        sd = entry["sd"]["value"]
-        widths = [w for w in map(_half, entry["quantiles"].values()) if w is not None]
-        mean = _half(entry["mean"])
+    for name, entry in contents.results.quantities.items():
+        sd = entry.sd.value
+        widths = [w for w in map(_half, entry.quantiles.values()) if w is not None]
+        mean = _half(entry.mean)
         add(
             f"mean of {symbol(name)}, over its standard deviation",
             mean / sd if sd and mean is not None else None,
-            asked["mean"],
+            asked.mean,
         )
         add(
             f"worst quantile of {symbol(name)}, over its standard deviation",
             max(widths) / sd if sd and widths else None,
-            asked["quantile"],
+            asked.quantile,
         )
-    for name, entry in contents.results["sensitivity"].items():
-        found = [entry["first"], entry["total"], entry.get("shapley") or {}, *(entry.get("kucherenko") or {}).values()]
+    for name, indices in contents.results.sensitivity.items():
+        tied = indices.kucherenko
+        found = [indices.first, indices.total, indices.shapley, tied.first, tied.total]
         widths = [w for table in found for w in map(_half, table.values()) if w is not None]
-        kind = "Shapley effect or index" if entry.get("shapley") else "Sobol’ index"
-        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked["sobol"])
-    for name, limit in contents.results["limits"].items():
-        width, value = _half(limit["miss"]), limit["miss"]["value"]
+        kind = "Shapley effect or index" if indices.shapley else "Sobol’ index"
+        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked.sobol)
+    for name, limit in contents.results.limits.items():
+        width, value = _half(limit.miss), limit.miss.value
         add(
             f"probability of missing {limit_name(name)}, over itself",
             width / value if width is not None and value else None,
-            asked["probability"],
+            asked.probability,
         )
-    for name, margin in contents.results["margins"].items():
-        band = margin.get("band")
+    for name, margin in contents.results.margins.items():
+        band = margin.band
         if band:
             question = f"band of the curve of {limit_name(name)}, over the smaller side of its probability"
-            add(question, band["half_width"], band["asked"])
+            add(question, band.half_width, band.asked)
     return Table(
         caption="Half-widths of the 95 % intervals, asked and reached",
         rows=tuple(rows),
@@ -288,31 +292,31 @@ def accuracy_table(contents: Contents) -> Table:
     )
 
 
-def question_name(row: Mapping[str, Any]) -> str:
+def question_name(row: QuestionRow) -> str:
     """What an accuracy is of, such as "worst quantile of p_max"."""
-    head, _, rest = str(row["quantity"]).partition(".")
+    head, _, rest = str(row.quantity).partition(".")
     name, _, where = rest.partition(" at ")
-    subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row["quantity"]))
+    subject = limit_name(name) if head in ("limits", "margins") and rest else symbol(str(row.quantity))
     subject += f" at {where}" if where else ""
-    return f"{str(row['question']).partition(', ')[0]} of {subject}"
+    return f"{str(row.question).partition(', ')[0]} of {subject}"
 
 
-def _question_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _question_row(row: QuestionRow) -> tuple[str, ...]:
     """One accuracy: what it is of, asked, reached, the verdict, and what it would take."""
-    _, comma, scale = str(row["question"]).partition(", ")
-    verdict = {True: "reached", False: "not reached", None: "not pursued"}[row["met"]]
-    reached = ABSENT if row["reached"] is None else number_text(told_apart(row["reached"], row["asked"]))
-    needed = ABSENT if row["met"] or row["met"] is None else "not known"
-    if row["needed"]:
-        needed = f"about {thousands(int(row['needed']))} evaluations"
-    return f"{question_name(row)}{comma}{scale}", f"{row['asked']:g}", reached, verdict, needed
+    _, comma, scale = str(row.question).partition(", ")
+    verdict = {True: "reached", False: "not reached", None: "not pursued"}[row.met]
+    reached = ABSENT if row.reached is None else number_text(told_apart(row.reached, row.asked))
+    needed = ABSENT if row.met or row.met is None else "not known"
+    if row.needed:
+        needed = f"about {thousands(int(row.needed))} evaluations"
+    return f"{question_name(row)}{comma}{scale}", f"{row.asked:g}", reached, verdict, needed
 
 
 def model_table(contents: Contents) -> Table:
     """Model chosen, why, its measured error, its evaluations, the scene's numbers."""
-    model = contents.results["model"]
-    rows = [("model", str(model["chosen"])), ("why", str(model["why"]))]
-    for name, error in model["measured_error"].items():
+    model = contents.results.model
+    rows = [("model", str(model.chosen)), ("why", str(model.why))]
+    for name, error in model.measured_error.items():
         text = (
             ABSENT + " (could not be measured)"
             if error is None
@@ -320,29 +324,29 @@ def model_table(contents: Contents) -> Table:
         )
         rows.append((f"measured error of {symbol(name)}", text))
     rows += _ladder_rows(model)
-    rows += [(f"evaluations, {name}", thousands(number)) for name, number in model["evaluations"].items()]
-    rows.append(("failed evaluations", thousands(model["failures"])))
-    if model.get("undecided"):
-        rows.append(("evaluations with two possible answers", thousands(model["undecided"])))
+    rows += [(f"evaluations, {name}", thousands(number)) for name, number in model.evaluations.items()]
+    rows.append(("failed evaluations", thousands(model.failures)))
+    if model.undecided:
+        rows.append(("evaluations with two possible answers", thousands(model.undecided)))
     for key, label, like in (
         ("mu_median", "mass number μ, median", ""),
         ("theta_median", "pulse number θ = t_i/t_c, median", ""),
         ("P_0_median", "force scale P_0 = Z v_0/2, median", "P_max"),
         ("t_c_median", "time scale t_c, median", "contact_time"),
     ):
-        if key in model.get("numbers", {}):
-            rows.append((label, value_text(model["numbers"][key], like)))
+        if key in model.numbers:
+            rows.append((label, value_text(model.numbers[key], like)))
     note = "Errors are the largest on the pilot sample, numbers of the scene its medians: neither has an interval."
     return Table(caption="How the answers were computed", header=("", ""), rows=tuple(rows), note=note)
 
 
-def _ladder_rows(model: dict[str, Any]) -> list[tuple[str, str]]:
+def _ladder_rows(model: ModelEntry) -> list[tuple[str, str]]:
     """What was considered beside the model that was chosen, and what the choice saved."""
     rows = []
-    for name, seen in model.get("considered", {}).items():
-        errors = [error for error in seen["error"].values() if error is not None]
-        ties = [tie for tie in seen["correlation"].values() if tie is not None]
-        text = f"costs {seen['cost']:.2g} of the full model"
+    for name, seen in model.considered.items():
+        errors = [error for error in seen.error.values() if error is not None]
+        ties = [tie for tie in seen.correlation.values() if tie is not None]
+        text = f"costs {seen.cost:.2g} of the full model"
         if errors:
             text = f"errs by up to {max(errors):.2g} standard deviations, {text}"
         if ties:
@@ -358,33 +362,33 @@ def repeat_rows(contents: Contents) -> list[tuple[str, str]]:
     """What another must know to get the same numbers."""
     results, manifest = contents.results, contents.manifest
     rows = [
-        ("study", str(results["study"]["hash"])),
-        ("seed", str(results["study"]["seed"])),
-        ("versions", ", ".join(f"{k} {v}" for k, v in results["versions"].items())),
+        ("study", str(results.study.hash)),
+        ("seed", str(results.study.seed)),
+        ("versions", ", ".join(f"{k} {v}" for k, v in results.versions.items())),
     ]
-    if "platform" in manifest:
-        rows.append(("machine", " ".join(str(v) for v in manifest["platform"].values())))
-    if "evaluations" in manifest:
-        again = manifest.get("evaluations_reused", 0)
+    if manifest.platform:
+        rows.append(("machine", " ".join(str(v) for v in manifest.platform.values())))
+    if manifest.evaluations:
+        again = manifest.evaluations_reused
         rows.append(
             (
                 "evaluations",
-                thousands(manifest["evaluations"]) + (f", {thousands(again)} of them stored before" if again else ""),
+                thousands(manifest.evaluations) + (f", {thousands(again)} of them stored before" if again else ""),
             )
         )
-    total = manifest.get("seconds", {}).get("total")
+    total = manifest.seconds.get("total")
     if total is not None:
         rows.append(("time", f"{total:.3g} s"))
-    budget = contents.resolved["analysis"]["budget"]
-    rows.append(("budget", f"{thousands(budget['evaluations'])} evaluations, {thousands(budget['time'])} s"))
+    budget = contents.resolved.analysis.budget
+    rows.append(("budget", f"{thousands(budget.evaluations)} evaluations, {thousands(budget.time)} s"))
     return rows
 
 
 def commands(contents: Contents) -> Sequence[str]:
     """The commands that repeat the run from its own folder, and build this page again."""
-    reference = contents.resolved.get("model_reference") or "FILE.py:FUNCTION"
+    reference = contents.resolved.model_reference or "FILE.py:FUNCTION"
     model = f" --model {shlex.quote(str(reference))}" if contents.black_box else ""
-    changed = "".join(f" --set {shlex.quote(str(text))}" for text in contents.resolved.get("overrides", ()))
+    changed = "".join(f" --set {shlex.quote(str(text))}" for text in contents.resolved.overrides)
     return (f"uqsphere run study.toml --out again{changed}{model}", "uqsphere report .")
 
 
@@ -416,49 +420,49 @@ _MEANING = (
 def _named(contents: Contents) -> Iterator[tuple[str, str]]:
     """Methods in full, and what each answered."""
     results = contents.results
-    for name, entry in results["quantities"].items():
-        yield entry["mean"]["method"], f"distribution of {symbol(name)}"
-    for name, limit in results["limits"].items():
-        yield limit["miss"]["method"], f"probability of {limit_name(name)}"
-    for name, margin in results["margins"].items():
-        for estimate in margin["values"].values():
-            if estimate["value"] is not None:
-                yield estimate["method"], f"fragility of {limit_name(name)}"
-    for name, entry in results["sensitivity"].items():
-        for order in ("first", "total", "shapley", "second"):
-            for estimate in (entry.get(order) or {}).values():
-                if estimate["value"] is not None:
-                    yield estimate["method"], f"indices of {symbol(name)}"
+    for name, entry in results.quantities.items():
+        yield entry.mean.method, f"distribution of {symbol(name)}"
+    for name, limit in results.limits.items():
+        yield limit.miss.method, f"probability of {limit_name(name)}"
+    for name, margin in results.margins.items():
+        for estimate in margin.values.values():
+            if estimate.value is not None:
+                yield estimate.method, f"fragility of {limit_name(name)}"
+    for name, indices in results.sensitivity.items():
+        for order in (indices.first, indices.total, indices.shapley, indices.second):
+            for estimate in order.values():
+                if estimate.value is not None:
+                    yield estimate.method, f"indices of {symbol(name)}"
 
 
 def plan_table(contents: Contents) -> Table | None:
     """What was planned and what it took; None for runs without a plan.  What was missed stands with the accuracies."""
-    plan = contents.results.get("plan")
+    plan = contents.results.plan
     if not plan:
         return None
-    costs = contents.manifest.get("plan") or {}
-    spent = sum(contents.results["model"]["evaluations"].values())
-    budget = contents.resolved["analysis"]["budget"]["evaluations"]
+    costs = contents.manifest.plan
+    spent = sum(contents.results.model.evaluations.values())
+    budget = contents.resolved.analysis.budget.evaluations
     surrogates = any("surrogate" in str(name) or "polynomial" in str(name) for name, _ in _named(contents))
     helped = "; surrogates, where methods name them, narrow its intervals or check it" if surrogates else ""
-    helped = helped if plan["way"] == "sampling" else ""
+    helped = helped if plan.way == "sampling" else ""
     rows = [
-        ("way", f"{plan['way']}: {plan['why']}{helped}"),
-        ("forecast", f"{thousands(plan['sampling_evaluations'])} evaluations by sampling, some "
-                     f"{thousands(plan['surrogate_evaluations'])} by a surrogate, whatever the budget"),
+        ("way", f"{plan.way}: {plan.why}{helped}"),
+        ("forecast", f"{thousands(plan.sampling_evaluations)} evaluations by sampling, some "
+                     f"{thousands(plan.surrogate_evaluations)} by a surrogate, whatever the budget"),
         ("taken", f"{thousands(spent)} evaluations of at most {thousands(budget)}"),
     ]  # fmt: skip
-    seconds = _part_seconds(contents.manifest.get("seconds") or {})
-    rows += [_part_row(part, seconds.get(part["part"])) for part in plan.get("parts") or ()]
-    cost = costs.get("cost_seconds_per_evaluation")
+    seconds = _part_seconds(contents.manifest.seconds)
+    rows += [_part_row(part, seconds.get(part.part)) for part in plan.parts or ()]
+    cost = costs.cost_seconds_per_evaluation
     if cost:
-        crossover = costs["crossover_seconds_per_evaluation"]
+        crossover = costs.crossover_seconds_per_evaluation
         text = f"{number_text(f'{cost:.2g}')} s; a surrogate is taken above {number_text(f'{crossover:.2g}')} s"
         rows.append(("cost of an evaluation", text))
     return Table(caption="Plan and account", header=("", ""), rows=tuple(rows))
 
 
-def _part_seconds(ends: Mapping[str, Any]) -> dict[str, float]:
+def _part_seconds(ends: Mapping[str, float]) -> dict[str, float]:
     """Seconds of every part, from those at which the parts ended, one after the other."""
     found, before = {}, 0.0
     for name, end in ends.items():
@@ -467,13 +471,13 @@ def _part_seconds(ends: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def _part_row(part: Mapping[str, Any], seconds: float | None) -> tuple[str, str]:
+def _part_row(part: PartEntry, seconds: float | None) -> tuple[str, str]:
     """A part of the run: planned and taken, in what time, and why they differ."""
-    likely, most = thousands(part["likely"]), thousands(part["most"])
-    text = f"planned {likely}, at most {most}; took {thousands(part['taken'])}"
+    likely, most = thousands(part.likely), thousands(part.most)
+    text = f"planned {likely}, at most {most}; took {thousands(part.taken)}"
     if seconds is not None and seconds >= 0.05:
         text += f" in {thousands(round(seconds)) if seconds >= 10.0 else f'{seconds:.2g}'} s"
-    return str(part["part"]), f"{text}. {powers(str(part['why']))}" if part["why"] else text
+    return str(part.part), f"{text}. {powers(str(part.why))}" if part.why else text
 
 
 def methods_table(contents: Contents) -> Table:
@@ -502,12 +506,12 @@ _WORDS = {
 
 
 def _law_text(contents: Contents, name: str) -> str:
-    law = contents.resolved["random"][name]
-    family = FAMILIES[law["dist"]]
+    law = contents.resolved.random[name]
+    family = family_of(law)
     subject = contents.subject(name)
-    given = law["given"] or law["parameters"]
+    given = law.given or law.parameters
     # what was fitted to observations is known no better than they tell; the table of the tests has the intervals
-    digits = 3 if law["data"] else 6
+    digits = 3 if law.data else 6
     parts = []
     for key, value in given.items():
         if key == "rate":
@@ -518,36 +522,36 @@ def _law_text(contents: Contents, name: str) -> str:
                 f"{_WORDS.get(key, key)} "
                 + (f"{value:.{digits}g}" if key not in family.dimensional else value_text(value, subject, digits))
             )
-    for key, word in (
-        ("lower", "from" if family.bounded else "cut off below"),
-        ("upper", "to" if family.bounded else "cut off above"),
+    for end, word in (
+        (law.lower, "from" if family.bounded else "cut off below"),
+        (law.upper, "to" if family.bounded else "cut off above"),
     ):
-        if law[key] is not None:
-            parts.append(f"{word} {value_text(law[key], subject, 6)}")
-    if law["data"]:
-        stopped = len(law.get("censored", ()))
-        parts.append(f"{len(law['data'])} observations" + (f" and {stopped} stopped before" if stopped else ""))
+        if end is not None:
+            parts.append(f"{word} {value_text(end, subject, 6)}")
+    if law.data:
+        stopped = len(law.censored)
+        parts.append(f"{len(law.data)} observations" + (f" and {stopped} stopped before" if stopped else ""))
     return ", ".join([family.label, *parts])
 
 
 def _source(contents: Contents, name: str) -> str:
-    source = contents.resolved.get("sources", {}).get(name)
+    source = contents.resolved.sources.get(name)
     if source is None:
         return "stated in the study"
-    return str(source["text"]) + ("" if source["seen"] else " [source not seen: taken on the word of others]")
+    return str(source.text) + ("" if source.seen else " [source not seen: taken on the word of others]")
 
 
 def inputs_table(contents: Contents) -> Table:
     """Random inputs with their laws; mean and standard deviation are those of the law in force."""
     rows = []
-    for name, entry in contents.results["inputs"].items():
+    for name, entry in contents.results.inputs.items():
         subject = contents.subject(name)
         rows.append(
             (
                 f"{input_name(name)}",
                 _law_text(contents, name),
-                value_text(entry["mean"], subject),
-                value_text(entry["sd"], subject, 3),
+                value_text(entry.mean, subject),
+                value_text(entry.sd, subject, 3),
                 _source(contents, name),
             )
         )
@@ -563,9 +567,9 @@ def fixed_table(contents: Contents) -> Table | None:
     """Fixed numbers and choices of the scene with their sources."""
     rows = [
         (input_name(name), value_text(value, name, 6), _source(contents, name))
-        for name, value in contents.resolved["fixed"].items()
+        for name, value in contents.resolved.fixed.items()
     ]
-    for name, value in contents.resolved.get("options", {}).items():
+    for name, value in contents.resolved.options.items():
         text = {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
         rows.append(
             (name.replace(".", ": ").replace("_", " "), text.replace("_", " "), "stated in the study or default")
@@ -576,7 +580,7 @@ def fixed_table(contents: Contents) -> Table | None:
             str(material).replace("_", " "),
             "material library",
         )
-        for part, material in contents.resolved.get("materials", {}).items()
+        for part, material in contents.resolved.materials.items()
     ]
     if not rows:
         return None
@@ -587,10 +591,10 @@ def fixed_table(contents: Contents) -> Table | None:
 def dependence_texts(contents: Contents) -> list[str]:
     """The rank correlations in sentences."""
     texts = []
-    for group in contents.resolved.get("dependence", []):
-        named = [(f"{key.capitalize()} rank correlation", group.get(key)) for key in ("spearman", "kendall")]
+    for group in contents.resolved.dependence:
+        named = (("Spearman rank correlation", group.spearman), ("Kendall rank correlation", group.kendall))
         strength = next((f"{word} {value:g}" for word, value in named if value is not None), "dependent")
-        copula = str(group["copula"]).replace("_", " ").capitalize()
-        freedom = f" with {group['dof']:g} degrees of freedom" if group.get("dof") else ""
-        texts.append(f"{' and '.join(input_name(n) for n in group['of'])}: {strength}, {copula} copula{freedom}.")
+        copula = str(group.copula).replace("_", " ").capitalize()
+        freedom = f" with {group.dof:g} degrees of freedom" if group.dof else ""
+        texts.append(f"{' and '.join(input_name(n) for n in group.of)}: {strength}, {copula} copula{freedom}.")
     return texts

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from uqsphere.quantities import lookup, unit_that_reads
 from uqsphere.report.margins import subject_of
+from uqsphere.results import Results
 
 __all__ = ["units_of"]
 
@@ -16,11 +17,11 @@ _STATE: Final = {"time": "contact_time", "force": "P_max", "energy": "energy", "
 _NUMBERS: Final = {"P_0_median": "P_max", "t_c_median": "contact_time"}
 
 
-def _known(estimates: Iterable[Mapping[str, Any] | None]) -> list[float]:
-    return [float(e["value"]) for e in estimates if e and e.get("value") is not None]
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [float(value) for value in values if value is not None]
 
 
-def units_of(*runs: Mapping[str, Any], courses: Mapping[str, Any] | None = None) -> dict[str, str]:
+def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
     """The unit of every quantity and input by name.
 
     A quantity that was asked for decides by its mean and its quantiles; what else is read in its unit follows. A
@@ -39,22 +40,22 @@ def units_of(*runs: Mapping[str, Any], courses: Mapping[str, Any] | None = None)
     first: dict[str, list[float]] = {}
     second: dict[str, list[float]] = {}
     for results in runs:
-        for name, entry in results["quantities"].items():
-            first.setdefault(name, []).extend(_known([entry["mean"], *entry["quantiles"].values()]))
-        for name, entry in results["inputs"].items():
-            first.setdefault(name, []).extend(_known([{"value": entry.get("mean")}]))
-        for entry in results["margins"].values():
-            first.setdefault(subject_of(results, entry["solve"]), []).extend(_known(entry["values"].values()))
-            family = entry.get("family") or {}
-            if family:
-                values = [member["value"] for member in family["members"]]
-                first.setdefault(family["path"], []).extend(values)
-        fracture = results.get("fracture") or {}
+        for name, quantity in results.quantities.items():
+            estimates = [quantity.mean, *quantity.quantiles.values()]
+            first.setdefault(name, []).extend(_known(e.value for e in estimates))
+        for name, law in results.inputs.items():
+            first.setdefault(name, []).extend(_known([law.mean]))
+        for margin in results.margins.values():
+            subject = subject_of(results, margin.solve)
+            first.setdefault(subject, []).extend(_known(e.value for e in margin.values.values()))
+            if margin.family:
+                first.setdefault(margin.family.path, []).extend(member.value for member in margin.family.members)
+        states = results.fracture.states()
         for key, name in _STATE.items():
-            second.setdefault(name, []).extend(_known((fracture.get(key) or {}).get("quantiles", {}).values()))
-        numbers = results["model"].get("numbers", {})
+            estimates = list(states[key].quantiles.values()) if key in states else []
+            second.setdefault(name, []).extend(_known(e.value for e in estimates))
         for key, name in _NUMBERS.items():
-            second.setdefault(name, []).extend(_known([{"value": numbers.get(key)}]))
+            second.setdefault(name, []).extend(_known([results.model.numbers.get(key)]))
     if courses is not None:
         contact = courses["hardest"].get("contact")
         if contact is not None:

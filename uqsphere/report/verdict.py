@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from uqsphere.model import status_text
 from uqsphere.quantities import OUTPUTS
@@ -61,6 +60,8 @@ from uqsphere.report.phrases import (
     value_text,
     without_failed,
 )
+from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, Results
+from uqsphere.results.entries import Est
 from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION
 
 __all__ = [
@@ -75,41 +76,41 @@ __all__ = [
 
 def verdicts(contents: Contents) -> list[Verdict]:
     """One verdict per limit; for a study without limits one per quantity."""
-    limits = contents.results["limits"]
+    limits = contents.results.limits
     if limits:
         return [_limit_verdict(contents, name, limit) for name, limit in limits.items()]
-    return [_quantity_verdict(contents, name) for name in contents.results["quantities"]]
+    return [_quantity_verdict(contents, name) for name in contents.results.quantities]
 
 
-def _word(limit: Mapping[str, Any]) -> str:
-    if limit["target"] is None:
+def _word(limit: LimitEntry) -> str:
+    if limit.target is None:
         return "no target"
-    return {True: "met", False: "not met", None: "undecided"}[limit["met"]]
+    return {True: "met", False: "not met", None: "undecided"}[limit.met]
 
 
-def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> Verdict:
+def _limit_verdict(contents: Contents, name: str, limit: LimitEntry) -> Verdict:
     word = _word(limit)
-    to_break = limit["aim"] == "break"
+    to_break = limit.aim == "break"
     what = f"Probability of missing {limit_name(name)}" if to_break else f"Probability of {limit_name(name)}"
     fracture = breaks(contents.results, name)
     if fracture:
         what = capital(f"{_as_planned(contents, name)}{missing(contents.results, name)} with a probability of")
-    answer = f"{what}{' ' if fracture else ': '}{_headline(limit['miss'])}"
-    if not contents.resolved["random"] and limit["exceedance"]["value"] is not None:
-        kept = "" if limit["exceedance"]["value"] > 0.5 else "not "
+    answer = f"{what}{' ' if fracture else ': '}{_headline(limit.miss)}"
+    if not contents.resolved.random and limit.exceedance.value is not None:
+        kept = "" if limit.exceedance.value > 0.5 else "not "
         answer = f"Limit {limit_name(name)} is {kept}exceeded in the one scene of a study without scatter"
-    if limit["miss"]["value"] is None:
-        answer += f" ({absent_reason(limit['miss'])})"
-    if limit["target"] is not None:
-        allowed = plain_percent(limit["target"])
+    if limit.miss.value is None:
+        answer += f" ({absent_reason(limit.miss)})"
+    if limit.target is not None:
+        allowed = plain_percent(limit.target)
         answer += (f", at most {allowed} allowed" if fracture else f", target at most {allowed}") + f": {word}."
     else:
         answer += "; no target was set."
     relation = "stays below" if to_break else "exceeds"
     aim = "the aim is to break it" if to_break else "the aim is to survive"
-    article = "the " if limit["quantity"] in OUTPUTS else ""
-    factor = contents.resolved["limits"][name]["model_factor"]
-    demand = call(limit["quantity"]) + ("" if factor == 1.0 else ", times its model factor,")
+    article = "the " if limit.quantity in OUTPUTS else ""
+    factor = contents.resolved.limits[name].model_factor
+    demand = call(limit.quantity) + ("" if factor == 1.0 else ", times its model factor,")
     note = f"That is the probability that {article}{demand} {relation} {_strength(contents, name)}; {aim}."
     return Verdict(
         word=word,
@@ -131,20 +132,20 @@ def _limit_verdict(contents: Contents, name: str, limit: Mapping[str, Any]) -> V
 
 def _as_planned(contents: Contents, name: str) -> str:
     """Where the study stands with the scalar that its margin solves for."""
-    entry = contents.results["margins"].get(name)
-    here = None if entry is None else contents.at_mean(entry["solve"])
+    entry = contents.results.margins.get(name)
+    here = None if entry is None else contents.at_mean(entry.solve)
     if entry is None or here is None:
         return ""
-    return f"as planned, at {value_text(here, contents.subject(entry['solve']))}, "
+    return f"as planned, at {value_text(here, contents.subject(entry.solve))}, "
 
 
 def _by_reflections(contents: Contents, name: str) -> str:
     """How much of the breakage reflected waves bring; empty where they bring little, or several limits share it."""
-    found = contents.results.get("fracture") or {}
-    whole, first = (found.get(key) or {} for key in ("union", "first_loading"))
-    if found.get("limits") != [name] or not whole.get("value") or first.get("value") is None:
+    found = contents.results.fracture
+    whole, first = found.union, found.first_loading
+    if found.limits != (name,) or not whole.value or first.value is None:
         return ""
-    share = 1.0 - first["value"] / whole["value"]
+    share = 1.0 - first.value / whole.value
     if share < 0.1:
         return ""
     return (
@@ -153,36 +154,35 @@ def _by_reflections(contents: Contents, name: str) -> str:
     )
 
 
-def _uncertainty(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
+def _uncertainty(contents: Contents, limit: LimitEntry, word: str) -> str:
     """How far the probability is known: first by the tests, where there are any, then by the computation alone."""
     opened = ignorance_text(contents, limit)
-    if opened and "miss" in limit["ignorance"]:
-        (low, high), met = limit["ignorance"]["miss"], limit["ignorance"]["met"]
-        by_tests = _against(limit, *outward(low, high), {True: "met", False: "not met"}.get(met, "undecided"))
+    if opened and limit.ignorance.known:
+        (low, high), met = limit.ignorance.miss, limit.ignorance.met
+        by_tests = _against(limit, *outward(low, high), "undecided" if met is None else "met" if met else "not met")
         opened = opened.replace(" (95 %).", f" (95 %){by_tests}.", 1) if by_tests else opened
         return f"Its uncertainty: {opened[:1].lower()}{opened[1:]} {capital(_computed(contents, limit, word))}"
     text = f"Its uncertainty: {_computed(contents, limit, word)}"
     given = "The laws of the inputs and the strength are taken as given: the real uncertainty is larger."
-    return f"{text} {opened or (given if contents.resolved['random'] else '')}".rstrip()
+    return f"{text} {opened or (given if contents.resolved.random else '')}".rstrip()
 
 
-def _computed(contents: Contents, limit: Mapping[str, Any], word: str) -> str:
+def _computed(contents: Contents, limit: LimitEntry, word: str) -> str:
     """What the computation leaves open, which is not all that is."""
-    low, high = limit["miss"]["low"], limit["miss"]["high"]
-    if low is None or high is None or not contents.resolved["random"]:
+    low, high = limit.miss.low, limit.miss.high
+    if low is None or high is None or not contents.resolved.random:
         return "the computation adds none."
-    whole = _headline(limit["miss"]) == probability_text(limit["miss"])
+    whole = _headline(limit.miss) == probability_text(limit.miss)
     text = "the interval is that of the computation alone (95 %)"
-    text = text if whole else f"the computation alone leaves {_ends(limit['miss'])} (95 %)"
+    text = text if whole else f"the computation alone leaves {_ends(limit.miss)} (95 %)"
     if word == "undecided":
         return text + "; the interval reaches across the target: more evaluations would decide it."
-    tested = "miss" in (limit.get("ignorance") or {})
-    return text + ("" if tested else _against(limit, low, high, word)) + "."
+    return text + ("" if limit.ignorance.known else _against(limit, low, high, word)) + "."
 
 
-def _against(limit: Mapping[str, Any], low: float, high: float, word: str) -> str:
+def _against(limit: LimitEntry, low: float, high: float, word: str) -> str:
     """How far a range of probabilities stays off the target, in a clause."""
-    target = limit["target"]
+    target = limit.target
     if target and word == "met" and 0.0 < high < target:
         return f", at least {_times(target / high)} times below the target"
     if target and word == "not met" and low > target:
@@ -190,19 +190,19 @@ def _against(limit: Mapping[str, Any], low: float, high: float, word: str) -> st
     return ""
 
 
-def _headline(miss: Mapping[str, Any]) -> str:
+def _headline(miss: Est) -> str:
     """A probability that is known better than anybody asks in three digits alone; its interval is in the next line."""
-    value, low, high = miss["value"], miss["low"], miss["high"]
+    value, low, high = miss.value, miss.low, miss.high
     if value is None or low is None or high is None or not 0.0 < high - low < 0.02 * min(value, 1.0 - value):
         return probability_text(miss)
     if value > 0.99:
         return plain_percent(value)
     if value < 1e-4:
         return rounded(miss, digits=3)
-    return rounded({"value": 100.0 * value, "low": 100.0 * low, "high": 100.0 * high}, digits=3) + " %"
+    return rounded(Est.of(100.0 * value, 100.0 * low, 100.0 * high), digits=3) + " %"
 
 
-def _ends(miss: Mapping[str, Any]) -> str:
+def _ends(miss: Est) -> str:
     """The ends of an interval, as the answer above has them."""
     text = probability_text(miss)
     inside = re.search(r"\((.*)\)(.*)$", text)
@@ -215,21 +215,21 @@ def _times(ratio: float) -> str:
     return f"{math.floor(ratio * 10**digits) / 10**digits:,.{digits}f}".replace(",", "\u202f")
 
 
-def ignorance_text(contents: Contents, limit: Mapping[str, Any]) -> str:
+def ignorance_text(contents: Contents, limit: LimitEntry) -> str:
     """What the tests behind the laws leave open, in sentences; empty where no law was fitted to tests."""
-    opened = limit.get("ignorance")
+    opened = limit.ignorance
     if not opened:
         return ""
-    sources = listed([f"{input_name(entry['input'])} ({entry['tests']} tests)" for entry in opened["from"]])
-    if "reason" in opened:
-        return f"What the tests of {sources} leave open is not known: {opened['reason']}."
-    low, high = opened["miss"]
+    sources = listed([f"{input_name(entry.input)} ({entry.tests} tests)" for entry in opened.fitted])
+    if opened.reason is not None:
+        return f"What the tests of {sources} leave open is not known: {opened.reason}."
+    low, high = opened.miss
     text = f"The tests of {sources} leave open a probability of {probability_range(low, high)} (95 %)"
-    if limit["target"] is not None and opened["met"] is None:
+    if limit.target is not None and opened.met is None:
         text += ", on both sides of the target: more tests would decide it"
     text += "."
-    if opened["alone"]:
-        widest = max(opened["alone"], key=lambda name: _stretch(opened["alone"][name]))
+    if opened.alone:
+        widest = max(opened.alone, key=lambda name: _stretch(opened.alone[name]))
         text += f" Most of that is owed to {input_name(widest)}."
     return text
 
@@ -243,33 +243,33 @@ def _stretch(ends: Sequence[float]) -> float:
 
 
 def _strength(contents: Contents, name: str) -> str:
-    found = contents.resolved["limits"][name]["strength"]
+    found = contents.resolved.limits[name].strength
     if found == "random":
         return "the strength"
-    return value_text(float(found), contents.results["limits"][name]["quantity"])
+    return value_text(float(found), contents.results.limits[name].quantity)
 
 
-def _hangs_on(contents: Contents, limit: Mapping[str, Any]) -> str:
-    if not contents.resolved["random"]:
+def _hangs_on(contents: Contents, limit: LimitEntry) -> str:
+    if not contents.resolved.random:
         return "It hangs on nothing that scatters: no number of the study is random."
-    governing = limit.get("governing_inputs")
+    governing = limit.governing_inputs
     text = "It hangs on: "
     if governing:
         order = sorted(governing, key=lambda n: -governing[n])
         kept = [n for n in order if governing[n] >= 0.05][:3] or order[:1]
         text += listed([f"{input_name(n)} ({100.0 * governing[n]:.0f} %)" for n in kept])
-        if limit.get("governing_inputs_method") == BY_INFORMATION:
+        if limit.governing_inputs_method == BY_INFORMATION:
             text += ", by how much a failure tells of each; failures lie in several directions. "
-        elif limit.get("governing_inputs_method") == BY_DIRECTION:
+        elif limit.governing_inputs_method == BY_DIRECTION:
             text += ", by the direction from the middle of all cases to that of the failures. "
         else:
             likeliest, whole = ("success", "keep") if mostly_missed(limit) else ("failure", "miss")
             text += f", by their importance factors in the likeliest {likeliest}"
-            ways = int(limit.get("design_points") or 1)
+            ways = int(limit.design_points or 1)
             text += f", of {ways} ways to {whole} the aim; the others may hang on other inputs. " if ways > 1 else ". "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
-    return text + sensitivity_finding(contents, limit["quantity"]) if not governing else text.rstrip()
+    return text + sensitivity_finding(contents, limit.quantity) if not governing else text.rstrip()
 
 
 def _quantity_verdict(contents: Contents, name: str) -> Verdict:
@@ -292,33 +292,33 @@ def cautions(contents: Contents) -> list[str]:
     found += reach_cautions(contents)
     for check in grave(contents):
         found.append(
-            f"Outside the model's validity: {breach(check, 'failure')}. {capital(bearing(contents, check['check']))}."
+            f"Outside the model's validity: {breach(check, 'failure')}. {capital(bearing(contents, check.check))}."
         )
     found += _warnings(contents, found)
-    for name, entry in results["quantities"].items():
-        share = entry["censored_share"]
-        if share["value"]:
-            most = "All" if share["value"] == 1.0 else probability_text(share) + " of the"
+    for name, entry in results.quantities.items():
+        share = entry.censored_share
+        if share.value:
+            most = "All" if share.value == 1.0 else probability_text(share) + " of the"
             found.append(
                 f"{most} samples of {symbol(name)} outlast their record: they are lower bounds, and mean and standard "
                 "deviation are those restricted to the record."
             )
-    if contents.manifest.get("interrupted"):
+    if contents.manifest.interrupted:
         found.append("The run was interrupted: these are the answers up to there, and the same command goes on.")
-    elif contents.manifest.get("stopped_by_time"):
+    elif contents.manifest.stopped_by_time:
         found.append("The time budget stopped the run before the accuracy asked for was reached everywhere.")
-    elif "evaluations" in results["accuracy"].get("stopped_by", {}).values():
+    elif "evaluations" in results.accuracy.stopped_by.values():
         found.append(_out_of_budget(contents))
     found += extrapolation_cautions(contents)
-    for name, limit in results["limits"].items():
-        opened = limit.get("ignorance")
-        if opened and limit["target"] is not None and limit["met"] is not None and opened.get("met") is None:
+    for name, limit in results.limits.items():
+        opened = limit.ignorance
+        if opened and limit.target is not None and limit.met is not None and opened.met is None:
             found.append(f"Limit {limit_name(name)} is not decided by the tests. {ignorance_text(contents, limit)}")
-    missed = _missed([str(text) for text in results["accuracy"]["missed"]])
+    missed = _missed([str(text) for text in results.accuracy.missed])
     if missed and limits_are_accurate(results):
         missed[0] += " The probabilities that the verdict rests on are as accurate as asked."
     found += missed
-    found += [str(text) for text in results.get("warnings", [])]
+    found += [str(text) for text in results.warnings]
     return found + judged_cautions(contents)
 
 
@@ -326,7 +326,7 @@ def _warnings(contents: Contents, said: Sequence[str]) -> list[str]:
     """The checks that warn as planned, those of one effect together; an effect that was said is not said again."""
     groups: dict[str, list[str]] = {}
     for check in warned(contents):
-        groups.setdefault(capital(bearing(contents, check["check"])), []).append(breach(check, "warning"))
+        groups.setdefault(capital(bearing(contents, check.check)), []).append(breach(check, "warning"))
     known = [text for does, texts in groups.items() if any(f"{does}." in other for other in said) for text in texts]
     found = [f"Validity warning, as planned: {listed(known)}, to the same effect as at the answer."] if known else []
     return found + [
@@ -338,19 +338,19 @@ def _warnings(contents: Contents, said: Sequence[str]) -> list[str]:
 
 def _out_of_budget(contents: Contents) -> str:
     """That the budget ended it: used up, or given up before because the rest of it could not have sufficed."""
-    budget = contents.resolved["analysis"]["budget"]["evaluations"]
-    spent = sum(contents.results["model"]["evaluations"].values())
+    budget = contents.resolved.analysis.budget.evaluations
+    spent = sum(contents.results.model.evaluations.values())
     text = "The budget of evaluations ended the run before the accuracy asked for was reached everywhere"
     if spent < 0.9 * budget:
         text += ": what was left of it would not have been enough, and was not spent"
     return text + "."
 
 
-def limits_are_accurate(results: Mapping[str, Any]) -> bool:
+def limits_are_accurate(results: Results) -> bool:
     """Whether there are limits, and none of their probabilities is stored as less accurate than asked."""
-    asked = [row for row in results["accuracy"].get("questions", ()) if str(row["quantity"]).startswith("limits.")]
-    known = all(limit["miss"]["value"] is not None for limit in results["limits"].values())
-    return bool(asked) and known and all(row["met"] is not False for row in asked)
+    asked = [row for row in results.accuracy.questions if str(row.quantity).startswith("limits.")]
+    known = all(limit.miss.value is not None for limit in results.limits.values())
+    return bool(asked) and known and all(row.met is not False for row in asked)
 
 
 def _missed(texts: list[str]) -> list[str]:
@@ -371,16 +371,16 @@ def _missed(texts: list[str]) -> list[str]:
 
 
 def _failures(contents: Contents) -> list[str]:
-    model = contents.results["model"]
-    if not model["failures"]:
+    model = contents.results.model
+    if not model.failures:
         return []
     reasons = [
         f"{number} because {status_text(int(code), contents.black_box)}"
-        for code, number in model.get("failure_reasons", {}).items()
+        for code, number in model.failure_reasons.items()
     ]
     policy = {"bound": "counted once as exceeding and once as not", "drop": "left out", "abort": "the run ends there"}
-    how = policy[contents.resolved["analysis"]["on_failure"]]
-    text = f"{failures_text(model['failures'])} ({how})"
+    how = policy[contents.resolved.analysis.on_failure]
+    text = f"{failures_text(model.failures)} ({how})"
     return [text + (": " + "; ".join(reasons) if reasons else "") + f". {capital(without_failed(contents.results))}."]
 
 
@@ -398,29 +398,29 @@ class Glance:
 
 def glances(contents: Contents) -> list[Glance]:
     """What is asked first: how far may one go, how much margin, what drives it, what to measure, is it valid."""
-    limits, found = contents.results["limits"], []
+    limits, found = contents.results.limits, []
     several = len(limits) > 1
     for name, limit in limits.items():
         own = f" ({limit_name(name, 30)})" if several else ""
-        if name in contents.results["margins"]:
-            solve = contents.results["margins"][name]["solve"]
-            word = "Least" if limit["aim"] == "break" else "Largest"
-            mean = "mean " if solve in contents.resolved["random"] else ""
+        if name in contents.results.margins:
+            solve = contents.results.margins[name].solve
+            word = "Least" if limit.aim == "break" else "Largest"
+            mean = "mean " if solve in contents.resolved.random else ""
             question = f"{word} {mean}{input_name(solve)}{own}"
             found.append(Glance(question=question, answer=allowed_value(contents, name), anchor="decision"))
-        text = margin_finding(name, limit["margin"], limit["aim"])
+        text = margin_finding(name, limit.margin, limit.aim)
         answer = capital(text.partition(": ")[2] if ": " in text else text)
         found.append(Glance(question=f"{margin_word(limit)}{own}", answer=answer, anchor="margins"))
         found.append(Glance(question=f"Measure next{own}", answer=_measure_limit(contents, name), anchor="measure"))
     if not limits:
-        for entry in contents.results["sensitivity"].values():
-            if entry.get("measure_first"):
-                found.append(Glance(question="Measure next", answer=_measure(entry["measure_first"]), anchor="measure"))
+        for entry in contents.results.sensitivity.values():
+            if entry.measure_first:
+                found.append(Glance(question="Measure next", answer=_measure(entry.measure_first), anchor="measure"))
                 break
-    quantities = dict.fromkeys(limit["quantity"] for limit in limits.values())
-    for name in [q for q in quantities if q in contents.results["sensitivity"]]:
+    quantities = dict.fromkeys(limit.quantity for limit in limits.values())
+    for name in [q for q in quantities if q in contents.results.sensitivity]:
         found.append(Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers"))
-    if contents.results["validity"]:
+    if contents.results.validity:
         found.append(Glance(question="Model valid?", answer=_valid(contents), anchor="computed"))
     found.append(Glance(question="All aims together", answer=no_common_value(contents), anchor="decision"))
     kept = [glance for glance in found if glance.answer]
@@ -430,19 +430,19 @@ def glances(contents: Contents) -> list[Glance]:
 
 def allowed_value(contents: Contents, name: str) -> str:
     """How far the free scalar may go: where the accepted probability is reached, of those asked for."""
-    limit, entry = contents.results["limits"][name], contents.results["margins"][name]
-    known = {float(p): e for p, e in entry["values"].items() if e["value"] is not None}
+    limit, entry = contents.results.limits[name], contents.results.margins[name]
+    known = {float(p): e for p, e in entry.values.items() if e.value is not None}
     if not known:
         return ""
-    absent = [float(p) for p, e in entry["values"].items() if e["value"] is None]
-    survive = limit["aim"] == "survive"
-    target = limit["target"]
+    absent = [float(p) for p, e in entry.values.items() if e.value is None]
+    survive = limit.aim == "survive"
+    target = limit.target
     accepted = None if target is None else (target if survive else 1.0 - target)
     # on the safe side of what is accepted; without a target the safest that was asked for
     safe = {p: e for p, e in known.items() if accepted is not None and (p <= accepted if survive else p >= accepted)}
     p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
-    alone = "" if known[p]["low"] is None else " (interval of the computation alone)"
-    text = f"{estimate_text(known[p], entry['solve'])}{alone}: there {event(contents.results, name)} "
+    alone = "" if known[p].low is None else " (interval of the computation alone)"
+    text = f"{estimate_text(known[p], entry.solve)}{alone}: there {event(contents.results, name)} "
     text += f"with a probability of {plain_percent(p)}"
     if accepted is not None and not safe and any((q <= accepted) if survive else (q >= accepted) for q in absent):
         text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
@@ -455,61 +455,61 @@ def allowed_value(contents: Contents, name: str) -> str:
             )
     elif accepted is not None and p == accepted:
         text += ", the target"
-    opened = entry.get("ignorance") or {}
-    subject = contents.subject(entry["solve"])
-    if opened.get("sure") is not None and p == entry.get("probability"):
+    opened = entry.ignorance
+    subject = contents.subject(entry.solve)
+    if opened.sure is not None and p == entry.probability:
         # what is known of the tests comes first: the interval above holds the error of the computation alone
-        word = "at most" if at_most(entry, limit["aim"]) else "at least"
-        most = at_most(entry, limit["aim"])
-        sure = safe_side({"value": opened["sure"], "low": None, "high": None}, subject, at_most=most, digits=3)
-        ends = [value_text(opened[end], subject, 3) if opened[end] is not None else "beyond" for end in ("low", "high")]
+        word = "at most" if at_most(entry, limit.aim) else "at least"
+        most = at_most(entry, limit.aim)
+        sure = safe_side(Est.of(opened.sure), subject, at_most=most, digits=3)
+        ends = ["beyond" if end is None else value_text(end, subject, 3) for end in (opened.low, opened.high)]
         text = (
-            f"{capital(word)} {sure} to be {plain_percent(opened['confidence'])} "
-            f"sure; the {opened['tests']} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
+            f"{capital(word)} {sure} to be {plain_percent(opened.confidence)} "
+            f"sure; the {opened.tests} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
         )
-    beyond = beyond_bars({**entry, "value": known[p], "probability": p}, subject)
+    beyond = beyond_bars(entry.model_copy(update={"value": known[p], "probability": p}), subject)
     return f"{text}; {beyond}." if beyond else f"{text}."
 
 
 def _driver(contents: Contents, quantity: str) -> str:
     """What drives the probability of the limits of a quantity, and the quantity itself."""
     parts = []
-    for name, limit in contents.results["limits"].items():
-        shares = limit.get("governing_inputs") or {}
-        if limit["quantity"] == quantity and shares:
+    for name, limit in contents.results.limits.items():
+        shares = limit.governing_inputs or {}
+        if limit.quantity == quantity and shares:
             first = max(shares, key=lambda n: float(shares[n]))
-            several = limit.get("governing_inputs_method") == BY_INFORMATION
+            several = limit.governing_inputs_method == BY_INFORMATION
             share = f"{100.0 * float(shares[first]):.0f} %"
-            ways = int(limit.get("design_points") or 1)
+            ways = int(limit.design_points or 1)
             ways_text = f" in the likeliest of {ways} ways" if ways > 1 else ""
             whole = f"{share} of what its failures tell" if several else f"importance factor {share}{ways_text}"
             parts.append(f"Of the probability of {limit_name(name)}, which decides: {input_name(first)} ({whole}).")
     load = sensitivity_finding(contents, quantity)
-    if not (contents.results["sensitivity"].get(quantity) or {}).get("shapley"):
+    if not contents.results.sensitivity.get(quantity, IndexEntry()).shapley:
         # the largest share alone: the next ones stand in the chapter
         load = load.partition(";")[0].partition(" Interactions ")[0].rstrip(".") + "."
     return " ".join([*parts, f"Of the load alone: {load}"])
 
 
-def _measure(entry: Mapping[str, Any] | None) -> str:
+def _measure(entry: MeasureEntry | None) -> str:
     """Which input first, and how many specimens it takes."""
-    rows = (entry or {}).get("rows") or []
+    rows = entry.rows if entry is not None else ()
     if not rows or entry is None:
         return ""
     text, first = measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1), first_to_measure(entry)
-    own = first is not None and not the_input(first["input"]).startswith("the ")
+    own = first is not None and not the_input(first.input).startswith("the ")
     return text if own else capital(text)
 
 
 def _measure_limit(contents: Contents, name: str) -> str:
     """What settles the target first, then which input is worth most."""
-    limit, entry = contents.results["limits"][name], contents.results["margins"].get(name)
+    limit, entry = contents.results.limits[name], contents.results.margins.get(name)
     text = tests_text(entry, limit, contents) if entry else settling_text(contents, limit)
-    first = first_to_measure(limit.get("measure_first"))
+    first = first_to_measure(limit.measure_first)
     if not text:
-        return _measure(limit.get("measure_first"))
-    if first is not None and first["input"] != f"limits.{name}.strength":
-        text += f"Of the laws, that of {input_name(first['input'])} is worth most."
+        return _measure(limit.measure_first)
+    if first is not None and first.input != f"limits.{name}.strength":
+        text += f"Of the laws, that of {input_name(first.input)} is worth most."
     return text.strip()
 
 
@@ -536,7 +536,7 @@ def _valid(contents: Contents) -> str:
 
 def _unbroken(contents: Contents) -> str:
     """That no assumption of the model is broken where the study stands, as far as that was checked."""
-    unknown = [c for c in contents.results["validity"] if c["worst"] is None]
+    unknown = [c for c in contents.results.validity if c.worst is None]
     if unknown:
-        return f"As far as checked; not checked: {listed([check_name(c['check']) for c in unknown])}."
-    return f"Yes: all {len(contents.results['validity'])} checks are passed in every sample."
+        return f"As far as checked; not checked: {listed([check_name(c.check) for c in unknown])}."
+    return f"Yes: all {len(contents.results.validity)} checks are passed in every sample."

@@ -14,8 +14,10 @@ from uqsphere.results.entries import (
     Entry,
     Est,
     Ests,
+    Maybe,
     Name,
     Number,
+    Part,
     Probability,
     Quantiles,
     Range,
@@ -41,16 +43,18 @@ Curve = tuple[CurvePoint, ...]
 Status = Annotated[StrictStr, StringConstraints(pattern=r"^-?\d{1,6}$")]
 
 
-class CheckEntry(Entry):
+class CheckEntry(Part):
     """A validity check: shares of the samples in each grade; `share` counts warnings and failures."""
 
-    check: StrictStr
-    share: Share
+    NEEDS = ("check", "share", "worst", "text")
+
+    check: StrictStr = ""
+    share: Share = 0.0
     share_information: Share = 0.0
     share_warning: Share = 0.0
     share_failure: Share = 0.0
-    worst: Number | None
-    text: StrictStr
+    worst: Number | None = None
+    text: StrictStr = ""
 
 
 # --- study and inputs -----------------------------------------------------------------------------------
@@ -76,14 +80,16 @@ class InputEntry(Entry):
 # --- quantities -----------------------------------------------------------------------------------------
 
 
-class ToleranceEntry(Entry):
+class ToleranceEntry(Part):
     """Tolerance limits of a quantity; `between` bounds both sides at once."""
 
-    coverage: Number
-    confidence: Number
-    runs: Count
-    upper: Number | None
-    lower: Number | None
+    NEEDS = ("coverage", "confidence", "runs", "upper", "lower")
+
+    coverage: Number = 0.0
+    confidence: Number = 0.0
+    runs: Count = 0
+    upper: Number | None = None
+    lower: Number | None = None
     between: Range | None = None
     orders: tuple[StrictInt, StrictInt] | None = None
     attained: Range | None = None
@@ -98,13 +104,13 @@ class TestsEntry(Entry):
     tests: Count
 
 
-class QuantityOpenEntry(Entry):
+class QuantityOpenEntry(Part):
     """What few tests leave open of a quantity: 95 % ranges over the laws that they allow, or a reason."""
 
     fitted: tuple[TestsEntry, ...] = Field(default=(), alias="from")
     reason: StrictStr | None = None
     laws: Count = 0
-    mean: Range | None = None
+    mean: Range = (0.0, 0.0)
     quantiles: dict[Name, Range] = Field(default_factory=dict)
 
 
@@ -116,21 +122,21 @@ class QuantityEntry(Entry):
     sd: Est
     quantiles: Quantiles
     censored_share: Probability
-    tolerance: ToleranceEntry | None = None
-    ignorance: QuantityOpenEntry | None = None
+    tolerance: Maybe[ToleranceEntry] = Field(default_factory=ToleranceEntry)
+    ignorance: Maybe[QuantityOpenEntry] = Field(default_factory=QuantityOpenEntry)
 
 
 # --- indices --------------------------------------------------------------------------------------------
 
 
-class OrderEntry(Entry):
+class OrderEntry(Part):
     """Estimates of first and of total order, by input or by group."""
 
     first: Ests = Field(default_factory=dict)
     total: Ests = Field(default_factory=dict)
 
 
-class SurrogateEntry(Entry):
+class SurrogateEntry(Part):
     """The surrogate of a quantity: the share of the variance that it leaves, and from how many evaluations."""
 
     kind: StrictStr | None = None
@@ -142,7 +148,7 @@ class SurrogateEntry(Entry):
     terms: Count | None = None
 
 
-class AgreementEntry(Entry):
+class AgreementEntry(Part):
     """Whether sampling and surrogate agree on the indices."""
 
     agree: StrictBool | None = None
@@ -156,25 +162,25 @@ class MeasureRow(Entry):
     that make it small."""
 
     input: StrictStr
-    sway: Est | None = None
-    share: Est | Number
+    sway: Maybe[Est] = Field(default_factory=Est)
+    share: Number | Est
     tests: Count
     observations: Count | None = None
 
     @property
     def effect(self) -> Est:
         """What not knowing the input does: the sway of a probability, else the share of a variance."""
-        found = self.sway if self.sway is not None else self.share
+        found = self.sway or self.share
         assert isinstance(found, Est)
         return found
 
     @property
-    def part(self) -> Number | None:
+    def part(self) -> float:
         """The share as a number."""
-        return self.share.value if isinstance(self.share, Est) else self.share
+        return self.share.number if isinstance(self.share, Est) else float(self.share)
 
 
-class MeasureEntry(Entry):
+class MeasureEntry(Part):
     """What to measure first, the most telling input first."""
 
     of: StrictStr = ""
@@ -185,35 +191,37 @@ class MeasureEntry(Entry):
     probability: Number | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if self.of == "probability" and any(row.sway is None for row in self.rows):
+    def _measured(self) -> Self:
+        if self.of == "probability" and not all(row.sway for row in self.rows):
             raise ValueError("a row lacks sway")
         if self.of != "probability" and any(not isinstance(row.share, Est) for row in self.rows):
             raise ValueError("the share of a row is no estimate")
         return self
 
 
-class SharesEntry(Entry):
+class SharesEntry(Part):
     """First and total indices of the same inputs; where inputs depend on each other, what takes their place.
 
     Of missing an aim, `of` says what is shared and `probability` how likely that is.
     """
 
+    NEEDS = ("first", "total")
+
     probability: Number | None = None
     of: StrictStr = ""
-    first: Ests
-    total: Ests
+    first: Ests = Field(default_factory=dict)
+    total: Ests = Field(default_factory=dict)
     second: Ests = Field(default_factory=dict)
-    groups: OrderEntry | None = None
+    groups: OrderEntry = Field(default_factory=OrderEntry)
     shapley: Ests = Field(default_factory=dict)
-    kucherenko: OrderEntry | None = None
+    kucherenko: OrderEntry = Field(default_factory=OrderEntry)
 
     @model_validator(mode="after")
     def _paired(self) -> Self:
         if set(self.first) != set(self.total):
             raise ValueError("first and total are of different inputs")
         if self.shapley:
-            if self.kucherenko is None:
+            if not self.kucherenko:
                 raise ValueError("it lacks kucherenko")
             if any(set(row) != set(self.shapley) for row in (self.kucherenko.first, self.kucherenko.total)):
                 raise ValueError("shapley and kucherenko are of different inputs")
@@ -228,7 +236,7 @@ class SharesEntry(Entry):
         for prefix, pair in (("group", self.groups), ("kucherenko", self.kucherenko)):
             if prefix == "kucherenko" and self.shapley:
                 yield "shapley", self.shapley
-            if pair is not None and (prefix == "group" or self.shapley):
+            if pair and (prefix == "group" or self.shapley):
                 kept = (order for order in OrderEntry.model_fields if order in pair.model_fields_set)
                 yield from ((f"{prefix} {order}", getattr(pair, order)) for order in kept)
 
@@ -242,7 +250,7 @@ class IndexEntry(SharesEntry):
     delta: Ests = Field(default_factory=dict)
     pawn: Ests = Field(default_factory=dict)
     pawn_threshold: Number | None = None
-    measure_first: MeasureEntry | None = None
+    measure_first: Maybe[MeasureEntry] = Field(default_factory=MeasureEntry)
 
 
 class LawSummary(Entry):
@@ -257,7 +265,7 @@ class GivenFailureEntry(Entry):
     """An input where the aim is missed, beside its law."""
 
     mean: Est
-    sd: Est | None = None
+    sd: Maybe[Est] = Field(default_factory=Est)
     quantiles: Quantiles
     law: LawSummary
 
@@ -265,31 +273,38 @@ class GivenFailureEntry(Entry):
 class LimitDriversEntry(SharesEntry):
     """What drives missing the aim of a limit."""
 
-    explained: Est | None = None
+    explained: Maybe[Est] = Field(default_factory=Est)
     given_failure: dict[Name, GivenFailureEntry] | None = None
 
 
 # --- limits ---------------------------------------------------------------------------------------------
 
 
-class LimitOpenEntry(Entry):
+class LimitOpenEntry(Part):
     """What few tests leave open of the probability of missing the aim, all laws together and each by itself."""
 
-    fitted: tuple[TestsEntry, ...] = Field(alias="from")
+    NEEDS = ("fitted",)
+
+    fitted: tuple[TestsEntry, ...] = Field(default=(), alias="from")
     reason: StrictStr | None = None
     laws: Count = 0
     exceedance: Range | None = None
-    miss: tuple[Share, Share] | None = None
+    miss: tuple[Share, Share] = (0.0, 1.0)
     miss_mean: Number | None = None
     alone: dict[Name, tuple[Share, Share]] = Field(default_factory=dict)
     met: StrictBool | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _told(self) -> Self:
         lacking = {"miss", "alone", "met"} - self.model_fields_set
-        if "reason" not in self.model_fields_set and lacking:
+        if self and "reason" not in self.model_fields_set and lacking:
             raise ValueError(f"it lacks {', '.join(sorted(lacking))}")
         return self
+
+    @property
+    def known(self) -> bool:
+        """Whether there are such tests, and the ranges that they leave open are known."""
+        return bool(self) and self.reason is None
 
 
 class AssumedEntry(Entry):
@@ -312,11 +327,13 @@ class AssumedEntry(Entry):
         return self
 
 
-class SettlingEntry(Entry):
+class SettlingEntry(Part):
     """How many tests of a strength would settle whether the target is kept."""
 
-    tests: Count | None
-    confidence: Share
+    NEEDS = ("tests", "confidence")
+
+    tests: Count | None = None
+    confidence: Share = 0.0
     reason: StrictStr | None = None
 
 
@@ -339,50 +356,59 @@ class LimitEntry(Entry):
     governing_inputs: dict[Name, Number] | None
     governing_inputs_method: StrictStr | None = None
     met: StrictBool | None
-    ignorance: LimitOpenEntry | None = None
+    ignorance: Maybe[LimitOpenEntry] = Field(default_factory=LimitOpenEntry)
     assumed: tuple[AssumedEntry, ...] = ()
-    tests_to_settle: SettlingEntry | None = None
-    drivers: LimitDriversEntry | None = None
-    measure_first: MeasureEntry | None = None
+    tests_to_settle: Maybe[SettlingEntry] = Field(default_factory=SettlingEntry)
+    drivers: Maybe[LimitDriversEntry] = Field(default_factory=LimitDriversEntry)
+    measure_first: Maybe[MeasureEntry] = Field(default_factory=MeasureEntry)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         lacking = [key for key in ("median", "0.05", "0.95") if key not in self.margin]
         if lacking:
             raise ValueError(f"its margin lacks {', '.join(lacking)}")
+        low, high = self.reliability_index_interval or (None, None)
+        if low is not None and high is not None and low > high:
+            raise ValueError("the interval of its reliability index ends before it begins")
         return self
 
 
 # --- margins --------------------------------------------------------------------------------------------
 
 
-class LognormalEntry(Entry):
+class LognormalEntry(Part):
     """The lognormal curve beside a computed one, or why there is none."""
 
-    median: Est | None
-    dispersion: Est | None
+    NEEDS = ("median", "dispersion")
+
+    median: Maybe[Est] = Field(default_factory=Est)
+    dispersion: Maybe[Est] = Field(default_factory=Est)
     rising: StrictBool | None = None
-    largest_gap: Number | None = None
-    largest_gap_at: Number | None = None
+    largest_gap: Number = 0.0
+    largest_gap_at: Number = 0.0
     reason: StrictStr | None = None
 
 
-class BandEntry(Entry):
+class BandEntry(Part):
     """How well a curve is known."""
 
-    half_width: Number
-    asked: Number
-    evaluations: Count
+    NEEDS = ("half_width", "asked", "evaluations")
+
+    half_width: Number = 0.0
+    asked: Number = 0.0
+    evaluations: Count = 0
     needed: Number | None = None
 
 
-class StepsEntry(Entry):
+class StepsEntry(Part):
     """How far apart the values of a curve lie."""
 
-    step: Number
-    asked: Number
-    evaluations: Number
-    needed: Number
+    NEEDS = ("step", "asked", "evaluations", "needed")
+
+    step: Number = 0.0
+    asked: Number = 0.0
+    evaluations: Number = 0.0
+    needed: Number = 0.0
 
 
 class MemberEntry(Entry):
@@ -391,43 +417,49 @@ class MemberEntry(Entry):
     value: Number
     values: Quantiles
     curve: Curve
-    lognormal: LognormalEntry | None = None
+    lognormal: Maybe[LognormalEntry] = Field(default_factory=LognormalEntry)
     reason: StrictStr | None = None
-    band: BandEntry | None = None
-    steps: StepsEntry | None = None
+    band: Maybe[BandEntry] = Field(default_factory=BandEntry)
+    steps: Maybe[StepsEntry] = Field(default_factory=StepsEntry)
 
 
-class FamilyEntry(Entry):
+class FamilyEntry(Part):
     """Curves at other values of another number."""
 
-    path: StrictStr
-    members: tuple[MemberEntry, ...]
+    NEEDS = ("path", "members")
+
+    path: StrictStr = ""
+    members: tuple[MemberEntry, ...] = ()
 
 
-class AgainstEntry(Entry):
+class AgainstEntry(Part):
     """The curve over another quantity than the free scalar."""
 
-    quantity: StrictStr
-    unit: StrictStr
-    values: Quantiles
-    curve: Curve
-    lognormal: LognormalEntry | None = None
+    NEEDS = ("quantity", "unit", "values", "curve")
+
+    quantity: StrictStr = ""
+    unit: StrictStr = ""
+    values: Quantiles = Field(default_factory=dict)
+    curve: Curve = ()
+    lognormal: Maybe[LognormalEntry] = Field(default_factory=LognormalEntry)
     reason: StrictStr | None = None
 
 
-class FractilesOf(Entry):
+class FractilesOf(Part):
     """Which fractiles a factor is the ratio of."""
 
-    strength: Share
-    demand: Share
+    NEEDS = ("strength", "demand")
+
+    strength: Share = 0.0
+    demand: Share = 0.0
 
 
-class FactorsEntry(Entry):
+class FactorsEntry(Part):
     """Strength over demand: of their medians, and of two fractiles."""
 
-    medians: Number | None = None
-    fractiles: Number | None = None
-    fractiles_of: FractilesOf | None = None
+    medians: Number = 0.0
+    fractiles: Number = 0.0
+    fractiles_of: Maybe[FractilesOf] = Field(default_factory=FractilesOf)
     reason: StrictStr | None = None
 
 
@@ -439,7 +471,7 @@ class PartialFactor(Entry):
     factor: Number
 
 
-class LostEntry(Entry):
+class LostEntry(Part):
     """Which inputs a margin is lost to: importance factors and partial factors."""
 
     shares: dict[Name, Number] = Field(default_factory=dict)
@@ -447,7 +479,7 @@ class LostEntry(Entry):
     reason: StrictStr | None = None
 
 
-class MarginOpenEntry(Entry):
+class MarginOpenEntry(Part):
     """What few tests leave open of the value; `sure` holds with the confidence given."""
 
     tests: Count = 0
@@ -456,14 +488,14 @@ class MarginOpenEntry(Entry):
     low: Number | None = None
     high: Number | None = None
     sure: Number | None = None
-    confidence: Share | None = None
+    confidence: Share = 0.0
     mean_law: Number | None = None
     sd_log: Number | None = None
     beyond: Number | None = None
     reason: StrictStr | None = None
 
 
-class MoreTestsEntry(Entry):
+class MoreTestsEntry(Part):
     """How many more tests decide the target, and how many give the value."""
 
     tests: Count = 0
@@ -473,7 +505,7 @@ class MoreTestsEntry(Entry):
     reason: StrictStr | None = None
 
 
-class SplitEntry(Entry):
+class SplitEntry(Part):
     """Standard deviations of the logarithm of the value, by where they come from."""
 
     scatter: Number | None = None
@@ -481,26 +513,28 @@ class SplitEntry(Entry):
     numerical: Number | None = None
 
 
-class BarsEntry(Entry):
+class BarsEntry(Part):
     """When the bars yield: by the pulse, and under the contact."""
 
-    yield_strength: Number | None = None
-    pulse_stress: Number | None = None
-    pulse_elastic: StrictBool | None = None
+    yield_strength: Number = 0.0
+    pulse_stress: Number = 0.0
+    pulse_elastic: StrictBool = True
     pulse_value: Number | None = None
-    contact_probability: Number | None = None
-    contact: Est | None = None
+    contact_probability: Number = 0.0
+    contact: Maybe[Est] = Field(default_factory=Est)
     reason: StrictStr | None = None
     yields_at: dict[ShareKey, Share] = Field(default_factory=dict)
     contact_everywhere: StrictStr | None = None
 
 
-class ValidityAtEntry(Entry):
+class ValidityAtEntry(Part):
     """Validity checks at the answer."""
 
-    value: Number
-    samples: Count
-    checks: tuple[CheckEntry, ...]
+    NEEDS = ("value", "samples", "checks")
+
+    value: Number = 0.0
+    samples: Count = 0
+    checks: tuple[CheckEntry, ...] = ()
 
 
 class MarginEntry(Entry):
@@ -510,20 +544,20 @@ class MarginEntry(Entry):
     unit: StrictStr
     values: Quantiles
     curve: Curve
-    lognormal: LognormalEntry | None = None
-    family: FamilyEntry | None = None
-    against: AgainstEntry | None = None
-    band: BandEntry | None = None
-    steps: StepsEntry | None = None
+    lognormal: Maybe[LognormalEntry] = Field(default_factory=LognormalEntry)
+    family: Maybe[FamilyEntry] = Field(default_factory=FamilyEntry)
+    against: Maybe[AgainstEntry] = Field(default_factory=AgainstEntry)
+    band: Maybe[BandEntry] = Field(default_factory=BandEntry)
+    steps: Maybe[StepsEntry] = Field(default_factory=StepsEntry)
     probability: Number | None = None
-    value: Est | None = None
-    factors: FactorsEntry | None = None
-    lost_to: LostEntry | None = None
-    ignorance: MarginOpenEntry | None = None
-    more_tests: MoreTestsEntry | None = None
-    split: SplitEntry | None = None
-    bars: BarsEntry | None = None
-    validity: ValidityAtEntry | None = None
+    value: Maybe[Est] = Field(default_factory=Est)
+    factors: Maybe[FactorsEntry] = Field(default_factory=FactorsEntry)
+    lost_to: Maybe[LostEntry] = Field(default_factory=LostEntry)
+    ignorance: Maybe[MarginOpenEntry] = Field(default_factory=MarginOpenEntry)
+    more_tests: Maybe[MoreTestsEntry] = Field(default_factory=MoreTestsEntry)
+    split: Maybe[SplitEntry] = Field(default_factory=SplitEntry)
+    bars: Maybe[BarsEntry] = Field(default_factory=BarsEntry)
+    validity: Maybe[ValidityAtEntry] = Field(default_factory=ValidityAtEntry)
 
 
 # --- fracture -------------------------------------------------------------------------------------------
@@ -536,47 +570,51 @@ class LimitsOrder(Entry):
     share: Est
 
 
-class StateEntry(Entry):
+class StateEntry(Part):
     """A number at the moment of fracture."""
 
-    unit: StrictStr
-    median: Est
-    quantiles: Quantiles
+    NEEDS = ("unit", "median", "quantiles")
+
+    unit: StrictStr = ""
+    median: Maybe[Est] = Field(default_factory=Est)
+    quantiles: Quantiles = Field(default_factory=dict)
 
 
-class FractureEntry(Entry):
+class FractureEntry(Part):
     """Fracture by any limit: probabilities, what governs, and the state at fracture."""
+
+    NEEDS = ("limits", "union")
 
     #: the numbers of the state at fracture, as they are listed
     STATE: ClassVar = ("time", "force", "energy", "specific_energy", "imbalance", "t10")
 
-    limits: tuple[StrictStr, ...]
+    limits: tuple[StrictStr, ...] = ()
     left_out: tuple[StrictStr, ...] = ()
-    union: Probability
-    over_record: Probability | None = None
-    first_loading: Probability | None = None
+    union: Maybe[Probability] = Field(default_factory=Est)
+    over_record: Maybe[Probability] = Field(default_factory=Est)
+    first_loading: Maybe[Probability] = Field(default_factory=Est)
     reason: StrictStr | None = None
     governed_by: dict[Name, Est] = Field(default_factory=dict)
     order: tuple[LimitsOrder, ...] = ()
-    time: StateEntry | None = None
-    force: StateEntry | None = None
-    energy: StateEntry | None = None
-    specific_energy: StateEntry | None = None
-    imbalance: StateEntry | None = None
-    t10: StateEntry | None = None
-    share_in_first_loading: Est | None = None
+    time: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    force: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    energy: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    specific_energy: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    imbalance: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    t10: Maybe[StateEntry] = Field(default_factory=StateEntry)
+    share_in_first_loading: Maybe[Est] = Field(default_factory=Est)
     specimens: Count = 0
     distinct_rows: Count = 0
     lost_share: Number = 0.0
-    check: CheckEntry | None = None
-    solve: StrictStr | None = None
+    check: Maybe[CheckEntry] = Field(default_factory=CheckEntry)
+    solve: StrictStr = ""
     values: Quantiles = Field(default_factory=dict)
     curve: Curve = ()
 
     def states(self) -> dict[str, StateEntry]:
         """The numbers at the moment of fracture that are known."""
         found = {name: getattr(self, name) for name in self.STATE}
-        return {name: entry for name, entry in found.items() if entry is not None}
+        return {name: entry for name, entry in found.items() if entry}
 
 
 # --- model, plan, accuracy ------------------------------------------------------------------------------
@@ -594,7 +632,7 @@ class CandidateEntry(Entry):
     fallback_share: Number | None = None
 
 
-class ControlEntry(Entry):
+class ControlEntry(Part):
     """The control variate."""
 
     used: StrictBool = False
@@ -605,7 +643,7 @@ class ControlEntry(Entry):
     indices: StrictStr = ""
 
 
-class SavedEntry(Entry):
+class SavedEntry(Part):
     """What cheaper fidelities saved."""
 
     full_evaluations: Number = 0
@@ -627,8 +665,8 @@ class ModelEntry(Entry):
     numbers: dict[Name, Number | None] = Field(default_factory=dict)
     considered: dict[Name, CandidateEntry] = Field(default_factory=dict)
     fallback_share: Share | None = None
-    control: ControlEntry | None = None
-    saved: SavedEntry | None = None
+    control: ControlEntry = Field(default_factory=ControlEntry)
+    saved: SavedEntry = Field(default_factory=SavedEntry)
     undecided: Count = 0
 
     def savings(self) -> list[tuple[str, str]]:
@@ -636,11 +674,11 @@ class ModelEntry(Entry):
         rows = []
         if self.fallback_share is not None:
             rows.append(("left to full", f"{100.0 * self.fallback_share:.3g} % of the rows"))
-        if self.control is not None and self.control.text:
+        if self.control.text:
             rows.append(("control variate", self.control.text))
-        if self.control is not None and self.control.indices:
+        if self.control.indices:
             rows.append(("control variate, indices", self.control.indices))
-        if self.saved is not None and self.saved.full_evaluations:
+        if self.saved.full_evaluations:
             rows.append(("saved", self.saved.text))
         return rows
 
@@ -655,13 +693,13 @@ class PartEntry(Entry):
     why: StrictStr = ""
 
 
-class PlanEntry(Entry):
+class PlanEntry(Part):
     """Sampling or a surrogate, and the account of the evaluations."""
 
     way: StrictStr = ""
     why: StrictStr = ""
-    sampling_evaluations: Number | None = None
-    surrogate_evaluations: Number | None = None
+    sampling_evaluations: Number = 0
+    surrogate_evaluations: Number = 0
     parts: tuple[PartEntry, ...] = ()
 
 
@@ -722,7 +760,7 @@ class Results(Entry):
     sensitivity: dict[Name, IndexEntry]
     limits: dict[Name, LimitEntry]
     margins: dict[Name, MarginEntry]
-    fracture: FractureEntry | None = None
+    fracture: Maybe[FractureEntry] = Field(default_factory=FractureEntry)
     model: ModelEntry
     validity: tuple[CheckEntry, ...]
     plan: PlanEntry = Field(default_factory=PlanEntry)

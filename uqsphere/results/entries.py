@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     StrictBool,
     StrictFloat,
     StrictInt,
     StrictStr,
     StringConstraints,
     ValidationError,
+    WrapSerializer,
     model_validator,
 )
 
@@ -63,15 +66,49 @@ class Entry(BaseModel):
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
-class Est(Entry):
+class Part(Entry):
+    """A table that may be absent: it is empty then, and false; `NEEDS` names what it has where it is there."""
+
+    NEEDS: ClassVar[tuple[str, ...]] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.model_fields_set)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self:
+            lacking = [name for name in self.NEEDS if name not in self.model_fields_set]
+            if lacking:
+                raise ValueError(f"it lacks {', '.join(lacking)}")
+        return self
+
+
+_Content = TypeVar("_Content")
+
+
+def _nothing_for_null(content: object) -> object:
+    return {} if content is None else content
+
+
+def _null_for_nothing(part: object, write: SerializerFunctionWrapHandler) -> object:
+    return write(part) if part else None
+
+
+#: a part that is absent, or null in the document
+Maybe = Annotated[_Content, BeforeValidator(_nothing_for_null), WrapSerializer(_null_for_nothing)]
+
+
+class Est(Part):
     """A number with its 95 % interval; an absent answer has value None and a reason."""
 
-    value: Number | None
-    low: Number | None
-    high: Number | None
-    std_error: Number | None
-    method: StrictStr
-    evaluations: Number
+    NEEDS = ("value", "low", "high", "std_error", "method", "evaluations")
+
+    value: Number | None = None
+    low: Number | None = None
+    high: Number | None = None
+    std_error: Number | None = None
+    method: StrictStr = ""
+    evaluations: Number = 0
     reason: StrictStr | None = None
 
     @model_validator(mode="after")
@@ -79,6 +116,17 @@ class Est(Entry):
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ValueError("its interval ends before it begins")
         return self
+
+    @classmethod
+    def of(cls, value: float | None, low: float | None = None, high: float | None = None) -> Self:
+        """A number with its interval, of which nothing else is known."""
+        return cls(value=value, low=low, high=high, std_error=None, method="", evaluations=0)
+
+    @property
+    def number(self) -> float:
+        """The value, where it is known to be there."""
+        assert self.value is not None
+        return float(self.value)
 
 
 def _be_probability(estimate: Est) -> Est:
@@ -97,16 +145,18 @@ Range = tuple[Number, Number]
 # --- manifest, study and samples --------------------------------------------------------------------------
 
 
-class ExecutorEntry(Entry):
+class ExecutorEntry(Part):
     """Where the rows were evaluated."""
 
-    kind: StrictStr
-    workers: Count
-    why: StrictStr
+    NEEDS = ("kind", "workers", "why")
+
+    kind: StrictStr = ""
+    workers: Count = 0
+    why: StrictStr = ""
     seconds_per_evaluation: Number | None = None
 
 
-class PricesEntry(Entry):
+class PricesEntry(Part):
     """What an evaluation costs, and where the choice between sampling and a surrogate turns."""
 
     cost_seconds_per_evaluation: Number | None = None
@@ -128,10 +178,10 @@ class Manifest(Entry):
     speed_error_seconds: tuple[Number, ...] = ()
     stopped_by_time: StrictBool = False
     interrupted: StrictBool = False
-    executor: ExecutorEntry | None = None
+    executor: Maybe[ExecutorEntry] = Field(default_factory=ExecutorEntry)
     finished: StrictStr = ""
     damaged_chunks: tuple[StrictStr, ...] = ()
-    plan: PricesEntry | None = None
+    plan: Maybe[PricesEntry] = Field(default_factory=PricesEntry)
 
 
 class LawTable(Entry):

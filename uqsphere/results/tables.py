@@ -30,21 +30,20 @@ def _driver_rows(results: Results) -> list[Row]:
         rows += [[name, what, n, *_row(e), ""] for what, table in sets for n, e in table.items()]
         rows += _measured(name, entry.measure_first)
     for name, limit in results.limits.items():
-        orders = limit.drivers.orders() if limit.drivers is not None else ()
+        orders = limit.drivers.orders()
         rows += [[name, what, n, *_row(e), ""] for what, table in orders for n, e in table.items()]
         rows += _measured(name, limit.measure_first)
     return rows
 
 
-def _measured(name: str, found: MeasureEntry | None) -> list[Row]:
-    rows = () if found is None else found.rows
-    return [[name, "sway" if r.sway is not None else "share", r.input, *_row(r.effect), r.tests] for r in rows]
+def _measured(name: str, found: MeasureEntry) -> list[Row]:
+    return [[name, "sway" if r.sway else "share", r.input, *_row(r.effect), r.tests] for r in found.rows]
 
 
 def _tolerance_rows(name: str, entry: QuantityEntry) -> list[Row]:
     """Rows of the tolerance limits of a quantity: upper and lower as values, both sides as the ends of an interval."""
     limits = entry.tolerance
-    if limits is None:
+    if not limits:
         return []
     method = f"tolerance limit, {limits.coverage:g} with confidence {limits.confidence:g}"
     low, high = limits.between or (None, None)
@@ -63,7 +62,7 @@ def _tolerance_rows(name: str, entry: QuantityEntry) -> list[Row]:
 def _fracture_rows(found: FractureEntry) -> list[Row]:
     """Probabilities of fracture, shares by limit and by order, and the state at fracture: what, of which, unit, EST."""
     whole = {"union": found.union, "first_loading": found.first_loading, "over_record": found.over_record}
-    rows = [[what, "", "", *_row(e)] for what, e in whole.items() if e is not None]
+    rows = [[what, "", "", *_row(e)] for what, e in whole.items() if e]
     rows += [["governed_by", name, "", *_row(e)] for name, e in found.governed_by.items()]
     rows += [["order", " > ".join(entry.limits), "", *_row(entry.share)] for entry in found.order]
     rows += [
@@ -105,7 +104,7 @@ def _limit_rows(results: Results) -> list[Row]:
 def _margin_tables(results: Results) -> Tables:
     """Values at the probabilities asked for, and the curves; over the energy too where that was asked for."""
     margins = results.margins
-    over = {name: entry.against for name, entry in margins.items() if entry.against is not None}
+    over = {name: entry.against for name, entry in margins.items() if entry.against}
     values = [
         [name, entry.solve, entry.unit, p, *_row(e)] for name, entry in margins.items() for p, e in entry.values.items()
     ]
@@ -113,7 +112,7 @@ def _margin_tables(results: Results) -> Tables:
         [name, entry.quantity, entry.unit, p, *_row(e)] for name, entry in over.items() for p, e in entry.values.items()
     ]
     curves: list[Row] = [[name, *point] for name, entry in margins.items() for point in entry.curve]
-    families = [(name, entry, entry.family) for name, entry in margins.items() if entry.family is not None]
+    families = [(name, entry, entry.family) for name, entry in margins.items() if entry.family]
     members = [(name, entry, family.path, member) for name, entry, family in families for member in family.members]
     if members:
         # the curves of the study itself have no value of a family
@@ -125,8 +124,7 @@ def _margin_tables(results: Results) -> Tables:
         ]
         curves += [[name, *point, path, member.value] for name, _, path, member in members for point in member.curve]
     family = ("family", "family_value") if members else ()
-    if results.fracture is not None:
-        curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
+    curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
     found: Tables = {
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE, *family), values),
         "fragility": (("limit", "value", "probability", "low", "high", *family), curves),
@@ -158,7 +156,7 @@ def tables(results: Results) -> dict[str, str]:
         "validity": (("check", "share", "worst", "text"), checks),
         "speed_error": (("method", "quantity", "evaluations", "error", "error_kind"), speed),
     }
-    if results.fracture is not None:
+    if results.fracture:
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(results.fracture))
     if results.paper:
         found["paper"] = (

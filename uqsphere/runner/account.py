@@ -315,8 +315,8 @@ def further_rows(results: Results) -> list[tuple[str, SpeedRow]]:
     """(part of the run, row) for every answer of results.json that has an interval and no course."""
     rows: list[tuple[str, SpeedRow]] = []
 
-    def add(part: str, quantity: str, kind: str, estimates: Iterable[Est | None], scale: float | None = 1.0) -> None:
-        known = [e for e in estimates if e is not None and e.value is not None and e.low is not None]
+    def add(part: str, quantity: str, kind: str, estimates: Iterable[Est], scale: float | None = 1.0) -> None:
+        known = [e for e in estimates if e.value is not None and e.low is not None]
         if not known or not scale or not scale > 0.0:
             return
         worst = max(known, key=_half)
@@ -333,26 +333,24 @@ def further_rows(results: Results) -> list[tuple[str, SpeedRow]]:
     for name, margin in results.margins.items():
         for at, curve in _curves(margin):
             add("margins", f"margins.{name}{at}", _VALUE, curve.values.values(), _spread(curve.curve))
-    if results.fracture is not None:
-        _add_fracture(add, results.fracture)
+    _add_fracture(add, results.fracture)
     for name, entry in results.sensitivity.items():
         add("drivers", name, _DELTA, entry.delta.values())
         add("drivers", name, _PAWN, entry.pawn.values())
     for name, limit in results.limits.items():
         drivers = limit.drivers
-        if drivers is not None:
-            add("drivers", f"limits.{name}", _MISSING, [*drivers.first.values(), *drivers.total.values()])
-            add("drivers", f"limits.{name}", _MISSING, [drivers.explained])
-            means = [_over(one) for one in (drivers.given_failure or {}).values()]
-            add("drivers", f"limits.{name}", _THERE, means)
+        add("drivers", f"limits.{name}", _MISSING, [*drivers.first.values(), *drivers.total.values()])
+        add("drivers", f"limits.{name}", _MISSING, [drivers.explained])
+        means = [_over(one) for one in (drivers.given_failure or {}).values()]
+        add("drivers", f"limits.{name}", _THERE, means)
     return rows
 
 
 def _add_fracture(add: Callable[..., None], fracture: FractureEntry) -> None:
     """The rows of fracture by any limit; of one limit its probability and its curve are the limit's own."""
     several = len(fracture.limits) > 1
-    for key, estimate in (("union", fracture.union if several else None), ("first_loading", fracture.first_loading)):
-        if estimate is not None:
+    for key, estimate in (("union", fracture.union if several else Est()), ("first_loading", fracture.first_loading)):
+        if estimate:
             add("fracture", f"fracture.{key}", _FRACTURE, [estimate], estimate.value)
     if fracture.curve:
         add("fracture", "fracture.curve", _VALUE, fracture.values.values(), _spread(fracture.curve))
@@ -372,8 +370,6 @@ def _curves(entry: MarginEntry) -> Iterator[tuple[str, MarginEntry | MemberEntry
     """The curve of a limit, and those of its family, by what is added to its name."""
     yield "", entry
     family = entry.family
-    if family is None:
-        return
     for member in family.members:
         yield f" at {family.path} {format_value(member.value, family.path)}", member
 
@@ -392,9 +388,9 @@ def _spread(curve: Curve) -> float | None:
     return 0.5 * abs(float(high - low))
 
 
-def _over(described: GivenFailureEntry) -> Est | None:
+def _over(described: GivenFailureEntry) -> Est:
     """The mean of an input over its standard deviation."""
-    mean, sd = described.mean, described.sd.value if described.sd is not None else None
+    mean, sd = described.mean, described.sd.value
     if not sd or mean.value is None or mean.low is None or mean.high is None:
-        return None
+        return Est()
     return mean.model_copy(update={"value": mean.value / sd, "low": mean.low / sd, "high": mean.high / sd})

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents
@@ -37,11 +38,20 @@ from uqsphere.report.phrases import (
     short_input,
     symbol,
 )
+from uqsphere.results import IndexEntry, MarginEntry
+from uqsphere.results.entries import Entry, Est, Ests
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["density_picture", "fragility_picture", "index_picture", "moved_picture", "moved_rows"]
+__all__ = [
+    "Change",
+    "density_picture",
+    "fragility_picture",
+    "index_picture",
+    "moved_picture",
+    "moved_rows",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,33 +60,60 @@ _MOST_ROWS: Final = 14
 _MOST_INPUTS: Final = 10
 
 
+class Change(Entry):
+    """One answer of two runs: `section` and `name` say which.
+
+    `difference` is after minus before in SI, with its 95 % interval `low`, `high`; `relative` is it over the
+    value before; `significance` the two-sided probability of so large a difference by chance.  `subject` is the name
+    whose unit it has, empty for a plain number; `chance` says that it is read as a probability.
+    """
+
+    section: str
+    name: str
+    statistic: str
+    unit: str
+    before: Est
+    after: Est
+    difference: float | None
+    low: float | None
+    high: float | None
+    relative: float | None
+    significance: float | None
+    verdict: str
+    subject: str = Field(exclude=True)
+    chance: bool = Field(exclude=True)
+
+
 def _legend(axes: Axes, handles: Sequence[Any]) -> None:
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2,
                 borderpad=0.0, handlelength=1.6)  # fmt: skip
 
 
-def moved_rows(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def moved_rows(changes: Iterable[Change]) -> list[Change]:
     """Answers with a relative difference that is known to some degree, the surest first."""
     rows = [
-        c
-        for c in found["changes"]
-        if c["section"] != "sensitivity" and c["relative"] is not None and c["verdict"] in (SURE, PERHAPS)
+        c for c in changes if c.section != "sensitivity" and c.relative is not None and c.verdict in (SURE, PERHAPS)
     ]
-    order = sorted(rows, key=lambda c: (c["section"] != "limits", c["significance"], -abs(c["relative"])))
+    order = sorted(rows, key=lambda c: (c.section != "limits", c.significance, -abs(c.relative or 0.0)))
     kept = order[:_MOST_ROWS]
-    names = list(dict.fromkeys(c["name"] for c in kept))
-    return sorted(kept, key=lambda c: names.index(c["name"]))
+    names = list(dict.fromkeys(c.name for c in kept))
+    return sorted(kept, key=lambda c: names.index(c.name))
 
 
-def moved_picture(found: Mapping[str, Any]) -> Picture | None:
+def _relative(change: Change) -> list[float]:
+    """The relative difference and its interval."""
+    before = abs(change.before.number)
+    return [change.relative or 0.0, (change.low or 0.0) / before, (change.high or 0.0) / before]
+
+
+def moved_picture(changes: Iterable[Change]) -> Picture | None:
     """Relative differences with their intervals; None where nothing moved."""
     from matplotlib.lines import Line2D
 
-    rows = moved_rows(found)
+    rows = moved_rows(changes)
     if not rows:
         return None
-    ends = np.array([[c["relative"], c["low"] / abs(c["before"]["value"]), c["high"] / abs(c["before"]["value"])]
-                     for c in rows]) * 100.0  # fmt: skip
+    ends = np.array([_relative(c) for c in rows]) * 100.0
     wide = bool(np.abs(ends[:, 0]).max() > 30.0 * max(float(np.abs(ends[:, 0]).min()), 1e-12))
     with style():
         figure, (axes,) = new_figure(1.2 + 0.42 * len(rows))
@@ -84,7 +121,7 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
             axes.set_xscale("symlog", linthresh=max(float(np.abs(ends[:, 0]).min()), 1e-3))
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         for k, (row, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
-            sure = row["verdict"] == SURE
+            sure = row.verdict == SURE
             axes.plot([low, high], [k, k], color=INK, linewidth=1.2, marker="|", markersize=7)
             axes.plot(value, k, marker="o", markersize=7, color=BLUE, markerfacecolor=BLUE if sure else PAPER)
             side = 1 if value >= 0.0 else -1
@@ -97,7 +134,7 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
                 ha="left" if side > 0 else "right",
                 fontsize=8.5,
             )
-        axes.set_yticks(range(len(rows)), [wrap(f"{row['name']}: {row['statistic']}", 34) for row in rows])
+        axes.set_yticks(range(len(rows)), [wrap(f"{row.name}: {row.statistic}", 34) for row in rows])
         axes.set_ylim(len(rows) - 0.5, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.margins(x=0.22)
@@ -105,7 +142,7 @@ def moved_picture(found: Mapping[str, Any]) -> Picture | None:
             _percent_ticks(axes)
         axes.set_xlabel("difference, in per cent of the value before")
         marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="changed")]
-        if any(row["verdict"] == PERHAPS for row in rows):
+        if any(row.verdict == PERHAPS for row in rows):
             marks.append(Line2D([], [], color=BLUE, marker="o", markerfacecolor=PAPER, linestyle="", label="perhaps"))
         marks.append(Line2D([], [], color=INK, marker="|", label="95 % interval"))
         _legend(axes, marks)
@@ -133,11 +170,11 @@ def _percent_ticks(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(f"{value:g}")))
 
 
-def moved_finding(rows: Sequence[Mapping[str, Any]]) -> str:
+def moved_finding(rows: Sequence[Change]) -> str:
     """The largest move in a sentence."""
-    most = max(rows, key=lambda c: abs(c["relative"]))
-    more = number_text(f"{100.0 * most['relative']:+.3g}")
-    return f"Most of all moved {most['name']}: {most['statistic']}, by {more} %."
+    most = max(rows, key=lambda c: abs(c.relative or 0.0))
+    more = number_text(f"{100.0 * (most.relative or 0.0):+.3g}")
+    return f"Most of all moved {most.name}: {most.statistic}, by {more} %."
 
 
 def density_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
@@ -182,10 +219,10 @@ def density_finding(before: Contents, after: Contents, quantity: str) -> str:
     """Medians and scatters of both runs in a sentence."""
     said = []
     for contents in (before, after):
-        entry = contents.results["quantities"][quantity]
-        middle = entry["quantiles"].get("0.5", entry["mean"])
-        said.append((rounded(middle, quantity), rounded(entry["sd"], quantity, 3)))
-    word = "median" if "0.5" in before.results["quantities"][quantity]["quantiles"] else "mean"
+        entry = contents.results.quantities[quantity]
+        middle = entry.quantiles.get("0.5", entry.mean)
+        said.append((rounded(middle, quantity), rounded(entry.sd, quantity, 3)))
+    word = "median" if "0.5" in before.results.quantities[quantity].quantiles else "mean"
     return (f"{capital(call(quantity))}: {word} {said[0][0]} before and {said[1][0]} after, standard deviation "
             f"{said[0][1]} and {said[1][1]}.")  # fmt: skip
 
@@ -194,17 +231,17 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
     """Both fragility curves of a limit with their bands."""
     from matplotlib.lines import Line2D
 
-    entries = [contents.results["margins"].get(name) for contents in (before, after)]
-    if any(not entry or len(entry["curve"]) < 2 for entry in entries):
+    entries = [contents.results.margins.get(name) for contents in (before, after)]
+    if any(not entry or len(entry.curve) < 2 for entry in entries):
         return None
     first, second = (entry for entry in entries if entry)
-    if first["solve"] != second["solve"]:
+    if first.solve != second.solve:
         return None
-    factor = display_unit(first["solve"])[1]
+    factor = display_unit(first.solve)[1]
     with style():
         figure, (axes,) = new_figure(3.6)
         for entry, colour, line in ((first, BLUE, "-"), (second, ORANGE, "--")):
-            curve = np.array(entry["curve"], dtype=float)
+            curve = np.array(entry.curve, dtype=float)
             inside = np.flatnonzero((curve[:, 1] > 1e-5) & (curve[:, 1] < 1.0 - 1e-5))
             kept = np.arange(max(inside[0] - 1, 0), inside[-1] + 2) if len(inside) else np.arange(len(curve))
             part = curve[kept[kept < len(curve)]]
@@ -212,7 +249,7 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
                               linewidth=0.0)  # fmt: skip
             axes.plot(part[:, 0] * factor, score(part[:, 1]), color=colour, linestyle=line)
         probability_axis(axes)
-        axes.set_xlabel(axis_label(first["solve"], shorten(input_name(first["solve"]), 50)))
+        axes.set_xlabel(axis_label(first.solve, shorten(input_name(first.solve), 50)))
         axes.set_ylabel("probability of exceeding the strength")
         _legend(axes, [Line2D([], [], color=BLUE, label="before"),
                        Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
@@ -220,12 +257,12 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
                    finding=fragility_finding(first, second, name), figure=figure)  # fmt: skip
 
 
-def fragility_finding(first: Mapping[str, Any], second: Mapping[str, Any], name: str) -> str:
+def fragility_finding(first: MarginEntry, second: MarginEntry, name: str) -> str:
     """Where half of the specimens break, before and after."""
-    ends = [entry["values"].get("0.5", {"value": None}) for entry in (first, second)]
-    if any(e["value"] is None for e in ends):
-        return f"Fragility of {limit_name(name)} over {input_name(first['solve'])}."
-    a, b = (rounded(e, first["solve"]) for e in ends)
+    ends = [entry.values.get("0.5", Est()) for entry in (first, second)]
+    if any(e.value is None for e in ends):
+        return f"Fragility of {limit_name(name)} over {input_name(first.solve)}."
+    a, b = (rounded(e, first.solve) for e in ends)
     return f"{limit_name(name)} is exceeded with a probability of 50 % at {a} before and at {b} after."
 
 
@@ -235,24 +272,23 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
 
     tables = []
     for contents in (before, after):
-        entry = contents.results["sensitivity"].get(quantity) or {}
-        tables.append(entry.get("shapley") or entry.get("total") or {})
-    kinds = {bool((c.results["sensitivity"].get(quantity) or {}).get("shapley")) for c in (before, after)}
-    names = [n for n, e in tables[0].items() if e["value"] is not None and (tables[1].get(n) or e)["value"] is not None]
-    names = [n for n in names if n in tables[1]]
+        entry = contents.results.sensitivity.get(quantity, IndexEntry())
+        tables.append(entry.shapley or entry.total)
+    kinds = {bool(c.results.sensitivity.get(quantity, IndexEntry()).shapley) for c in (before, after)}
+    names = [n for n, e in tables[0].items() if e.value is not None and tables[1].get(n, Est()).value is not None]
     if not names or len(kinds) > 1:
         return None
     kind = "Shapley effect" if kinds == {True} else "total index"
-    names = sorted(names, key=lambda n: -max(tables[0][n]["value"], tables[1][n]["value"]))[:_MOST_INPUTS]
+    names = sorted(names, key=lambda n: -max(tables[0][n].number, tables[1][n].number))[:_MOST_INPUTS]
     with style():
         figure, (axes,) = new_figure(1.1 + 0.45 * len(names))
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         for k, name in enumerate(names):
             for table, colour, shift, face in ((tables[0], BLUE, -0.13, BLUE), (tables[1], ORANGE, 0.13, PAPER)):
-                entry = table[name]
-                ends = [entry["value"] if entry[key] is None else entry[key] for key in ("low", "high")]
+                index = table[name]
+                ends = [index.number if end is None else end for end in (index.low, index.high)]
                 axes.plot(ends, [k + shift] * 2, color=colour, linewidth=1.4, marker="|", markersize=6)
-                axes.plot(entry["value"], k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
+                axes.plot(index.number, k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
         axes.set_yticks(range(len(names)), [wrap(short_input(n), 26) for n in names])
         axes.set_ylim(len(names) - 0.5, -0.5)
         axes.tick_params(axis="y", length=0)
@@ -266,10 +302,10 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
                    finding=index_finding(tables, names, kind, quantity), figure=figure)  # fmt: skip
 
 
-def index_finding(tables: Sequence[Mapping[str, Any]], names: Sequence[str], kind: str, quantity: str) -> str:
+def index_finding(tables: Sequence[Ests], names: Sequence[str], kind: str, quantity: str) -> str:
     """Whether the largest driver is the same."""
-    leads = [max(names, key=lambda n, t=table: t[n]["value"]) for table in tables]  # type: ignore[misc]
-    a, b = (number_text(f"{100.0 * table[lead]['value']:.3g}") for table, lead in zip(tables, leads, strict=True))
+    leads = [max(names, key=lambda n, t=table: t[n].number) for table in tables]  # type: ignore[misc]
+    a, b = (number_text(f"{100.0 * table[lead].number:.3g}") for table, lead in zip(tables, leads, strict=True))
     if leads[0] == leads[1]:
         return f"{capital(short_input(leads[0]))} drives {symbol(quantity)} most in both runs: {kind} {a} % and {b} %."
     return (f"{capital(short_input(leads[0]))} drove {symbol(quantity)} most before ({kind} {a} %), "

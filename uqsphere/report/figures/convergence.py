@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,6 +25,8 @@ from uqsphere.report.figures.canvas import (
 )
 from uqsphere.report.phrases import limit_name, number_text, symbol
 from uqsphere.report.tables import question_name
+from uqsphere.results import QuestionRow
+from uqsphere.results.entries import AccuracyTable
 from uqsphere.runner.account import FURTHER
 from uqsphere.runner.band import ASKED, METHOD
 
@@ -100,29 +102,29 @@ def _short(kind: str) -> str:
     return "unexplained" if "variance" in kind else kind
 
 
-def _asked(kind: str, accuracy: Mapping[str, float]) -> float:
+def _asked(kind: str, accuracy: AccuracyTable) -> float:
     if _short(kind) == "band":
         return ASKED
     if kind in FURTHER:
-        return float(accuracy[FURTHER[kind]])
+        return float(getattr(accuracy, FURTHER[kind]))
     word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")
-    return float(accuracy[word])
+    return float(getattr(accuracy, word))
 
 
 def error_series(contents: Contents) -> list[Series]:
     """The speed-error rows of a run as series; the seconds are those of the manifest, in the same order."""
-    rows = contents.results["speed_error"]
-    seconds = list(contents.manifest.get("speed_error_seconds", []))
+    rows = contents.results.speed_error
+    seconds = list(contents.manifest.speed_error_seconds)
     seconds += [math.nan] * (len(rows) - len(seconds))
-    accuracy = contents.resolved["analysis"]["accuracy"]
+    accuracy = contents.resolved.analysis.accuracy
     found: dict[tuple[str, str, str], Series] = {}
     for row, second in zip(rows, seconds, strict=False):
-        if not row["error"] or row["error"] <= 0.0:
+        if not row.error or row.error <= 0.0:
             continue
-        key = (row["method"], row["quantity"], row["error_kind"])
-        asked = _asked(row["error_kind"], accuracy)
+        key = (row.method, row.quantity, row.error_kind)
+        asked = _asked(row.error_kind, accuracy)
         series = found.setdefault(key, Series(method=key[0], quantity=key[1], kind=key[2], asked=asked))
-        point = (float(row["evaluations"]), float(second), row["error"] / asked)
+        point = (float(row.evaluations), float(second), row.error / asked)
         found[key] = replace(series, points=(*series.points, point))
     return list(found.values())
 
@@ -290,24 +292,24 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
 
 def progress_finding(contents: Contents) -> str:
     """How many of the accuracies asked for the answers have, in words; courses may be those of other answers."""
-    rows = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is not None]
+    rows = [row for row in contents.results.accuracy.questions or () if row.met is not None]
     if not rows:
         return "No errors were recorded on the way."
-    late = [row for row in rows if not row["met"]]
-    curves = any("curve" in row["question"] for row in rows)
+    late = [row for row in rows if not row.met]
+    curves = any("curve" in row.question for row in rows)
     of = "quantities (their quantiles as one), indices" + (
         ", probabilities and curves" if curves else " and probabilities"
     )
     text = f"{len(rows) - len(late)} of {len(rows)} accuracies of {of} were reached"
-    text += "; margins are not among them" if contents.results["margins"] and not curves else ""
-    known = [row for row in late if row["reached"] is not None]
+    text += "; margins are not among them" if contents.results.margins and not curves else ""
+    known = [row for row in late if row.reached is not None]
     if known:
         worst = max(known, key=_excess)
         text += (
             f"; farthest from it, {question_name(worst)} has {_times(_excess(worst))} times the error that was asked"
         )
     if len(known) < len(late):
-        text += f"; no answer: {_named([row for row in late if row['reached'] is None])}"
+        text += f"; no answer: {_named([row for row in late if row.reached is None])}"
     further = [s for s in error_series(contents) if s.kind in FURTHER]
     if further:
         below = sum(s.points[-1][2] <= 1.0 for s in further)
@@ -315,11 +317,11 @@ def progress_finding(contents: Contents) -> str:
     return text + "."
 
 
-def _excess(row: Mapping[str, Any]) -> float:
-    return float(row["reached"] / row["asked"])
+def _excess(row: QuestionRow) -> float:
+    return float((row.reached or 0.0) / row.asked)
 
 
-def _named(rows: Sequence[Mapping[str, Any]]) -> str:
+def _named(rows: Sequence[QuestionRow]) -> str:
     """Accuracies by their names, the first few of many."""
     more = f" and {len(rows) - _LISTED} more" if len(rows) > _LISTED else ""
     return ", ".join(question_name(row) for row in rows[:_LISTED]) + more
@@ -329,11 +331,11 @@ def _times(ratio: float) -> str:
     return f"{ratio:.2g}" if ratio < 10.0 else _thousands(round(ratio))
 
 
-def _unseen(contents: Contents) -> list[Mapping[str, Any]]:
+def _unseen(contents: Contents) -> list[QuestionRow]:
     """Accuracies that were not reached and of which no course ends above what was asked."""
     above = {(s.quantity, _QUESTIONS.get(_short(s.kind), "")) for s in error_series(contents) if s.points[-1][2] > 1.0}
-    late = [row for row in contents.results["accuracy"].get("questions") or () if row["met"] is False]
-    return [row for row in late if (row["quantity"], row["question"].partition(", ")[0]) not in above]
+    late = [row for row in contents.results.accuracy.questions or () if row.met is False]
+    return [row for row in late if (row.quantity, row.question.partition(", ")[0]) not in above]
 
 
 def course_finding(contents: Contents, column: int) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,6 +23,8 @@ from uqsphere.report.phrases import (
     unit_text,
     value_text,
 )
+from uqsphere.results import QuantityEntry
+from uqsphere.results.entries import Est
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
@@ -67,10 +68,10 @@ def axis_label(name: str, words: str = "") -> str:
 
 def _strengths(contents: Contents, quantity: str) -> list[_Strength]:
     found = []
-    for name, limit in contents.resolved["limits"].items():
-        if limit["quantity"] == quantity:
+    for name, limit in contents.resolved.limits.items():
+        if limit.quantity == quantity:
             law = law_of(contents.resolved, f"limits.{name}.strength")
-            value = None if law is not None else float(limit["strength"])
+            value = None if law is not None else float(limit.strength)
             found.append(_Strength(name=name, law=law, value=value))
     return found
 
@@ -120,7 +121,7 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
             tallest = max(tallest, _strength_curve(axes, strength, (low, high), logarithmic, factor))
         axes.set_xlim(low * factor, high * factor)
         axes.set_ylim(0.0, 1.22 * tallest)
-        _marks(axes, contents.results["quantities"][quantity], tallest, quantity)
+        _marks(axes, contents.results.quantities[quantity], tallest, quantity)
         _curve_legend(axes, samples, strengths, quantity)
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
@@ -218,7 +219,7 @@ def overlap_remarks(contents: Contents, quantity: str) -> tuple[str, ...]:
     tied = []
     for strength in _strengths(contents, quantity):
         own = f"limits.{strength.name}.strength"
-        groups = [group["of"] for group in contents.resolved.get("dependence", ()) if own in group["of"]]
+        groups = [group.of for group in contents.resolved.dependence if own in group.of]
         others = [short_input(name) for names in groups for name in names if name != own]
         if strength.law is not None and others:
             tied.append(
@@ -229,17 +230,15 @@ def overlap_remarks(contents: Contents, quantity: str) -> tuple[str, ...]:
     return tuple(f"{text}: how far the two curves overlap says little about the probability." for text in tied)
 
 
-def _marks(axes: Axes, entry: Mapping[str, Any], tallest: float, quantity: str) -> None:
+def _marks(axes: Axes, entry: QuantityEntry, tallest: float, quantity: str) -> None:
     """Median and 5 to 95 % range above the density."""
     factor = display_unit(quantity)[1]
-    found = {p: entry["quantiles"].get(p, {}).get("value") for p in ("0.05", "0.5", "0.95")}
+    low, middle, high = (entry.quantiles.get(p, Est()).value for p in ("0.05", "0.5", "0.95"))
     y = 1.1 * tallest
-    if found["0.05"] is not None and found["0.95"] is not None:
-        axes.plot(
-            [found["0.05"] * factor, found["0.95"] * factor], [y, y], color=INK, linewidth=1.2, marker="|", markersize=8
-        )
-    if found["0.5"] is not None:
-        axes.plot([found["0.5"] * factor], [y], marker="o", markersize=6, color=INK, markerfacecolor=PAPER)
+    if low is not None and high is not None:
+        axes.plot([low * factor, high * factor], [y, y], color=INK, linewidth=1.2, marker="|", markersize=8)
+    if middle is not None:
+        axes.plot([middle * factor], [y], marker="o", markersize=6, color=INK, markerfacecolor=PAPER)
 
 
 def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quantity: str) -> None:
@@ -275,16 +274,16 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
 
 def distribution_finding(contents: Contents, quantity: str) -> str:
     """What the distribution of a quantity says, in one or two sentences."""
-    entry = contents.results["quantities"][quantity]
-    quantiles = entry["quantiles"]
-    median, low, high = (quantiles.get(p, {"value": None}) for p in ("0.5", "0.05", "0.95"))
-    share = entry["censored_share"]["value"] or 0.0
+    entry = contents.results.quantities[quantity]
+    quantiles = entry.quantiles
+    median, low, high = (quantiles.get(p, Est()) for p in ("0.5", "0.05", "0.95"))
+    share = entry.censored_share.value or 0.0
     name = begin(quantity, call(quantity))
     if share >= 1.0:
         return f"{name}: no sample ends within its record, so that only a lower bound is known."
-    if median["value"] is None:
-        text = f"{name}: the median is not known ({median.get('reason', 'it was not asked for')})."
-    elif low["value"] is not None and high["value"] is not None:
+    if median.value is None:
+        text = f"{name}: the median is not known ({median.reason})."
+    elif low.value is not None and high.value is not None:
         text = (
             f"{name}: half of the cases lie below {rounded(median, quantity)}, and nine in ten between "
             f"{rounded(low, quantity)} and {rounded(high, quantity)}."

@@ -48,6 +48,8 @@ from uqsphere.report.phrases import (
     value_text,
 )
 from uqsphere.report.tables import margins_table
+from uqsphere.results import AgainstEntry, LimitEntry, MarginEntry
+from uqsphere.results.entries import Est, Ests
 from uqsphere.runner.margins import member_values
 
 if TYPE_CHECKING:
@@ -85,12 +87,12 @@ _PRIORITY: Final = {0.5: 0.0, 0.01: 0.1, 0.99: 0.1, 0.1: 0.2, 0.9: 0.2, 0.001: 0
 
 def margin_figure(contents: Contents) -> Picture | None:
     """Strength over demand of every limit: median and 90 % range; None where no limit has a margin."""
-    limits = {name: limit for name, limit in contents.results["limits"].items() if _known(limit["margin"])}
+    limits = {name: limit for name, limit in contents.results.limits.items() if _known(limit.margin)}
     if not limits:
         return None
     with style():
         figure, (axes,) = new_figure(1.5 + 0.55 * len(limits))
-        values = [e["value"] for limit in limits.values() for e in _known(limit["margin"]).values()]
+        values = [e.number for limit in limits.values() for e in _known(limit.margin).values()]
         low, high = min(1.0, *values), max(1.0, *values)
         if 0.0 < low < high / _WIDE:
             ends = np.log([low, high])
@@ -112,20 +114,20 @@ def margin_figure(contents: Contents) -> Picture | None:
     return Picture(name="margin", title="Strength over demand", finding=finding, figure=figure)
 
 
-def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
+def _margin_bar(axes: Axes, row: int, limit: LimitEntry) -> None:
     """One limit: the side on which its aim is missed, its range (open where an end is unbounded), its median."""
     left, right = axes.get_xlim()
-    missed = (left, 1.0) if limit["aim"] == "survive" else (1.0, right)
+    missed = (left, 1.0) if limit.aim == "survive" else (1.0, right)
     axes.fill_between(missed, row - (0.7 if row == 0 else 0.5), row + 0.5, facecolor=RED, alpha=0.10, linewidth=0.0)
-    known = _known(limit["margin"])
-    low = known["0.05"]["value"] if "0.05" in known else left
-    high = known["0.95"]["value"] if "0.95" in known else right
+    known = _known(limit.margin)
+    low = known["0.05"].number if "0.05" in known else left
+    high = known["0.95"].number if "0.95" in known else right
     axes.plot([low, high], [row, row], color=BLUE, linewidth=3.0, solid_capstyle="butt")
     if "median" in known:
-        axes.plot(known["median"]["value"], row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
+        axes.plot(known["median"].number, row, marker="o", color=INK, markerfacecolor=PAPER, markersize=7)
     # labels in one line where they stand apart, else around the bar; one label where all is one point
     across = axes.transData + axes.transAxes.inverted()
-    places = {key: float(across.transform((e["value"], row))[0]) for key, e in known.items()}
+    places = {key: float(across.transform((e.number, row))[0]) for key, e in known.items()}
     point = max(places.values()) - min(places.values()) < 0.01
     near = "median" in places and any(
         abs(places[key] - places["median"]) < 0.12 for key in ("0.05", "0.95") if key in places
@@ -137,7 +139,7 @@ def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
         side = {"0.05": "right", "0.95": "left"}.get(key, "center") if near and not point else "center"
         axes.annotate(
             rounded(estimate, digits=3),
-            (estimate["value"], row),
+            (estimate.number, row),
             xytext=({"right": -2, "left": 2, "center": 0}[side], -9 if below else 8),
             ha=side,
             va="top" if below else "bottom",
@@ -147,38 +149,36 @@ def _margin_bar(axes: Axes, row: int, limit: Mapping[str, Any]) -> None:
     axes.set_xlim(left, right)
 
 
-def _known(margin: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+def _known(margin: Ests) -> Ests:
     """The quantiles of a margin that have a value, the lowest first."""
-    return {
-        key: margin[key] for key in ("0.05", "median", "0.95") if key in margin and margin[key]["value"] is not None
-    }
+    return {key: margin[key] for key in ("0.05", "median", "0.95") if key in margin and margin[key].value is not None}
 
 
-def margin_findings(limits: Mapping[str, Any]) -> str:
+def margin_findings(limits: Mapping[str, LimitEntry]) -> str:
     """The margins of all limits in sentences."""
-    return " ".join(margin_finding(name, limit["margin"], limit["aim"]) for name, limit in limits.items())
+    return " ".join(margin_finding(name, limit.margin, limit.aim) for name, limit in limits.items())
 
 
-def margin_word(limit: Mapping[str, Any]) -> str:
+def margin_word(limit: LimitEntry) -> str:
     """Margin, or shortfall where a demand is to reach a strength and in the median does not."""
-    median = limit["margin"]["median"]["value"]
-    return "Shortfall" if limit["aim"] == "break" and median is not None and median > 1.0 else "Margin"
+    median = limit.margin["median"].value
+    return "Shortfall" if limit.aim == "break" and median is not None and median > 1.0 else "Margin"
 
 
-def margin_finding(name: str, margin: Mapping[str, Any], aim: str = "survive") -> str:
+def margin_finding(name: str, margin: Ests, aim: str = "survive") -> str:
     """The margin of a limit in a sentence, or why there is none; a shortfall where the aim is to break."""
     text = _margin_finding(name, margin)
-    median = (margin.get("median") or {}).get("value")
+    median = margin["median"].value
     if aim != "break" or median is None or median <= 1.0:
         return text
     text = text.replace(": the strength is ", ": short of it, the strength is still ", 1)
     return text + " The load would have to be that many times as large to break it."
 
 
-def _margin_finding(name: str, margin: Mapping[str, Any]) -> str:
+def _margin_finding(name: str, margin: Ests) -> str:
     known = {key: rounded(e, digits=3) for key, e in _known(margin).items()}
-    absent = next((e for e in margin.values() if e["value"] is None), None)
-    reason = "" if absent is None else str(absent.get("reason") or "the strength is zero")
+    absent = next((e for e in margin.values() if e.value is None), None)
+    reason = "" if absent is None else str(absent.reason or "the strength is zero")
     if not known:
         return f"Limit {limit_name(name)} has no margin: {reason or 'the strength is zero'}."
     text = f"Limit {limit_name(name)}: the strength is "
@@ -202,15 +202,15 @@ def score(p: Any, least: float = _LEAST) -> Array:
 
 def fragility_figure(contents: Contents, name: str) -> Picture | None:
     """Probability of exceeding over the free scalar, with its band, the operating point and the target."""
-    entry = contents.results["margins"].get(name)
-    if not entry or len(entry["curve"]) < 2:
+    entry = contents.results.margins.get(name)
+    if not entry or len(entry.curve) < 2:
         return None
-    solve = entry["solve"]
+    solve = entry.solve
     subject = contents.subject(solve)
     factor = display_unit(subject)[1]
-    curve = np.array(entry["curve"], dtype=float)
+    curve = np.array(entry.curve, dtype=float)
     here = contents.at_mean(solve)
-    limit = contents.results["limits"][name]
+    limit = contents.results.limits[name]
     with style():
         figure, (axes,) = new_figure(3.9)
         kept = _interesting(curve[:, 1], curve[:, 0], here)
@@ -221,16 +221,16 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
         x_scale(axes, x)
         rising = bool(curve[-1, 1] >= curve[0, 1])
         _lognormal_line(axes, entry, curve[kept, :2], factor)
-        _asked_points(axes, entry, factor, x, subject, limit["aim"])
+        _asked_points(axes, entry, factor, x, subject, limit.aim)
         _target_line(axes, limit, rising, _crossing(axes, curve[kept, :2], factor, limit))
         bottom, top = np.clip(axes.get_ylim(), score(_LEAST), -score(_LEAST))
         axes.set_ylim(bottom - 0.08 * (top - bottom), top + 0.05 * (top - bottom))
         if here is not None and x[0] <= here * factor <= x[-1]:
-            _operating_point(axes, here * factor, limit["exceedance"], rising)
+            _operating_point(axes, here * factor, limit.exceedance, rising)
         _yielding_bars(axes, entry, factor, x)
         probability_axis(axes)
         axes.set_xlabel(solved_label(contents, solve))
-        axes.set_ylabel(f"probability that {symbol(limit['quantity'], 24)}\nexceeds the strength")
+        axes.set_ylabel(f"probability that {symbol(limit.quantity, 24)}\nexceeds the strength")
     return Picture(
         name=slug("fragility", name),
         title=f"Fragility: {limit_name(name)}",
@@ -241,7 +241,7 @@ def fragility_figure(contents: Contents, name: str) -> Picture | None:
 
 def solved_label(contents: Contents, solve: str) -> str:
     """The axis of the free scalar: its mean where it scatters."""
-    word = "mean " if solve in contents.resolved["random"] else ""
+    word = "mean " if solve in contents.resolved.random else ""
     return axis_label(contents.subject(solve), word + shorten(input_name(solve), 50))
 
 
@@ -277,25 +277,25 @@ def x_scale(axes: Axes, x: Array) -> None:
     axes.set_xlim(x[0], x[-1])
 
 
-def lognormal_scores(entry: Mapping[str, Any], curve: Array) -> Array:
+def lognormal_scores(entry: MarginEntry, curve: Array) -> Array:
     """Normal scores (K,) of the lognormal curve at the points of a curve (K, 2); NaN where it is not near to it.
 
     Near is within a factor of two of the smaller side: beyond that a probability read off it would mislead.
     """
     from scipy.special import ndtr
 
-    fitted = entry["lognormal"]
-    z = np.log(curve[:, 0] / fitted["median"]["value"]) / fitted["dispersion"]["value"]
-    z = z if fitted["rising"] else -z
+    fitted = entry.lognormal
+    z = np.log(curve[:, 0] / fitted.median.number) / fitted.dispersion.number
+    z = z if fitted.rising else -z
     p = curve[:, 1]
     own, true = np.where(p <= 0.5, ndtr(z), ndtr(-z)), np.minimum(p, 1.0 - p)
     near = (true > 0.0) & (own <= 2.0 * true) & (own >= 0.5 * true)
     return np.where(near, z, np.nan)
 
 
-def _lognormal_line(axes: Axes, entry: Mapping[str, Any], curve: Array, factor: float) -> None:
+def _lognormal_line(axes: Axes, entry: MarginEntry, curve: Array, factor: float) -> None:
     """The lognormal curve beside the computed one, dashed, as far as it comes near."""
-    if not (entry.get("lognormal") or {}).get("median"):
+    if not entry.lognormal.median:
         return
     x, z = curve[:, 0], lognormal_scores(entry, curve)
     if not np.isfinite(z).any():
@@ -307,12 +307,12 @@ def _lognormal_line(axes: Axes, entry: Mapping[str, Any], curve: Array, factor: 
     )  # fmt: skip
 
 
-def _yielding_bars(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array) -> None:
+def _yielding_bars(axes: Axes, entry: MarginEntry, factor: float, x: Array) -> None:
     """From where on the bars yield under the sphere: hatched, at the top, labelled."""
-    bars = entry.get("bars") or {}
-    contact = (bars.get("contact") or {}).get("value")
-    rising = bool(entry["curve"][-1][1] >= entry["curve"][0][1])
-    if contact is None and bars.get("contact_everywhere") != "yields":
+    bars = entry.bars
+    contact = bars.contact.value
+    rising = bool(entry.curve[-1][1] >= entry.curve[0][1])
+    if contact is None and bars.contact_everywhere != "yields":
         return
     begin = (x[0] if rising else x[-1]) if contact is None else contact * factor
     span = (max(begin, x[0]), x[-1]) if rising else (x[0], min(begin, x[-1]))
@@ -321,7 +321,7 @@ def _yielding_bars(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array
     axes.axvspan(*span, ymin=0.965, ymax=1.0, facecolor="none", edgecolor=INK, hatch="////", linewidth=0.0, alpha=0.6)
     if contact is not None and x[0] < begin < x[-1]:
         axes.axvline(begin, color=INK, linewidth=0.9, linestyle="-.")
-    share = plain_percent(bars.get("contact_probability", 0.01))
+    share = plain_percent(bars.contact_probability)
     axes.annotate(
         f"hatched: bars yield in more than {share} of the cases",
         (1.0, 1.0),
@@ -334,14 +334,14 @@ def _yielding_bars(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array
     )
 
 
-def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array, subject: str, aim: str) -> None:
+def _asked_points(axes: Axes, entry: MarginEntry, factor: float, x: Array, subject: str, aim: str) -> None:
     """The values at the probabilities asked for, labelled below the curve; the answer first, and as it is told."""
     labelled: list[float] = []
-    rising, own = bool(entry["curve"][-1][1] >= entry["curve"][0][1]), entry.get("probability")
-    for p, estimate in sorted(entry["values"].items(), key=lambda item: float(item[0]) != own):
-        if estimate["value"] is None or not x[0] <= estimate["value"] * factor <= x[-1]:
+    rising, own = bool(entry.curve[-1][1] >= entry.curve[0][1]), entry.probability
+    for p, estimate in sorted(entry.values.items(), key=lambda item: float(item[0]) != own):
+        if estimate.value is None or not x[0] <= estimate.value * factor <= x[-1]:
             continue
-        place = estimate["value"] * factor, float(score(float(p)))
+        place = estimate.value * factor, float(score(float(p)))
         axes.plot(*place, marker="o", color=BLUE, markerfacecolor=PAPER, markersize=5)
         if any(abs(place[1] - other) < 0.45 for other in labelled):
             continue
@@ -362,11 +362,11 @@ def _asked_points(axes: Axes, entry: Mapping[str, Any], factor: float, x: Array,
         )
 
 
-def _crossing(axes: Axes, curve: Array, factor: float, limit: Mapping[str, Any]) -> float:
+def _crossing(axes: Axes, curve: Array, factor: float, limit: LimitEntry) -> float:
     """Where across the drawing (0 to 1) the curve (K, 2) reaches the accepted probability; its middle if nowhere."""
-    if limit["target"] is None:
+    if limit.target is None:
         return 0.5
-    accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
+    accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
     above = np.flatnonzero((curve[:-1, 1] - accepted) * (curve[1:, 1] - accepted) <= 0.0)
     if not len(above):
         return 0.5
@@ -374,14 +374,14 @@ def _crossing(axes: Axes, curve: Array, factor: float, limit: Mapping[str, Any])
     return float(axes.transAxes.inverted().transform(place)[0])
 
 
-def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool, crossing: float) -> None:
+def _target_line(axes: Axes, limit: LimitEntry, rising: bool, crossing: float) -> None:
     """The accepted probability, labelled where the curve lies below it if there is room, else at the other end."""
-    if limit["target"] is None:
+    if limit.target is None:
         return
-    accepted = limit["target"] if limit["aim"] == "survive" else 1.0 - limit["target"]
+    accepted = limit.target if limit.aim == "survive" else 1.0 - limit.target
     y = float(score(accepted))
     axes.axhline(y, color=RED, linestyle="--", linewidth=1.2)
-    word = "at most" if limit["aim"] == "survive" else "at least"
+    word = "at most" if limit.aim == "survive" else "at least"
     # labels of points lie where the curve is above the line
     left = rising == ((crossing if rising else 1.0 - crossing) > 0.4)
     axes.annotate(
@@ -397,9 +397,9 @@ def _target_line(axes: Axes, limit: Mapping[str, Any], rising: bool, crossing: f
     )
 
 
-def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising: bool) -> None:
+def _operating_point(axes: Axes, x: float, exceedance: Est, rising: bool) -> None:
     """Where the study stands, with a line to its label: at the bottom behind the curve, or at the top before it."""
-    p = exceedance["value"]
+    p = exceedance.value
     if p is None:
         return
     y = float(score(p))
@@ -407,8 +407,8 @@ def _operating_point(axes: Axes, x: float, exceedance: Mapping[str, Any], rising
     mark = "v" if p < _LEAST else ("^" if p > 1.0 - _LEAST else "D")
     if mark != "D":  # an arrow: it lies beyond the axis
         y = bottom if mark == "v" else top
-    elif exceedance["low"] is not None and exceedance["high"] is not None:
-        axes.plot([x, x], score([exceedance["low"], exceedance["high"]]), color=INK, linewidth=1.4)
+    elif exceedance.low is not None and exceedance.high is not None:
+        axes.plot([x, x], score([exceedance.low, exceedance.high]), color=INK, linewidth=1.4)
     axes.plot(x, y, marker=mark, markersize=8, color=ORANGE, markeredgecolor=INK, clip_on=False, zorder=5)
     across = float(axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0])
     below = (across if rising else 1.0 - across) <= 0.6
@@ -446,21 +446,21 @@ def _tick(p: float) -> str:
 
 def fragility_finding(contents: Contents, name: str) -> str:
     """At which values of the free scalar it breaks, in a sentence."""
-    entry = contents.results["margins"][name]
-    known = {p: e for p, e in entry["values"].items() if e["value"] is not None}
+    entry = contents.results.margins[name]
+    known = {p: e for p, e in entry.values.items() if e.value is not None}
     if not known:
-        reasons = "; ".join(sorted({str(e.get("reason")) for e in entry["values"].values()})) or "no curve"
-        return f"Limit {limit_name(name)}: no value of {input_name(entry['solve'])} can be given ({reasons})."
-    subject = contents.subject(entry["solve"])
-    own, most = entry.get("probability"), at_most(entry, contents.results["limits"][name]["aim"])
+        reasons = "; ".join(sorted({str(e.reason) for e in entry.values.values()})) or "no curve"
+        return f"Limit {limit_name(name)}: no value of {input_name(entry.solve)} can be given ({reasons})."
+    subject = contents.subject(entry.solve)
+    own, most = entry.probability, at_most(entry, contents.results.limits[name].aim)
     # the answer to the question is rounded to the safe side, here as everywhere
     told = {
         p: safe_side(e, subject, at_most=most) if float(p) == own else rounded(e, subject) for p, e in known.items()
     }
     parts = [f"{plain_percent(float(p))} at {text}" for p, text in told.items()]
-    here = contents.at_mean(entry["solve"])
+    here = contents.at_mean(entry.solve)
     what = event(contents.results, name) + of_limit(contents.results, name)
-    text = f"Over {input_name(entry['solve'])}, the probability that {what} is {', '.join(parts)}"
+    text = f"Over {input_name(entry.solve)}, the probability that {what} is {', '.join(parts)}"
     if here is not None:
         text += f"; the study stands at {value_text(here, subject)}"
     yielding = [p for p in known if (yields_at(entry, p) or 0.0) > 0.5]
@@ -477,24 +477,24 @@ _COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY, INK)
 
 def lognormal_remarks(contents: Contents, name: str) -> tuple[str, ...]:
     """The lognormal curve and how near it comes, or why there is none."""
-    entry = contents.results["margins"][name]
-    fitted = entry.get("lognormal")
+    entry = contents.results.margins[name]
+    fitted = entry.lognormal
     if not fitted:
         return ()
-    if not fitted.get("median"):
-        return (f"No lognormal curve: {fitted.get('reason', 'none was fitted')}.",)
-    subject = contents.subject(entry["solve"])
+    if not fitted.median:
+        return (f"No lognormal curve: {fitted.reason}.",)
+    subject = contents.subject(entry.solve)
     return (
-        f"Dashed: the lognormal curve nearest to it, with the median {estimate_text(fitted['median'], subject)} and "
-        f"the dispersion {estimate_text(fitted['dispersion'])}. It is off by at most "
-        f"{plain_percent(fitted['largest_gap'])} of all specimens, at {value_text(fitted['largest_gap_at'], subject)}."
+        f"Dashed: the lognormal curve nearest to it, with the median {estimate_text(fitted.median, subject)} and "
+        f"the dispersion {estimate_text(fitted.dispersion)}. It is off by at most "
+        f"{plain_percent(fitted.largest_gap)} of all specimens, at {value_text(fitted.largest_gap_at, subject)}."
         f"{_not_small(entry, subject)}",
     )
 
 
-def _not_small(entry: Mapping[str, Any], subject: str) -> str:
+def _not_small(entry: MarginEntry, subject: str) -> str:
     """That the lognormal curve does not serve small probabilities, with the first probability it is far off."""
-    curve = np.array(entry["curve"], dtype=float)
+    curve = np.array(entry.curve, dtype=float)
     off = np.isnan(lognormal_scores(entry, curve[:, :2]))
     far = off & (curve[:, 1] > 1e-6) & (curve[:, 1] < 0.5)
     if not far.any():
@@ -508,39 +508,44 @@ def _not_small(entry: Mapping[str, Any], subject: str) -> str:
 
 def family_name(contents: Contents, name: str) -> str:
     """The number over which the curves form a family."""
-    return input_name(contents.results["margins"][name]["family"]["path"])
+    return input_name(contents.results.margins[name].family.path)
+
+
+def _below(one: Est, other: Est) -> bool:
+    """Whether the interval of one ends before that of the other begins."""
+    return one.high is not None and other.low is not None and one.high < other.low
 
 
 def family_finding(contents: Contents, name: str) -> str:
     """How far the values at one half, or the nearest that is known of all, move over the family; else empty."""
-    entry = contents.results["margins"][name]
-    family, subject = entry["family"], contents.subject(entry["solve"])
-    members = sorted(family["members"], key=lambda member: float(member["value"]))
-    known = [p for p in members[0]["values"] if all(m["values"].get(p, {}).get("value") is not None for m in members)]
+    entry = contents.results.margins[name]
+    family, subject = entry.family, contents.subject(entry.solve)
+    members = sorted(family.members, key=lambda member: float(member.value))
+    known = [p for p in members[0].values if all(m.values.get(p, Est()).value is not None for m in members)]
     if len(members) < 2 or not known:
         return ""
     p = min(known, key=lambda p: abs(float(p) - 0.5))
     first, last = members[0], members[-1]
-    ends = [m["values"][p] for m in (first, last)]
-    apart = ends[0]["high"] < ends[1]["low"] or ends[1]["high"] < ends[0]["low"]
-    change = 100.0 * (ends[1]["value"] / ends[0]["value"] - 1.0) if ends[0]["value"] else 0.0
+    one, other = first.values[p], last.values[p]
+    apart = _below(one, other) or _below(other, one)
+    change = 100.0 * (other.number / one.number - 1.0) if one.value else 0.0
     verb = f"{'rises' if change > 0.0 else 'falls'} by {abs(change):.2g} %" if apart else "does not change visibly"
-    at_first, at_last = map(number_text, member_values(family["path"], [first["value"], last["value"]], 3))
+    at_first, at_last = map(number_text, member_values(family.path, [first.value, last.value], 3))
     return (
-        f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry['solve'])} at which "
-        f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(ends[0], subject)} to "
-        f"{rounded(ends[1], subject)}."
+        f"From {at_first} to {at_last} of the {family_name(contents, name)}, the {input_name(entry.solve)} at which "
+        f"{plain_percent(float(p))} exceed {limit_name(name)} {verb}: from {rounded(one, subject)} to "
+        f"{rounded(other, subject)}."
     )
 
 
 def family_figure(contents: Contents, name: str) -> Picture | None:
     """The curves of a family; None where fewer than two could be computed."""
-    entry = contents.results["margins"][name]
-    family = entry["family"]
-    members = [member for member in family["members"] if len(member["curve"]) > 1]
+    entry = contents.results.margins[name]
+    family = entry.family
+    members = [member for member in family.members if len(member.curve) > 1]
     if len(members) < 2:
         return None
-    subject = contents.subject(entry["solve"])
+    subject = contents.subject(entry.solve)
     factor = display_unit(subject)[1]
     from matplotlib.lines import Line2D
 
@@ -548,9 +553,9 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
     with style():
         figure, (axes,) = new_figure(3.7)
         low, high = np.inf, -np.inf
-        labels = member_values(family["path"], [member["value"] for member in members], 3)
+        labels = member_values(family.path, [member.value for member in members], 3)
         for k, (member, label) in enumerate(zip(members, labels, strict=True)):
-            curve = np.array(member["curve"], dtype=float)
+            curve = np.array(member.curve, dtype=float)
             inside = np.flatnonzero((curve[:, 1] > 1e-4) & (curve[:, 1] < 1.0 - 1e-4))
             kept = slice(max(inside[0] - 1, 0), inside[-1] + 2) if inside.size else slice(None)
             x, p = curve[kept, 0] * factor, curve[kept, 1]
@@ -558,70 +563,68 @@ def family_figure(contents: Contents, name: str) -> Picture | None:
             colour, mark = _COLOURS[k % len(_COLOURS)], MARKS[k % len(MARKS)]
             axes.plot(x, score(p), color=colour)
             # marks at the probabilities asked for alone: those of all curves are to be compared
-            asked = [(e["value"] * factor, float(q)) for q, e in member["values"].items() if e["value"] is not None]
+            asked = [(e.value * factor, float(q)) for q, e in member.values.items() if e.value is not None]
             points = np.array([point for point in asked if x[0] <= point[0] <= x[-1]]).reshape(-1, 2)
             axes.plot(points[:, 0], score(points[:, 1]), color=colour, marker=mark, markersize=4.5, linestyle="none")
             handles.append(Line2D([], [], color=colour, marker=mark, markersize=4.5, label=number_text(label)))
         x_scale(axes, np.array([low, high]))
         axes.set_ylim(float(score(1e-3)) - 0.2, float(score(0.999)) + 0.2)
         probability_axis(axes)
-        axes.set_xlabel(solved_label(contents, entry["solve"]))
-        axes.set_ylabel(
-            f"probability that {symbol(contents.results['limits'][name]['quantity'], 24)}\nexceeds the strength"
-        )
-        axes.legend(
-            handles=handles, title=shorten(input_name(family["path"]), 30), title_fontsize=9.0, loc="upper left"
-        )
+        axes.set_xlabel(solved_label(contents, entry.solve))
+        axes.set_ylabel(f"probability that {symbol(contents.results.limits[name].quantity, 24)}\nexceeds the strength")
+        axes.legend(handles=handles, title=shorten(input_name(family.path), 30), title_fontsize=9.0, loc="upper left")
     title = f"Fragility of {limit_name(name)} over {family_name(contents, name)}"
     return Picture(
         name=slug("fragility-family", name),
         title=title,
         finding=family_finding(contents, name),
         figure=figure,
-        header=(family["path"], entry["solve"], "probability", "low", "high"),
-        rows=tuple((float(m["value"]), *map(float, point)) for m in members for point in m["curve"]),
+        header=(family.path, entry.solve, "probability", "low", "high"),
+        rows=tuple((float(m.value), *map(float, point)) for m in members for point in m.curve),
     )
 
 
 def family_table(contents: Contents, name: str) -> Table:
     """The values at the probabilities asked for, and the lognormal curve, of every member."""
-    entry = contents.results["margins"][name]
-    family, subject = entry["family"], contents.subject(entry["solve"])
-    members = family["members"]
-    keys = sorted({p for member in members for p in member["values"]}, key=float)
+    entry = contents.results.margins[name]
+    family, subject = entry.family, contents.subject(entry.solve)
+    members = family.members
+    keys = sorted({p for member in members for p in member.values}, key=float)
     rows = [
         (
             plain_percent(float(p)),
-            *(estimate_text(m["values"][p], subject) if p in m["values"] else "–" for m in members),
+            *(estimate_text(m.values[p], subject) if p in m.values else "–" for m in members),
         )
         for p in keys
     ]
-    fitted = [(member.get("lognormal") or {}).get("dispersion") for member in members]
+    fitted = [member.lognormal.dispersion for member in members]
     rows.append(("dispersion of the lognormal curve", *(estimate_text(found) if found else "–" for found in fitted)))
     name_of = shorten(family_name(contents, name), 40)
-    solved = begin(entry["solve"], input_name(entry["solve"]))
+    solved = begin(entry.solve, input_name(entry.solve))
     caption = f"{solved} at which {limit_name(name)} is exceeded, by {name_of}"
-    header = ("probability", *map(number_text, member_values(family["path"], [m["value"] for m in members])))
+    header = ("probability", *map(number_text, member_values(family.path, [m.value for m in members])))
     return Table(caption=caption, header=header, rows=tuple(rows))
 
 
 # --- The fragility over the specific energy: drawn and told as the one over the speed is.
 
 
-def _seen_so(contents: Contents, name: str, against: dict[str, Any]) -> Contents:
+def _seen_so(contents: Contents, name: str, against: AgainstEntry) -> Contents:
     """The contents as if the energy were what the margins of this limit are solved for."""
-    own = {**contents.results["margins"], name: {**against, "solve": against["quantity"]}}
-    return replace(contents, results={**contents.results, "margins": own})
+    values = {key: getattr(against, key) for key in ("quantity", "unit", "values", "curve", "lognormal")}
+    own = MarginEntry(solve=values.pop("quantity"), **values)
+    margins = {**contents.results.margins, name: own}
+    return replace(contents, results=contents.results.model_copy(update={"margins": margins}))
 
 
 def energy_block(contents: Contents, name: str) -> list[Block]:
     """The block of a limit; none where no curve over the energy was asked for."""
-    against = contents.results["margins"][name].get("against")
+    against = contents.results.margins[name].against
     if not against:
         return []
     heading = f"Fragility of {limit_name(name)} over the specific energy"
-    if against.get("reason"):
-        return [Block(heading=heading, finding=f"No curve can be given: {against['reason']}.")]
+    if against.reason:
+        return [Block(heading=heading, finding=f"No curve can be given: {against.reason}.")]
     view = _seen_so(contents, name, against)
     picture = fragility_figure(view, name)
     return [

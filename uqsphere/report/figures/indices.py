@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from uqsphere.report.phrases import (
     short_input,
     symbol,
 )
+from uqsphere.results import IndexEntry, OrderEntry
+from uqsphere.results.entries import Est, Ests
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,8 +62,8 @@ _LEFT, _RIGHT = -0.1, 1.5
 def draw_indices(
     names: Sequence[str],
     labels: Mapping[str, str],
-    first: Mapping[str, Mapping[str, Any]],
-    total: Mapping[str, Mapping[str, Any]],
+    first: Ests,
+    total: Ests,
     axis: str,
     words: tuple[str, str] = ("alone (first)", "with interactions (total)"),
 ) -> Figure:
@@ -86,15 +88,15 @@ def draw_indices(
     return figure
 
 
-def _mark(axes: Axes, estimate: Mapping[str, Any], y: float, colour: str, marker: str) -> float:
+def _mark(axes: Axes, estimate: Est, y: float, colour: str, marker: str) -> float:
     """Stem, violin, whisker, mark and label of one index; the right end of what is drawn."""
-    value = estimate["value"]
+    value = estimate.value
     if value is None:
         return 0.0
-    low = value if estimate["low"] is None else max(estimate["low"], _LEFT)
-    high = value if estimate["high"] is None else min(estimate["high"], _RIGHT)
+    low = value if estimate.low is None else max(estimate.low, _LEFT)
+    high = value if estimate.high is None else min(estimate.high, _RIGHT)
     axes.plot([0.0, value], [y, y], color=colour, linewidth=2.6, alpha=0.35, solid_capstyle="butt")
-    error = estimate.get("std_error") or (high - low) / 4.0
+    error = estimate.std_error or (high - low) / 4.0
     if error > 0.0:
         x = np.linspace(max(value - 3.0 * error, _LEFT), min(value + 3.0 * error, _RIGHT), 61)
         half = _HALF * np.exp(-0.5 * ((x - value) / error) ** 2)
@@ -142,13 +144,13 @@ MOST: Final = 10
 _LEAST: Final = 0.005
 
 
-def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Mapping[str, Any]]:
+def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Est]:
     """Indices of pairs that are known."""
-    entry = contents.results["sensitivity"].get(quantity) or {}
+    entry = contents.results.sensitivity.get(quantity, IndexEntry())
     found = {}
-    for name, estimate in (entry.get("second") or {}).items():
+    for name, estimate in entry.second.items():
         a, _, b = name.partition("|")
-        if estimate["value"] is not None:
+        if estimate.value is not None:
             found[a, b] = estimate
     return found
 
@@ -156,7 +158,7 @@ def _pairs(contents: Contents, quantity: str) -> dict[tuple[str, str], Mapping[s
 def pair_figure(contents: Contents, quantity: str) -> Picture | None:
     """Shares of the variance of pairs below the diagonal, of single inputs on it; None where none is known."""
     pairs = _pairs(contents, quantity)
-    entry = contents.results["sensitivity"].get(quantity)
+    entry = contents.results.sensitivity.get(quantity)
     if not pairs or entry is None:
         return None
     taking_part = {name for pair in pairs for name in pair}
@@ -167,8 +169,8 @@ def pair_figure(contents: Contents, quantity: str) -> Picture | None:
         figure, (axes,) = new_figure(1.5 + 0.5 * len(names))
         for row, a in enumerate(names):
             for column, b in enumerate(names[: row + 1]):
-                estimate = entry["first"][a] if a == b else pairs.get((a, b)) or pairs.get((b, a))
-                if estimate is not None and estimate["value"] is not None:
+                estimate = entry.first[a] if a == b else pairs.get((a, b)) or pairs.get((b, a))
+                if estimate is not None and estimate.value is not None:
                     _tile(axes, row, column, estimate, single=a == b, small=len(names) > 6)
         axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(len(names) - 0.5, -0.5)
@@ -185,11 +187,11 @@ def pair_figure(contents: Contents, quantity: str) -> Picture | None:
     )
 
 
-def _tile(axes: Axes, row: int, column: int, estimate: Mapping[str, Any], *, single: bool, small: bool) -> None:
+def _tile(axes: Axes, row: int, column: int, estimate: Est, *, single: bool, small: bool) -> None:
     """One square: the deeper the larger the share; its number in the colour that can be read on it."""
     from matplotlib.patches import Rectangle
 
-    share = float(np.clip(estimate["value"], 0.0, 1.0))
+    share = float(np.clip(estimate.number, 0.0, 1.0))
     # from the page's own background to blue, so that a dark page has dark small shares
     axes.add_patch(
         Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor=BLUE, alpha=0.85 * share**0.5, linewidth=0)
@@ -199,7 +201,7 @@ def _tile(axes: Axes, row: int, column: int, estimate: Mapping[str, Any], *, sin
             (column - 0.48, row - 0.46), 0.96, 0.92, fill=False, edgecolor=INK if single else FAINT, linewidth=1.0
         )
     )
-    seen = estimate["low"] is not None and estimate["low"] > 0.0
+    seen = estimate.low is not None and estimate.low > 0.0
     text = share_text(estimate).replace("less than ", "<").removesuffix(" %").replace("nearly all", "all")
     axes.annotate(
         text if seen or single else "0",
@@ -213,15 +215,15 @@ def _tile(axes: Axes, row: int, column: int, estimate: Mapping[str, Any], *, sin
 
 def pair_finding(contents: Contents, quantity: str) -> str:
     """Which pair of inputs interacts most, and how much all pairs carry together."""
-    entry = contents.results["sensitivity"].get(quantity) or {}
+    entry = contents.results.sensitivity.get(quantity, IndexEntry())
     pairs = _pairs(contents, quantity)
     if not pairs:
-        reason = next((absent_reason(e) for e in (entry.get("second") or {}).values()), "")
+        reason = next((absent_reason(e) for e in entry.second.values()), "")
         return f"Which inputs act together on {symbol(quantity)} is not known: {reason}." if reason else ""
-    (a, b), largest = max(pairs.items(), key=lambda item: float(item[1]["value"]))
-    seen = {p: e for p, e in pairs.items() if (e["low"] or 0.0) > 0.0 and e["value"] > _LEAST}
+    (a, b), largest = max(pairs.items(), key=lambda item: float(item[1].value or 0.0))
+    seen = {p: e for p, e in pairs.items() if (e.low or 0.0) > 0.0 and (e.value or 0.0) > _LEAST}
     if (a, b) not in seen:
-        widest = max(float(e["high"]) for e in pairs.values() if e["high"] is not None)
+        widest = max(float(e.high) for e in pairs.values() if e.high is not None)
         return f"No pair of inputs matters: each carries at most {100.0 * max(widest, 0.0):.2g} %."
     words = f"{begin(a, short_input(a))} and {short_input(b)} together carry {share_text(largest)} of the variance"
     text = f"{words} of {symbol(quantity)} beyond what each does alone"
@@ -236,7 +238,7 @@ def pair_finding(contents: Contents, quantity: str) -> str:
 def pair_table(contents: Contents, quantity: str) -> Table | None:
     """Indices of pairs with intervals, the largest first."""
     pairs = _pairs(contents, quantity)
-    rows = sorted(pairs.items(), key=lambda item: -float(item[1]["value"]))
+    rows = sorted(pairs.items(), key=lambda item: -float(item[1].value or 0.0))
     if not rows:
         return None
     return Table(
@@ -246,23 +248,23 @@ def pair_table(contents: Contents, quantity: str) -> Table | None:
     )
 
 
-def _groups(contents: Contents, quantity: str) -> dict[str, Mapping[str, Any]]:
-    entry = contents.results["sensitivity"].get(quantity) or {}
-    return dict(entry.get("groups") or {})
+def _groups(contents: Contents, quantity: str) -> OrderEntry:
+    entry = contents.results.sensitivity.get(quantity, IndexEntry())
+    return entry.groups
 
 
 def group_figure(contents: Contents, quantity: str) -> Picture | None:
     """Closed and total indices of groups of inputs; None where none is known."""
     groups = _groups(contents, quantity)
-    names = [n for n, e in (groups.get("total") or {}).items() if e["value"] is not None]
-    names.sort(key=lambda n: -float(groups["total"][n]["value"]))
+    names = [n for n, e in groups.total.items() if e.value is not None]
+    names.sort(key=lambda n: -groups.total[n].number)
     if not names:
         return None
     figure = draw_indices(
         names,
         {n: shorten(n, 40) for n in names},
-        groups["first"],
-        groups["total"],
+        groups.first,
+        groups.total,
         f"share of the variance of {symbol(quantity, 24)}",
         ("by themselves (closed)", "with interactions (total)"),
     )
@@ -276,12 +278,12 @@ def group_figure(contents: Contents, quantity: str) -> Picture | None:
 
 def group_finding(contents: Contents, quantity: str) -> str:
     """Which group of inputs carries most."""
-    total = _groups(contents, quantity).get("total") or {}
-    known = {n: e for n, e in total.items() if e["value"] is not None}
+    total = _groups(contents, quantity).total
+    known = {n: e for n, e in total.items() if e.value is not None}
     if not known:
         reason = next((absent_reason(e) for e in total.values()), "")
         return f"What the groups do is not known: {reason}." if reason else ""
-    largest = max(known, key=lambda n: float(known[n]["value"]))
+    largest = max(known, key=lambda n: known[n].number)
     share = share_text(known[largest])
     return f"Taken together, {shorten(largest, 60)} carries {share} of the variance of {symbol(quantity)}."
 
@@ -289,19 +291,19 @@ def group_finding(contents: Contents, quantity: str) -> str:
 def group_table(contents: Contents, quantity: str) -> Table | None:
     """Indices of groups with intervals."""
     groups = _groups(contents, quantity)
-    names = list(groups.get("total") or {})
+    names = list(groups.total)
     if not names:
         return None
     return Table(
         caption=capital(f"indices of groups of inputs, {symbol(quantity)}, with 95 % intervals"),
         header=("group", "by themselves (closed)", "with interactions (total)"),
-        rows=tuple((shorten(n, 60), index_cell(groups["first"][n]), index_cell(groups["total"][n])) for n in names),
+        rows=tuple((shorten(n, 60), index_cell(groups.first[n]), index_cell(groups.total[n])) for n in names),
     )
 
 
 def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
     """First and total indices with their uncertainty, the largest on top; None where there are none."""
-    entry = contents.results["sensitivity"].get(quantity)
+    entry = contents.results.sensitivity.get(quantity)
     rows = ranked(entry)
     if not rows:
         return None
@@ -310,8 +312,8 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
     figure = draw_indices(
         shown,
         {name: short_input(name) for name in shown},
-        entry["first"],
-        entry["total"],
+        entry.first,
+        entry.total,
         f"share of the variance of {symbol(quantity, 24)}",
     )
     return Picture(
@@ -322,27 +324,27 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
     )
 
 
-def ranked(entry: Mapping[str, Any] | None) -> list[str]:
+def ranked(entry: IndexEntry | None) -> list[str]:
     """Inputs with an index, the most important first: by the total index where interactions are seen."""
     if not entry:
         return []
-    known = [n for n, e in entry["total"].items() if e["value"] is not None and entry["first"][n]["value"] is not None]
-    order = "total" if any(_interacts(entry, name) for name in known) else "first"
-    return sorted(known, key=lambda name: -float(entry[order][name]["value"]))
+    known = [n for n, e in entry.total.items() if e.value is not None and entry.first[n].value is not None]
+    order = entry.total if any(_interacts(entry, name) for name in known) else entry.first
+    return sorted(known, key=lambda name: -float(order[name].value or 0.0))
 
 
 def sensitivity_finding(contents: Contents, quantity: str) -> str:
     """Which inputs drive a quantity, with numbers."""
-    entry = contents.results["sensitivity"].get(quantity)
+    entry = contents.results.sensitivity.get(quantity)
     rows = ranked(entry)
     name = symbol(quantity)
-    if not rows and entry and entry.get("shapley"):
-        return _shared_finding(entry["shapley"], name)
+    if not rows and entry and entry.shapley:
+        return _shared_finding(entry.shapley, name)
     if not rows or entry is None:
-        reason = str((entry or {}).get("check", {}).get("text") or "no indices were computed").rstrip(".")
+        reason = str((entry.check.text if entry is not None else "") or "no indices were computed").rstrip(".")
         return f"What drives {name} is not known: {reason}."
     acting = any(_interacts(entry, n) for n in rows)
-    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry["total"][n])]
+    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry.total[n])]
     text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
     if len(parts) > 1:
         text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
@@ -353,35 +355,35 @@ def sensitivity_finding(contents: Contents, quantity: str) -> str:
     return f"{text}. Interactions are not seen above the intervals."
 
 
-def _shared_finding(shapley: Mapping[str, Any], name: str) -> str:
+def _shared_finding(shapley: Ests, name: str) -> str:
     """Who owns the variance where inputs depend on each other."""
-    known = {n: float(e["value"]) for n, e in shapley.items() if e["value"] is not None}
+    known = {n: float(e.value) for n, e in shapley.items() if e.value is not None}
     if not known:
-        reason = next((str(e.get("reason")) for e in shapley.values()), "no effects were computed")
+        reason = next((str(e.reason) for e in shapley.values()), "no effects were computed")
         return f"What drives {name} is not known: {reason}."
     shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
     return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
 
 
-def _seen(estimate: Mapping[str, Any]) -> bool:
-    return (estimate["low"] or 0.0) > 0.0 and estimate["value"] > 0.005
+def _seen(estimate: Est) -> bool:
+    return (estimate.low or 0.0) > 0.0 and estimate.number > 0.005
 
 
-def _interacts(entry: Mapping[str, Any], name: str) -> bool:
+def _interacts(entry: IndexEntry, name: str) -> bool:
     """Whether the total index is larger than the first by more than the intervals and by what matters."""
-    first, total = entry["first"][name], entry["total"][name]
-    return _exceeds(entry, name) and bool(total["value"] - first["value"] > 0.01)
+    first, total = entry.first[name], entry.total[name]
+    return _exceeds(entry, name) and total.number - first.number > 0.01
 
 
-def _exceeds(entry: Mapping[str, Any], name: str) -> bool:
+def _exceeds(entry: IndexEntry, name: str) -> bool:
     """Whether the total index is larger than the first by more than the intervals."""
-    first, total = entry["first"][name], entry["total"][name]
-    return first["high"] is not None and total["low"] is not None and bool(total["low"] > first["high"])
+    first, total = entry.first[name], entry.total[name]
+    return first.high is not None and total.low is not None and bool(total.low > first.high)
 
 
-def _driver(entry: Mapping[str, Any], name: str, acting: bool) -> tuple[str, str]:
+def _driver(entry: IndexEntry, name: str, acting: bool) -> tuple[str, str]:
     """An input in words, and its share of the variance; with its interactions where any input has them."""
-    first, total = share_text(entry["first"][name]), share_text(entry["total"][name])
+    first, total = share_text(entry.first[name]), share_text(entry.total[name])
     if acting:
         return short_input(name), f"{total} with its interactions ({first} alone)"
     return short_input(name), first

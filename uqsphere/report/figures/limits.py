@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -49,6 +48,8 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
+from uqsphere.results import FractureEntry, IndexEntry
+from uqsphere.results.entries import Est
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.law import Law
 from uqsphere.uq.weibull import (
@@ -112,7 +113,7 @@ class Sides:
 def _paired(contents: Contents, limit: str) -> bool:
     """Whether the strength depends on another number, so that it cannot be drawn by itself."""
     own = f"limits.{limit}.strength"
-    return any(own in group["of"] for group in contents.resolved.get("dependence", []))
+    return any(own in group.of for group in contents.resolved.dependence)
 
 
 def sides_of(contents: Contents, limit: str) -> Sides | None:
@@ -122,22 +123,20 @@ def sides_of(contents: Contents, limit: str) -> Sides | None:
     from an even sequence over its law.  One that depends on an input is set by the rank of that input, by the
     normal copula, where it depends on one input alone.
     """
-    entry, resolved = contents.results["limits"][limit], contents.resolved["limits"][limit]
-    samples = contents.samples.get(entry["quantity"])
-    names = [
-        n for n in contents.results["sensitivity"].get(entry["quantity"], {}).get("first", {}) if _varies(contents, n)
-    ]
-    if samples is None or not names or resolved["model_factor"] != 1.0 or samples.censored.mean() > 0.05:
+    entry, resolved = contents.results.limits[limit], contents.resolved.limits[limit]
+    samples = contents.samples.get(entry.quantity)
+    names = [n for n in contents.results.sensitivity.get(entry.quantity, IndexEntry()).first if _varies(contents, n)]
+    if samples is None or not names or resolved.model_factor != 1.0 or samples.censored.mean() > 0.05:
         return None
     if len(samples.values) < _SLICES * _FEWEST:
         return None
-    shares = entry.get("governing_inputs") or {}
+    shares = entry.governing_inputs or {}
     name = max(names, key=lambda n: (float(shares.get(n, 0.0)), _tie(contents.points[n], samples.values)))
     law = law_of(contents.resolved, f"limits.{limit}.strength")
     if law is None:
-        if resolved["strength"] == "random":
+        if resolved.strength == "random":
             return None
-        strength = np.full(len(samples.values), float(resolved["strength"]))
+        strength = np.full(len(samples.values), float(resolved.strength))
     else:
         levels = _levels(contents, limit, len(samples.values))
         if levels is None:
@@ -149,7 +148,7 @@ def sides_of(contents: Contents, limit: str) -> Sides | None:
         x=contents.points[name],
         demand=samples.values,
         strength=strength,
-        missed=over if entry["aim"] == "survive" else ~over,
+        missed=over if entry.aim == "survive" else ~over,
         random=law is not None,
     )
 
@@ -172,11 +171,11 @@ def _levels(contents: Contents, limit: str, n: int) -> Array | None:
     from scipy.special import ndtr, ndtri
 
     own = f"limits.{limit}.strength"
-    groups = [group for group in contents.resolved["dependence"] if own in group["of"]]
-    others = [name for group in groups for name in group["of"] if name != own]
-    if len(others) != 1 or others[0] not in contents.points or groups[0]["copula"] not in ("gaussian", "normal"):
+    groups = [group for group in contents.resolved.dependence if own in group.of]
+    others = [name for group in groups for name in group.of if name != own]
+    if len(others) != 1 or others[0] not in contents.points or groups[0].copula not in ("gaussian", "normal"):
         return None
-    rank = groups[0].get("spearman")
+    rank = groups[0].spearman
     if rank is None:
         return None
     # Pearson's correlation of the normal scores from Spearman's of the ranks (Pearson 1907)
@@ -198,7 +197,7 @@ def surface_figure(contents: Contents, limit: str) -> Picture | None:
     sides = sides_of(contents, limit)
     if sides is None or not _telling(sides):
         return None
-    quantity = contents.results["limits"][limit]["quantity"]
+    quantity = contents.results.limits[limit].quantity
     across, up = display_unit(sides.name)[1], display_unit(quantity)[1]
     drawn, whole = _chosen(sides)
     y = sides.strength if sides.random else sides.demand
@@ -326,30 +325,31 @@ _LEAST: Final = 1e-6
 MOST_CURVES: Final = 8
 
 
-def _found(contents: Contents) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = contents.results.get("fracture") or {}
+def _found(contents: Contents) -> FractureEntry:
+    found: FractureEntry = contents.results.fracture
     return found
 
 
 def fracture_finding(contents: Contents) -> str:
     """Whether it breaks, when, by what and in which state, in a few sentences."""
     found = _found(contents)
-    union, first = found.get("union"), found.get("first_loading")
-    if not union or union["value"] is None:
-        return f"No answer: {found.get('reason') or absent_reason(union or {})}."
+    union, first = found.union, found.first_loading
+    if not union or union.value is None:
+        return f"No answer: {found.reason or absent_reason(union)}."
     text = f"The sphere breaks with a probability of {probability_text(union)} over the record"
-    if first and first["value"] is not None:
+    if first and first.value is not None:
         text += f", of {probability_text(first)} in the first loading, before the first reflected wave is back"
     parts = [text + "."]
-    governed = {n: e for n, e in found.get("governed_by", {}).items() if e["value"]}
-    if len(found["limits"]) > 1 and governed:
-        ranked = sorted(governed.items(), key=lambda item: -item[1]["value"])
-        named = [f"{limit_name(n)} in {plain_percent(e['value'])}" for n, e in ranked]
+    governed = {n: e for n, e in found.governed_by.items() if e.value}
+    if len(found.limits) > 1 and governed:
+        ranked = sorted(governed.items(), key=lambda item: -item[1].number)
+        named = [f"{limit_name(n)} in {plain_percent(e.number)}" for n, e in ranked]
         parts.append(f"Of the spheres that break, the strength reached first is {listed(named)}.")
-    if "time" in found:
-        time, force, energy = (rounded(found[key]["median"], _STATE[key][1], 3) for key in ("time", "force", "energy"))
-        imbalance = plain_percent(float(f"{found['imbalance']['median']['value']:.2g}"))
-        whole = union["value"]
+    states = found.states()
+    if found.time:
+        time, force, energy = (rounded(states[key].median, _STATE[key][1], 3) for key in ("time", "force", "energy"))
+        imbalance = plain_percent(float(f"{found.imbalance.median.value:.2g}"))
+        whole = union.value
         whom, weakest = "The spheres that break", ""
         if 0.0 < whole < 0.5:
             count = float(f"{1.0 / whole:.2g}")
@@ -359,16 +359,16 @@ def fracture_finding(contents: Contents) -> str:
             f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}; the two forces "
             f"then differ by {imbalance}."
         )
-    if "t10" in found:
-        ends = [rounded(found["t10"]["quantiles"][p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
+    if found.t10:
+        ends = [rounded(found.t10.quantiles[p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
         parts.append(
             f"Of their mass {ends[1]} is then finer than a tenth of the sphere in the median, {ends[0]} to "
             f"{ends[2]} in nine of ten (t10)."
         )
-    if "time" not in found and found.get("reason"):
-        parts.append(f"When it breaks is not known: {found['reason']}.")
-    again = [n for n in found.get("left_out", ()) if breaks(contents.results, n)]
-    other = [n for n in found.get("left_out", ()) if n not in again]
+    if not found.time and found.reason:
+        parts.append(f"When it breaks is not known: {found.reason}.")
+    again = [n for n in found.left_out if breaks(contents.results, n)]
+    other = [n for n in found.left_out if n not in again]
     if again:
         parts.append(
             f"The limit {listed([limit_name(n) for n in again])} means the same event with another aim, and is not "
@@ -384,30 +384,31 @@ def fracture_table(contents: Contents) -> Table | None:
     found = _found(contents)
     if not found:
         return None
-    several = len(found["limits"]) > 1
+    several = len(found.limits) > 1
     rows = [
         (
             "probability of fracture over the record" + (", by any limit" if several else ""),
-            cell(found["union"], probability=True),
+            cell(found.union, probability=True),
         )
     ]
-    if "first_loading" in found:
-        rows.append(("probability of fracture in the first loading", cell(found["first_loading"], probability=True)))
+    if found.first_loading:
+        rows.append(("probability of fracture in the first loading", cell(found.first_loading, probability=True)))
     if several:
         rows += [
             (f"share of fractures in which {limit_name(name)} is reached first", cell(estimate, probability=True))
-            for name, estimate in found.get("governed_by", {}).items()
+            for name, estimate in found.governed_by.items()
         ]
         rows += [
             (
-                "share in the order " + ", then ".join(limit_name(n) for n in entry["limits"]),
-                cell(entry["share"], probability=True),
+                "share in the order " + ", then ".join(limit_name(n) for n in entry.limits),
+                cell(entry.share, probability=True),
             )
-            for entry in found.get("order", ())
-            if len(entry["limits"]) > 1
+            for entry in found.order
+            if len(entry.limits) > 1
         ]
-    for key, (words, like) in _STATE.items():
-        for p, e in found.get(key, {}).get("quantiles", {}).items():
+    for key, state in found.states().items():
+        words, like = _STATE[key]
+        for p, e in state.quantiles.items():
             rows.append((f"{words}, {_SHARES.get(p, p)}", cell(e, like)))
     return Table(
         caption="Fracture, with 95 % intervals; what follows the probabilities is of the spheres that break",
@@ -418,12 +419,12 @@ def fracture_table(contents: Contents) -> Table | None:
 
 def _beside(contents: Contents) -> dict[str, Array_arrays]:
     """Curves (K, 4) of the limits within the values of that of fracture by any of them."""
-    found, margins = _found(contents), contents.results["margins"]
-    lowest, highest = float(found["curve"][0][0]), float(found["curve"][-1][0])
+    found, margins = _found(contents), contents.results.margins
+    lowest, highest = float(found.curve[0][0]), float(found.curve[-1][0])
     curves = {
-        name: np.array(margins[name]["curve"], dtype=float)
-        for name in found["limits"][:MOST_CURVES]
-        if len(margins.get(name, {}).get("curve", ())) > 1
+        name: np.array(margins[name].curve, dtype=float)
+        for name in found.limits[:MOST_CURVES]
+        if name in margins and len(margins[name].curve) > 1
     }
     return {n: c[(c[:, 0] >= lowest * 0.999) & (c[:, 0] <= highest * 1.001)] for n, c in curves.items()}
 
@@ -435,13 +436,13 @@ def _hardly_known(curve: Array_arrays) -> Flags:
 def interplay_remarks(contents: Contents) -> tuple[str, ...]:
     """Where the curve of a limit is left out of the figure for the few rows that it rests on."""
     found = _found(contents)
-    if len(found.get("curve", ())) < 2:
+    if len(found.curve) < 2:
         return ()
     told = []
     for name, curve in _beside(contents).items():
         gone = curve[_hardly_known(curve) & (curve[:, 3] > _LEAST), 0]
         if gone.size:
-            ends = [format_value(float(end), str(found["solve"]), 3) for end in dict.fromkeys((gone[0], gone[-1]))]
+            ends = [format_value(float(end), str(found.solve), 3) for end in dict.fromkeys((gone[0], gone[-1]))]
             told.append(f"{limit_name(name)} ({' to '.join(ends)})")
     if not told:
         return ()
@@ -451,11 +452,11 @@ def interplay_remarks(contents: Contents) -> tuple[str, ...]:
 def interplay_figure(contents: Contents) -> Picture | None:
     """Probability of exceeding each limit, and of fracture by any, over the free scalar."""
     found = _found(contents)
-    if len(found.get("curve", ())) < 2:
+    if len(found.curve) < 2:
         return None
-    solve = str(found["solve"])
+    solve = str(found.solve)
     factor = display_unit(solve)[1]
-    union = np.array(found["curve"], dtype=float)
+    union = np.array(found.curve, dtype=float)
     here = contents.at_mean(solve)
     lowest, highest = float(union[0, 0]), float(union[-1, 0])
     with style():
@@ -500,16 +501,16 @@ def interplay_figure(contents: Contents) -> Picture | None:
             )
         probability_axis(axes)
         axes.legend(loc="upper left")
-        word = "mean " if solve in contents.resolved["random"] else ""
+        word = "mean " if solve in contents.resolved.random else ""
         axes.set_xlabel(axis_label(solve, word + shorten(input_name(solve), 50)))
         axes.set_ylabel("probability of reaching the strength")
     finding = f"Which criterion breaks the sphere, over {input_name(solve)}: {_half(found)}"
     return Picture(name="interplay", title="Interplay of the limits", finding=finding, figure=figure)
 
 
-def _half(found: Mapping[str, Any]) -> str:
-    known = {p: e for p, e in found.get("values", {}).items() if e["value"] is not None}
-    parts = [f"{plain_percent(float(p))} at {rounded(e, found['solve'])}" for p, e in known.items()]
+def _half(found: FractureEntry) -> str:
+    known = {p: e for p, e in found.values.items() if e.value is not None}
+    parts = [f"{plain_percent(float(p))} at {rounded(e, found.solve)}" for p, e in known.items()]
     return f"by any of them {', '.join(parts)}." if parts else "no value has the probabilities asked for."
 
 
@@ -531,15 +532,15 @@ class FittedTests:
 
 def fitted_tests(contents: Contents, name: str) -> FittedTests | None:
     """The tests behind a limit's strength, where a Weibull or lognormal law was fitted to them."""
-    found = contents.resolved["random"].get(f"limits.{name}.strength")
-    if found is None or found["dist"] not in STRENGTHS or not found["data"]:
+    found = contents.resolved.random.get(f"limits.{name}.strength")
+    if found is None or found.dist not in STRENGTHS or not found.data:
         return None
-    stopped = found.get("censored", [])
-    tests = make_tests([*found["data"], *stopped], [False] * len(found["data"]) + [True] * len(stopped))
-    law = Law(family=FAMILIES[found["dist"]], parameters=found["parameters"])
-    quantity = contents.results["limits"][name]["quantity"]
+    stopped = found.censored
+    tests = make_tests([*found.data, *stopped], [False] * len(found.data) + [True] * len(stopped))
+    law = Law(family=FAMILIES[found.dist], parameters=found.parameters)
+    quantity = contents.results.limits[name].quantity
     return FittedTests(
-        limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, STRENGTHS[found["dist"]])
+        limit=name, quantity=quantity, tests=tests, law=law, fit=fit_strength(tests, STRENGTHS[found.dist])
     )
 
 
@@ -622,7 +623,7 @@ def tests_table(known: FittedTests) -> Table:
     shape, scale = fitted.law.shape_words, fitted.law.scale_words
 
     def text(value: float, ends: tuple[float, float], own: str = "") -> str:
-        return estimate_text({"value": value, "low": ends[0], "high": ends[1]}, own)
+        return estimate_text(Est.of(value, ends[0], ends[1]), own)
 
     rows = (
         ("tests, failures", f"{fitted.tests}, {fitted.failures}"),
@@ -642,16 +643,16 @@ def tests_table(known: FittedTests) -> Table:
 def opposed(contents: Contents, limit: str, sides: Sides, where: float) -> str:
     """Why the aim is missed at the end of an input where the load is smaller, if it is; `where` is the upper share."""
     rank = next((r for name, r in tied_inputs(contents, limit) if name == sides.name), None)
-    entry = contents.results["limits"][limit]
+    entry = contents.results.limits[limit]
     ranks = np.array([np.argsort(np.argsort(v)) for v in (sides.x, sides.demand)], dtype=float)
     rises = float(np.corrcoef(ranks)[0, 1]) > 0.0
-    hard_above = rises == (entry["aim"] == "survive")
+    hard_above = rises == (entry.aim == "survive")
     if rank is None or hard_above == (where >= 0.5):
         return ""
     words = short_input(sides.name)
     way = "larger" if rises else "smaller"
     follows = "rise" if rank > 0.0 else "fall"
     return (
-        f" A larger {words} makes {symbol(entry['quantity'])} {way}, yet the misses lie at the other end: the study "
+        f" A larger {words} makes {symbol(entry.quantity)} {way}, yet the misses lie at the other end: the study "
         f"takes the strength to {follows} with it (rank correlation {rank:g}), and that outweighs the load."
     )

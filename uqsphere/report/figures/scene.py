@@ -158,7 +158,7 @@ def hardest_table(contents: Contents) -> Table | None:
         return None
     rows = []
     for name, value in contents.courses["hardest"]["inputs"].items():
-        mean = contents.results["inputs"].get(name, {}).get("mean")
+        mean = contents.results.inputs[name].mean if name in contents.results.inputs else None
         rows.append((input_name(name), value_text(float(value), name, 4), value_text(mean, name, 4)))
     return Table(
         caption="Inputs of the hardest scene",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +26,8 @@ from uqsphere.report.phrases import (
     the_input,
     value_text,
 )
+from uqsphere.results import IndexEntry, LimitEntry
+from uqsphere.results.entries import Est
 from uqsphere.uq.failure_indices import BY_INFORMATION
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def swings(contents: Contents, quantity: str) -> list[Swing]:
     if samples is None or TENTH * len(samples.values) < _FEWEST or samples.censored.mean() > 0.05:
         return []
     found = []
-    for name in contents.results["sensitivity"].get(quantity, {}).get("first", {}):
+    for name in contents.results.sensitivity.get(quantity, IndexEntry()).first:
         x = contents.points.get(name)
         if x is None or not np.ptp(x) > 0.0:
             continue
@@ -156,7 +157,7 @@ def _swing_bar(axes: Axes, row: int, swing: Swing, middle: float, quantity: str)
     over = (ends[0][0] * factor - middle) * (ends[1][0] * factor - middle) > 0.0
     for (value, low, high), side in zip(ends, ("right", "left"), strict=True):
         axes.annotate(
-            rounded({"value": value, "low": low, "high": high}, quantity).rsplit(" ", 1)[0],
+            rounded(Est.of(value, low, high), quantity).rsplit(" ", 1)[0],
             ((low if side == "right" else high) * factor, row),
             xytext=(-4 if side == "right" else 4, 0),
             ha=side,
@@ -207,7 +208,7 @@ def tornado_table(contents: Contents, quantity: str) -> Table | None:
         return None
 
     def text(end: tuple[float, float, float]) -> str:
-        return estimate_text({"value": end[0], "low": end[1], "high": end[2]}, quantity)
+        return estimate_text(Est.of(end[0], end[1], end[2]), quantity)
 
     rows = tuple(
         (
@@ -226,19 +227,19 @@ def tornado_table(contents: Contents, quantity: str) -> Table | None:
 # --- waterfall ----------------------------------------------------------------------------------------
 
 
-def _steps(limit: Mapping[str, Any]) -> tuple[float, float, list[tuple[str, float]]]:
+def _steps(limit: LimitEntry) -> tuple[float, float, list[tuple[str, float]]]:
     """Median margin, margin at the bad end, and the factors of the inputs between them; empty where not known.
 
     The way in logarithms is shared out by importance factors, the squared direction cosines of the design point:
     for margins that are products of lognormal variables that is exact, as the shares of Euler's allocation.
     Failures in several directions have no such way.
     """
-    margin, shares = limit["margin"], limit.get("governing_inputs") or {}
-    if limit.get("governing_inputs_method") == BY_INFORMATION:
+    margin, shares = limit.margin, limit.governing_inputs or {}
+    if limit.governing_inputs_method == BY_INFORMATION:
         return 0.0, 0.0, []
-    bad = "0.05" if limit["aim"] == "survive" else "0.95"
-    ends = [(margin.get(key) or {"value": None})["value"] for key in ("median", bad)]
-    if None in ends or min(ends) <= 0.0 or ends[0] == ends[1]:
+    bad = "0.05" if limit.aim == "survive" else "0.95"
+    ends = [e.number for key in ("median", bad) if (e := margin[key]).value is not None]
+    if len(ends) < 2 or min(ends) <= 0.0 or ends[0] == ends[1]:
         return 0.0, 0.0, []
     whole = sum(float(v) for v in shares.values())
     if not whole > 0.0:
@@ -249,7 +250,7 @@ def _steps(limit: Mapping[str, Any]) -> tuple[float, float, list[tuple[str, floa
     rest = sum(float(shares[name]) for name in order[_STEPS:])
     if rest > 0.0:
         steps.append(("", math.exp(way * rest / whole)))
-    return float(ends[0]), float(ends[1]), steps
+    return ends[0], ends[1], steps
 
 
 def _step_name(name: str) -> str:
@@ -258,7 +259,7 @@ def _step_name(name: str) -> str:
 
 def waterfall_figure(contents: Contents, name: str) -> Picture | None:
     """From the median margin to the margin in the worst twentieth of cases, input by input; None where not known."""
-    limit = contents.results["limits"][name]
+    limit = contents.results.limits[name]
     begin_at, end_at, steps = _steps(limit)
     if not steps:
         return None
@@ -280,7 +281,7 @@ def waterfall_figure(contents: Contents, name: str) -> Picture | None:
         axes.plot([here, here], [len(steps) + 0.27, len(steps) + 0.73], color=GREY, linewidth=0.7)
         _whole_bar(axes, len(steps) + 1, end_at)
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
-        worst = "5 % case" if limit["aim"] == "survive" else "95 % case"
+        worst = "5 % case" if limit.aim == "survive" else "95 % case"
         words = ["median case", *(_step_name(n) for n, _ in steps), worst]
         axes.set_yticks(range(len(words)), [wrap(w, 24) for w in words])
         axes.set_ylim(len(words) - 0.4, -0.9)
@@ -309,7 +310,7 @@ def _beside(axes: Axes, row: int, x: float, text: str) -> None:
 
 def waterfall_finding(contents: Contents, name: str) -> str:
     """Which input takes most of the margin."""
-    limit = contents.results["limits"][name]
+    limit = contents.results.limits[name]
     begin_at, end_at, steps = _steps(limit)
     if not steps:
         return ""
@@ -319,14 +320,14 @@ def waterfall_finding(contents: Contents, name: str) -> str:
         f"On the way from the median margin of {begin_at:.3g} to {end_at:.3g} in the worst twentieth of cases, "
         f"{_step_name(first)} takes {share:.0f} %."
     )
-    missed = end_at < 1.0 if limit["aim"] == "survive" else end_at > 1.0
+    missed = end_at < 1.0 if limit.aim == "survive" else end_at > 1.0
     return text + (" There the aim is missed." if missed else "")
 
 
 def waterfall_heading(contents: Contents, name: str) -> str:
     """The heading over the waterfall, with the input that takes most."""
     subject = f"Where the margin of {limit_name(name)} goes"
-    begin_at, end_at, steps = _steps(contents.results["limits"][name])
+    begin_at, end_at, steps = _steps(contents.results.limits[name])
     if not steps:
         return subject
     first, factor = steps[0]
@@ -336,7 +337,7 @@ def waterfall_heading(contents: Contents, name: str) -> str:
 
 def waterfall_table(contents: Contents, name: str) -> Table | None:
     """Steps of the waterfall."""
-    begin_at, _, steps = _steps(contents.results["limits"][name])
+    begin_at, _, steps = _steps(contents.results.limits[name])
     if not steps:
         return None
     here = begin_at
