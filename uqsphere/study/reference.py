@@ -99,17 +99,24 @@ def _plain(node: Raw) -> Raw:
         kept = {key: value for key, value in node.items() if key == "description"}
         return {"$ref": f"#/$defs/{node['dimension']}", **kept}
     named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
-    found = {key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named
-    choices = [choice for choice in found.pop("anyOf", []) if choice != {"type": "null"}]
-    found = {**choices[0], **found} if len(choices) == 1 else found | ({"anyOf": choices} if choices else {})
-    # a default that is empty, or a table of its own, says nothing to an editor
-    if "default" in found and (node.get("due") or (not found["default"] and found["default"] not in (False, 0))
-                               or isinstance(found["default"], dict)):  # fmt: skip
+    found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
+    if "default" in found and (node.get("due") or not _worth_telling(found["default"])):
         del found["default"]
     if "description" in found:
         found["description"] = str(found["description"]).partition("\n")[0]
     needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
     return found | ({"required": needed} if needed else {})
+
+
+def _without_null(node: Node) -> Node:
+    """A schema without null among its choices; with one choice left, that one."""
+    choices = [choice for choice in node.pop("anyOf", []) if choice != {"type": "null"}]
+    return {**choices[0], **node} if len(choices) == 1 else node | ({"anyOf": choices} if choices else {})
+
+
+def _worth_telling(default: Raw) -> bool:
+    """Whether a default says something to an editor: one that is empty, or a table of its own, does not."""
+    return isinstance(default, (bool, int, float)) or (bool(default) and not isinstance(default, dict))
 
 
 def _add_numbers(made: Node, tables: dict[str, Node]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from uqsphere.errors import StudyError
 from uqsphere.quantities import INPUTS
@@ -18,12 +18,12 @@ from uqsphere.study.document import (
     ModelChoice,
     ToleranceRequest,
 )
-from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
-from uqsphere.study.study import Study, tie_of
+from uqsphere.study.study import Margins, Study, tie_of
 from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
 from uqsphere.uq.law import Law, LawError, make_law
@@ -76,7 +76,7 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
 
 
 def _refuse_parts_of_no_limit(
-    data: Mapping[str, Any], declared: Sequence[str], overridden: Sequence[Place], findings: Findings
+    data: Mapping[str, Raw], declared: Sequence[str], overridden: Sequence[Place], findings: Findings
 ) -> None:
     """Note what was set of a limit that the file does not have, unless it makes a limit of its own."""
     limits = data.get("limits")
@@ -90,7 +90,7 @@ def _refuse_parts_of_no_limit(
         findings.add(("limits", name), f"no limit {shown(name)} in the file, {there}; one more needs a quantity")
 
 
-def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) -> Study | None:
+def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) -> Study | None:
     """The study of a table of plain values; None, with every fault noted, where there is none."""
     document = read_table(Document, data, findings)
     black_box = _kind(data, findings)
@@ -104,41 +104,31 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
         check_scene(scene, model, findings)
     limits = read_limits(document.limits, outputs, findings, folder, scene)
     analysis = _read_analysis(document, outputs, limits, findings)
-    random, given = _random(scene, limits)
-    parts: dict[str, Any] = {}
+    parts: dict[str, Raw] = {}
+    if black_box is not None:
+        parts = _read_relations(document, scene, limits, analysis, black_box, findings)
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings, folder)
         parts["gauges"] = read_gauges(document.gauges, scene, findings)
-    if black_box is not None:
-        numbers = _places(document, black_box)
-        _check_groups(analysis.groups, scene, numbers, findings)
-        parts["dependence"] = _read_dependence(document.dependence, random, numbers, findings)
-        strengths = {strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None}
-        margins = read_margins(document.margins, scene, black_box, numbers, findings, strengths)
-        parts["margins"] = margins
-        if margins is not None and analysis.quantities:
-            more = [*(["p_max"] if margins.bars_elastic else []), *([margins.against] if margins.against else [])]
-            analysis = replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *more])))
     if document.margins is not None and not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     if findings.faults:
         return None
-    values = {name: reading.value for name, reading in scene.readings.items()}
     study = Study(
         title=document.title or path.stem,
         seed=document.seed,
         path=path,
         text=text,
         black_box=bool(black_box),
-        fixed={name: value for name, value in values.items() if not isinstance(value, Law)},
-        random={name: value for name, value in values.items() if isinstance(value, Law)},
-        given=given,
+        fixed=scene.fixed(),
+        random=scene.random(),
+        given={name: reading.given for name, reading in _random(scene, limits).items()},
         options=scene.options,
         materials=scene.materials,
         sources=scene.sources,
         model=model,
         limits=tuple(noun for limit in limits if (noun := limit.limit()) is not None),
-        analysis=analysis,
+        analysis=_with_margins(analysis, parts["margins"]),
         outputs=tuple(outputs or ()),
         warnings=tuple(findings.warnings),
         record=scene.record,
@@ -148,7 +138,33 @@ def _resolve(data: dict[str, Any], findings: Findings, path: Path, text: str) ->
     return None if findings.faults else study
 
 
-def _kind(data: Mapping[str, Any], findings: Findings) -> bool | None:
+def _read_relations(
+    document: Document,
+    scene: Scene,
+    limits: Sequence[LimitReading],
+    analysis: Analysis,
+    black_box: bool,
+    findings: Findings,
+) -> dict[str, Raw]:
+    """What names the numbers of the study: dependence and margins, and the groups, which are looked at alone."""
+    numbers = _places(document, black_box)
+    _check_groups(analysis.groups, scene, numbers, findings)
+    strengths = {strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None}
+    return {
+        "dependence": _read_dependence(document.dependence, list(_random(scene, limits)), numbers, findings),
+        "margins": read_margins(document.margins, scene, black_box, numbers, findings, strengths),
+    }
+
+
+def _with_margins(analysis: Analysis, margins: Margins | None) -> Analysis:
+    """The analysis with the quantities that the margins need."""
+    if margins is None:
+        return analysis
+    more = [*(["p_max"] if margins.bars_elastic else []), *([margins.against] if margins.against else [])]
+    return replace(analysis, quantities=tuple(dict.fromkeys([*analysis.quantities, *more])))
+
+
+def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
     """Whether this is a black-box study; None where that cannot be said."""
     parts = [name for name in (*SCENE, "model", "gauges") if name in data]
     black = [name for name in ("inputs", "outputs") if name in data]
@@ -265,13 +281,12 @@ def _tolerance(asked: ToleranceRequest | None, findings: Findings) -> ToleranceR
 # --- random inputs by name --------------------------------------------------------------------------
 
 
-def _random(scene: Scene, limits: Sequence[LimitReading]) -> tuple[list[str], dict[str, Mapping[str, float]]]:
-    """Names of everything that scatters, and the parameters of its law as given."""
+def _random(scene: Scene, limits: Sequence[LimitReading]) -> dict[str, Reading]:
+    """Everything that scatters by its name: inputs in order, then strengths and model factors."""
     readings: dict[str, Reading | None] = dict(scene.readings)
     for limit in limits:
         readings |= limit.parts
-    found = {name: item for name, item in readings.items() if item is not None and isinstance(item.value, Law)}
-    return list(found), {name: item.given for name, item in found.items()}
+    return {name: item for name, item in readings.items() if item is not None and isinstance(item.value, Law)}
 
 
 def _places(document: Document, black_box: bool) -> dict[str, Place]:
@@ -307,7 +322,7 @@ def _check_groups(
     if len(groups) > MOST_GROUPS:
         findings.add(place, f"found {len(groups)} groups, at most {MOST_GROUPS} are allowed")
         return
-    scattering = [name for name, reading in scene.readings.items() if isinstance(reading.value, Law)]
+    scattering = list(scene.random())
     for group, names in groups.items():
         for index, name in enumerate(names):
             _is_random(name, (*place, group, index), scattering, numbers, findings)

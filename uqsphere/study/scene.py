@@ -8,14 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.materials import KINDS, library
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import inside_folder, open_observations
 from uqsphere.study.document import MOST_GAUGES, SCENE, BarsTable, Document, Gauge, ModelChoice, PulseTable
-from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.study import EndImpedance, Source
 from uqsphere.study.tables import BAR_ENDS
@@ -77,8 +77,16 @@ class Scene:
         reading = self.readings.get(name)
         return None if reading is None else reading.nominal
 
+    def fixed(self) -> dict[str, float]:
+        """The numbers that do not scatter."""
+        return {name: value for name, r in self.readings.items() if not isinstance(value := r.value, Law)}
 
-def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, folder: Path) -> Scene:
+    def random(self) -> dict[str, Law]:
+        """The laws of those that do."""
+        return {name: value for name, r in self.readings.items() if isinstance(value := r.value, Law)}
+
+
+def read_scene(document: Document, data: Mapping[str, Raw], findings: Findings, folder: Path) -> Scene:
     """Scene of the tables [sphere], [bars], [striker], [pulse] and [product]; what is missing or faulty is noted."""
     scene = Scene()
     _read_numbers(document, data, scene, findings, folder)
@@ -96,7 +104,7 @@ def read_scene(document: Document, data: Mapping[str, Any], findings: Findings, 
     return scene
 
 
-def _read_numbers(document: Document, data: Mapping[str, Any], scene: Scene, findings: Findings, folder: Path) -> None:
+def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, findings: Findings, folder: Path) -> None:
     """The numbers that the file gives, in its order: that of the tables, then that of the keys."""
     for section in data:
         table = getattr(document, section) if section in SCENE else None
@@ -187,32 +195,35 @@ def _read_bars(bars: BarsTable | None, scene: Scene, findings: Findings) -> None
 
 def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Findings, folder: Path) -> None:
     """Shape and numbers of the pulse; `shaped`: the file names the shape."""
-    shape = pulse.shape
     if not findings.clean(("pulse", "shape")) or not findings.clean(("pulse", "preset")):
         return
+    shape = pulse.shape
     if pulse.preset is not None:
-        named, numbers = PRESETS[pulse.preset]
-        if shaped and shape != named:
-            said = f'the preset "{pulse.preset}" is a {named} pulse: leave shape or preset out'
+        shape, numbers = PRESETS[pulse.preset]
+        if shaped and pulse.shape != shape:
+            said = f'the preset "{pulse.preset}" is a {shape} pulse: leave shape or preset out'
             findings.add(("pulse", "shape"), said)
             return
-        shape = named
-        for key, value in numbers.items():
+        for key in numbers:
             if findings.clean(("pulse", key)):
-                scene.readings.setdefault(f"pulse.{key}", Reading(value=value))
+                scene.readings.setdefault(f"pulse.{key}", Reading(value=numbers[key]))
     scene.options["pulse.shape"] = shape
     _check_keys(pulse, shape, scene, findings)
     if shape == "measured":
         scene.record = _read_record(pulse, scene, findings, folder)
-        return
+    elif shape == "two_peak" and pulse.valley is None:
+        _fill_valley(scene)
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in scene.readings), None)
-    if own is not None and shape not in STRIKER_SHAPES:
+    if own is not None and shape not in (*STRIKER_SHAPES, "measured"):
         why = f"a {shape} pulse does not follow from the striker's material or diameter"
         findings.add(("striker", own), f"{why}: leave them out, or take shape = {one_of(STRIKER_SHAPES)}")
+
+
+def _fill_valley(scene: Scene) -> None:
+    """A valley that follows from the lower peak; where a level scatters, it does so sample by sample."""
     levels = [scene.readings.get(f"pulse.{key}") for key in ("level1", "level2")]
-    # Where a level scatters, the valley follows it sample by sample and is no number of its own.
     fixed = [level.value for level in levels if level is not None and not isinstance(level.value, Law)]
-    if shape == "two_peak" and len(fixed) == 2 and pulse.valley is None:
+    if len(fixed) == 2:
         scene.readings["pulse.valley"] = Reading(value=DEFAULT_VALLEY * min(fixed))
 
 
@@ -233,7 +244,7 @@ def _check_keys(pulse: PulseTable, shape: str, scene: Scene, findings: Findings)
 def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> MeasuredPulse | None:
     """The pulse of the file that [pulse] names; None, with the faults noted, where there is none.
 
-    With ``noise = true`` the modes of the record's noise become random inputs of `scene`.
+    With ``noise = true`` the modes of its noise become random inputs of `scene`.
     """
     place: Place = ("pulse", "file")
     bar, distance = _bar(pulse, scene, findings)
@@ -260,21 +271,26 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pa
     for note in found.notes:
         findings.warn(place, f"{shown(pulse.file)}: {note}")
     if pulse.noise:
-        for name in noise_names() if found.noise > 0.0 else ():
-            given = {"mean": 0.0, "sd": 1.0}
-            scene.readings[name] = Reading(value=make_law("normal", given), given=given)
-        if not found.noise:
-            findings.warn(("pulse", "noise"), "the record has no noise at rest, so that none can be taken into account")
+        _take_noise(found, scene, findings)
     elif found.noise > _NOTABLE:
         findings.warn(place, f"noise moves the pulse by {found.noise:.2g} of its peak: noise = true makes it an input")
     return found
+
+
+def _take_noise(record: MeasuredPulse, scene: Scene, findings: Findings) -> None:
+    """The modes of a record's noise as random inputs."""
+    given = {"mean": 0.0, "sd": 1.0}
+    for name in noise_names() if record.noise > 0.0 else ():
+        scene.readings[name] = Reading(value=make_law("normal", given), given=given)
+    if not record.noise:
+        findings.warn(("pulse", "noise"), "the record has no noise at rest, so that none can be taken into account")
 
 
 def _wiring(pulse: PulseTable) -> Wiring:
     """How the signal of the record becomes strain."""
     from uqsphere.records.record import Wiring
 
-    usual: dict[str, Any] = {"unit": "", "time_unit": "", "excitation": 0.0, "gauge_factor": 2.0, "amplification": 1.0,
+    usual: dict[str, Raw] = {"unit": "", "time_unit": "", "excitation": 0.0, "gauge_factor": 2.0, "amplification": 1.0,
              "active_arms": 1.0}  # fmt: skip
     given = {key: getattr(pulse, key) for key in usual}
     return Wiring(**{key: usual[key] if value is None else value for key, value in given.items()})

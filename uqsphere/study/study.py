@@ -30,6 +30,10 @@ __all__ = [
 ]
 
 
+#: plain values, as a JSON document has them
+Json = dict[str, Any]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
@@ -171,7 +175,7 @@ class Study:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> Json:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
         laws = self.laws()
         return {
@@ -204,13 +208,13 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 
 
-def _dependence_json(group: Dependence) -> dict[str, Any]:
+def _dependence_json(group: Dependence) -> Json:
     """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
     table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
     return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
 
 
-def _margins_json(margins: Margins) -> dict[str, Any]:
+def _margins_json(margins: Margins) -> Json:
     """What was asked, and nothing else, as with dependence."""
     axis = margins.axis
     own = {"solve": axis.path, "between": (axis.low, axis.high)}
@@ -218,7 +222,7 @@ def _margins_json(margins: Margins) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value not in (None, False)}
 
 
-def _analysis_json(analysis: Analysis) -> dict[str, Any]:
+def _analysis_json(analysis: Analysis) -> Json:
     """The request; keys of black boxes only where they are given, so that they change no other study's hash."""
     table = _lists(asdict(analysis))
     own = ("cost", "rows_per_call", "time_limit")
@@ -229,7 +233,7 @@ def _bound(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
+def _law_json(law: Law, given: Mapping[str, float]) -> Json:
     return {
         "dist": law.family.name,
         "parameters": dict(law.parameters),
@@ -241,7 +245,7 @@ def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def _limit_json(limit: Limit) -> dict[str, Any]:
+def _limit_json(limit: Limit) -> Json:
     def fixed(value: Law | float) -> float | str:
         return "random" if isinstance(value, Law) else value
 
@@ -256,10 +260,10 @@ def _limit_json(limit: Limit) -> dict[str, Any]:
     }
 
 
-def _lists(table: dict[str, Any]) -> dict[str, Any]:
+def _lists(table: Json) -> Json:
     """The same with lists for tuples, at every depth, as JSON has them."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if isinstance(value, dict):
             return _lists(value)
         return list(value) if isinstance(value, tuple) else value

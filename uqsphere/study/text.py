@@ -15,10 +15,10 @@ import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.errors import AccessError, Problem, StudyError, UsageError
-from uqsphere.study.faults import Findings, Place, render_place, shown, suggestion
+from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, suggestion
 
 if TYPE_CHECKING:
     from tree_sitter import Node
@@ -124,7 +124,7 @@ def read_text(path: Path) -> str:
     return text
 
 
-def parse_text(text: str, path: Path) -> dict[str, Any]:
+def parse_text(text: str, path: Path) -> dict[str, Raw]:
     """TOML text → plain values.
 
     Raises
@@ -149,7 +149,7 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         raise _fault(path, "a number has more digits than can be read", line, column) from None
 
 
-def drop_unusable_numbers(data: dict[str, Any], findings: Findings) -> None:
+def drop_unusable_numbers(data: dict[str, Raw], findings: Findings) -> None:
     """Take out, with a fault each, the numbers that TOML knows and a study cannot use: nan, inf, beyond 64 "
     "bits."""
     for place, parent, key, value in list(_leaves(data)):
@@ -167,7 +167,7 @@ def drop_unusable_numbers(data: dict[str, Any], findings: Findings) -> None:
             findings.spoiled.add(place[:-1])
 
 
-def _leaves(node: Any, place: Place = ()) -> Iterator[tuple[Place, Any, Any, Any]]:
+def _leaves(node: Raw, place: Place = ()) -> Iterator[tuple[Place, Raw, Raw, Raw]]:
     pairs = node.items() if isinstance(node, dict) else enumerate(node)
     for key, value in pairs:
         if isinstance(value, (dict, list)):
@@ -362,7 +362,7 @@ _NOTHING: Final = "null"
 _PART = re.compile(r"""(?:([A-Za-z0-9_-]+)|"([^"\\]*)"|'([^']*)')((?:\[\d{1,6}\])*)(\.|$)""")
 
 
-def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> list[Place]:
+def apply_overrides(data: dict[str, Raw], overrides: Sequence[str]) -> list[Place]:
     """Put each ``PATH=VALUE`` into `data`; the places that were set.
 
     VALUE is a TOML value; what is none (a bare quantity such as ``0.6 m/s``, a bare word) is a text.  The bare word
@@ -385,34 +385,32 @@ def apply_overrides(data: dict[str, Any], overrides: Sequence[str]) -> list[Plac
     return [_apply(data, text) for text in overrides]
 
 
-def _apply(data: dict[str, Any], text: str) -> Place:
+def _apply(data: dict[str, Raw], text: str) -> Place:
     path, sign, value = text.partition("=")
     if not sign or not path.strip():
         raise UsageError(f"found {shown(text)}: PATH=VALUE is due, such as striker.speed=0.6 m/s")
     place = _split(path.strip(), text)
     taken_out = value.strip() == _NOTHING
-    node: Any = data
-    for depth, part in enumerate(place[:-1]):
-        if isinstance(node, dict) and isinstance(part, str):
-            if taken_out and part not in node:
-                raise _nothing_there(place[: depth + 1], node, text)
-            node = node.setdefault(part, {})
-        elif isinstance(node, list) and isinstance(part, int) and part < len(node):
-            node = node[part]
-        else:
+    node: Raw = data
+    for depth, part in enumerate(place):
+        if not _leads(node, part):
             raise _no_way(place[:depth], node, text)
-    last = place[-1]
-    usable = isinstance(node, dict) and isinstance(last, str)
-    usable = usable or (isinstance(node, list) and isinstance(last, int) and last < len(node))
-    if not usable:
-        raise _no_way(place[:-1], node, text)
-    if not taken_out:
-        node[last] = _value(value.strip())
-    elif isinstance(node, dict) and last not in node:
-        raise _nothing_there(place, node, text)
+        if taken_out and isinstance(node, dict) and part not in node:
+            raise _nothing_there(place[: depth + 1], node, text)
+        if depth + 1 < len(place):
+            node = node.setdefault(part, {}) if isinstance(node, dict) else node[part]
+    if taken_out:
+        del node[place[-1]]
     else:
-        del node[last]
+        node[place[-1]] = _value(value.strip())
     return place
+
+
+def _leads(node: Raw, part: str | int) -> bool:
+    """Whether a path can go on from a value by this part: a table by any name, a list by an index that it has."""
+    if isinstance(part, int):
+        return isinstance(node, list) and part < len(node)
+    return isinstance(node, dict)
 
 
 def _split(path: str, text: str) -> Place:
@@ -435,13 +433,13 @@ def _no_way(place: Place, node: object, text: str) -> UsageError:
     return UsageError(f"found {shown(text)}, but {where} is {shown(node)}: set {where} itself")
 
 
-def _nothing_there(place: Place, node: dict[str, Any], text: str) -> UsageError:
+def _nothing_there(place: Place, node: dict[str, Raw], text: str) -> UsageError:
     there = sorted(str(key) for key in node)
     hint = suggestion(str(place[-1]), there) or (f"; there is {', '.join(there[:20])}" if there else "")
     return UsageError(f"found {shown(text)}, but there is no {render_place(place)} to take out{hint}")
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> Raw:
     import tomllib
 
     # More than this is no value of a study, and could be nested too deeply to read.
