@@ -321,7 +321,7 @@ def test_what_a_measured_study_says_of_itself(tmp_path: Path) -> None:
         ('pulse.window=["3 ms"]', "two are due"),
         ('pulse.window=["3 ms", "4 ms"]', "window of the pulse lies outside"),
         ('pulse.rise="1 us"', "does not belong to a measured pulse"),
-        ("pulse.gauge_factor=-2.0", "must be above zero"),
+        ("pulse.gauge_factor=-2.0", "a number above 0 is due"),
         ('pulse.columns=["time", "force"]', "is not in the file"),
         ('pulse.polarity="left"', "auto, tension or compression"),
     ],

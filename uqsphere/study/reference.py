@@ -96,21 +96,21 @@ def _plain(node: Raw) -> Raw:
     if not isinstance(node, dict):
         return node
     if "dimension" in node:
-        kept = {key: value for key, value in node.items() if key == "description"}
-        return {"$ref": f"#/$defs/{node['dimension']}", **kept}
+        told = {"description": node["description"]} if "description" in node else {}
+        return {"$ref": f"#/$defs/{node['dimension']}", **told}
     named = {key: {name: _plain(part) for name, part in node[key].items()} for key in _NAMED if key in node}
     found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
     if "default" in found and (node.get("due") or not _worth_telling(found["default"])):
         del found["default"]
-    if "description" in found:
-        found["description"] = str(found["description"]).partition("\n")[0]
     needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
     return found | ({"required": needed} if needed else {})
 
 
 def _without_null(node: Node) -> Node:
-    """A schema without null among its choices; with one choice left, that one."""
+    """A schema with a description in one line and no null among its choices; with one choice left, that one."""
     choices = [choice for choice in node.pop("anyOf", []) if choice != {"type": "null"}]
+    if "description" in node:
+        node["description"] = str(node["description"]).partition("\n")[0]
     return {**choices[0], **node} if len(choices) == 1 else node | ({"anyOf": choices} if choices else {})
 
 

@@ -110,8 +110,6 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings, folder)
         parts["gauges"] = read_gauges(document.gauges, scene, findings)
-    if document.margins is not None and not document.limits and findings.clean(("limits",)):
-        findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     if findings.faults:
         return None
     study = Study(
@@ -147,6 +145,8 @@ def _read_relations(
     findings: Findings,
 ) -> dict[str, Raw]:
     """What names the numbers of the study: dependence and margins, and the groups, which are looked at alone."""
+    if document.margins is not None and not document.limits and findings.clean(("limits",)):
+        findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     numbers = _places(document, black_box)
     _check_groups(analysis.groups, scene, numbers, findings)
     strengths = {strength_name(limit.name): limit.quantity for limit in limits if limit.quantity is not None}
