@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
@@ -121,59 +120,58 @@ def load_library(text: str) -> dict[str, dict[str, Material]]:
     return found
 
 
-def _material(name: str, kind: str, table: Any, faults: list[str]) -> Material:
+#: keys of a property beside its value, what each must be, and that in words
+_KEYS: Final[dict[str, tuple[Callable[[Any], bool], str]]] = {
+    "cov": (lambda found: type(found) in (int, float) and 0.0 <= found < 1.0, "a number from 0 to below 1"),
+    "source": (lambda found: isinstance(found, str) and found != "", "a text"),
+    "seen": (lambda found: isinstance(found, bool), "true or false"),
+    "note": (lambda found: isinstance(found, str), "a text"),
+}
+
+
+def _material(name: str, kind: str, table: object, faults: list[str]) -> Material:
     where = f"{kind}.{name}"
-    entries: dict[str, Any] = dict(table) if isinstance(table, dict) else {}
+    entries = dict(table) if isinstance(table, dict) else {}
     title = entries.pop("title", None)
     if not isinstance(title, str) or not title:
         faults.append(f"{where}: a title is due")
         title = name
-    properties: dict[str, Property] = {}
+    properties = {}
     for key, value in entries.items():
         if key not in PROPERTIES:
             faults.append(f"{where}.{key}: unknown property (known: {', '.join(PROPERTIES)})")
-        elif isinstance(value, dict):
-            one = _property(f"{where}.{key}", key, value, faults)
-            if one is not None:
-                properties[key] = one
-        else:
+        elif not isinstance(value, dict):
             faults.append(f"{where}.{key}: a table with value, cov, source and seen is due")
+        elif not (found := _faults_of(key, value)):
+            rest = {part: value[part] for part in _KEYS if part in value}
+            properties[key] = Property(value=_value(key, value), **rest)
+        else:
+            faults += [f"{where}.{key}{fault}" for fault in found]
     faults += [f"{where}: {key} is missing" for key in _REQUIRED[kind] if key not in entries]
     return Material(name=name, kind=kind, title=title, properties=properties)
 
 
-def _property(where: str, key: str, table: dict[str, Any], faults: list[str]) -> Property | None:
-    before = len(faults)
-    allowed = {
-        "value",
-        "cov",
-        "source",
-        "seen",
-        "note",
-        *({"unit_note"} if key == "fracture_toughness" else ()),
-    }
-    faults += [f"{where}.{extra}: unknown key" for extra in table if extra not in allowed]
-    value = math.nan
+def _value(key: str, table: Mapping[str, object]) -> float:
+    """The value in SI; the toughness is a plain number of MPa m^0.5."""
+    if PROPERTIES[key] == "toughness":
+        return 1e6 * parse_value(table.get("value"), "number")
+    return parse_value(table.get("value"), PROPERTIES[key])
+
+
+def _faults_of(key: str, table: Mapping[str, object]) -> list[str]:
+    """What is wrong with a property, each beginning behind its path."""
+    tough = PROPERTIES[key] == "toughness"
+    allowed = {"value", *_KEYS, *(("unit_note",) if tough else ())}
+    faults = [f".{extra}: unknown key" for extra in table if extra not in allowed]
+    if tough and table.get("unit_note") != _TOUGHNESS:
+        faults.append(f': unit_note = "{_TOUGHNESS}" is due')
     try:
-        if PROPERTIES[key] == "toughness":
-            if table.get("unit_note") != _TOUGHNESS:
-                faults.append(f'{where}: unit_note = "{_TOUGHNESS}" is due')
-            value = 1e6 * parse_value(table.get("value"), "number")
-        else:
-            value = parse_value(table.get("value"), PROPERTIES[key])
+        value = _value(key, table)
+        if value <= 0.0 or (key == "nu" and value >= 0.5):
+            faults.append(f".value: {value!r} is not possible")
     except UnitError as error:
-        faults.append(f"{where}.value: {error}")
-    if value <= 0.0 or (key == "nu" and value >= 0.5):
-        faults.append(f"{where}.value: {value!r} is not possible")
-    cov, source, seen, note = (table.get(name) for name in ("cov", "source", "seen", "note"))
-    if isinstance(cov, bool) or not isinstance(cov, (int, float)) or not 0.0 <= cov < 1.0:
-        faults.append(f"{where}.cov: a number from 0 to below 1 is due")
-    if not isinstance(source, str) or not source:
-        faults.append(f"{where}.source: a text is due")
-    if not isinstance(seen, bool):
-        faults.append(f"{where}.seen: true or false is due")
-    if note is not None and not isinstance(note, str):
-        faults.append(f"{where}.note: a text is due")
-    if len(faults) > before:
-        return None
-    return Property(value=value, cov=float(cov or 0.0), source=str(source), seen=bool(seen), note=str(note or ""))
+        faults.append(f".value: {error}")
+    for part, (fits, words) in _KEYS.items():
+        if (part in table or part != "note") and not fits(table.get(part)):
+            faults.append(f".{part}: {words} is due")
+    return faults

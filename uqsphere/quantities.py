@@ -136,14 +136,7 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
         return f"{scaled[0]:.6g} {unit}".rstrip()
     if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
         return f"{scaled[0]:.6g} ({scaled[1]:.6g} to {scaled[2]:.6g}) {unit}".rstrip()
-    half_width = 0.5 * abs(scaled[2] - scaled[1])
-    if half_width > 0.0 and math.isfinite(half_width):
-        decimals = 1 - math.floor(math.log10(half_width))
-        nearer = min(scaled[0] - scaled[1], scaled[2] - scaled[0])
-        if 1e-3 < nearer / half_width < 0.1 and abs(round(scaled[0], decimals) - scaled[0]) > 0.1 * abs(scaled[0]):
-            decimals = 1 - math.floor(math.log10(nearer))
-    else:
-        decimals = 5 - (math.floor(math.log10(abs(scaled[0]))) if scaled[0] else 0)
+    decimals = _decimals(*scaled)
     largest = max(abs(number) for number in scaled)
     decimals = min(decimals, most - 1 - math.floor(math.log10(largest)) if largest else decimals)
     if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
@@ -154,3 +147,15 @@ def format_estimate(value: float, low: float, high: float, name: str = "", most:
         # + 0.0: what rounds to zero has no sign
         texts = [f"{round(number, decimals) + 0.0:.{places}f}" for number in scaled]
     return f"{texts[0]} ({texts[1]} to {texts[2]}) {unit}".rstrip()
+
+
+def _decimals(value: float, low: float, high: float) -> int:
+    """Decimals of the second significant digit of a half-width, or six digits of the value where there is none."""
+    half_width = 0.5 * abs(high - low)
+    if not (half_width > 0.0 and math.isfinite(half_width)):
+        return 5 - (math.floor(math.log10(abs(value))) if value else 0)
+    decimals = 1 - math.floor(math.log10(half_width))
+    nearer = min(value - low, high - value)
+    if 1e-3 < nearer / half_width < 0.1 and abs(round(value, decimals) - value) > 0.1 * abs(value):
+        return 1 - math.floor(math.log10(nearer))
+    return decimals

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -179,9 +180,9 @@ def first_fractures(
     found[0] = np.inf
     loaded = np.unique(rows[(scene.status[rows] == 0) & (shares < 1.0).any(axis=1)])
     followed = ("energy",) if any(path.over == "energy" for path in paths) else ("P_max",)
+    follow = partial(motions, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
     for begin in range(0, len(loaded), _BLOCK):
-        block = loaded[begin : begin + _BLOCK]
-        moved = motions(scene, block, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=followed)
+        moved = follow(scene, loaded[begin : begin + _BLOCK])
         known = {one.row: _course(one) for one in moved if isinstance(one, Motion) and len(one.start)}
         here = np.isin(rows, list(known))
         for at, path in enumerate(paths):
@@ -189,18 +190,22 @@ def first_fractures(
             if len(picked):
                 courses = [known[int(row)] for row in rows[picked]]
                 found[:, picked, at] = _cross(scene, rows[picked], courses, path, shares[picked, at])
-    times = found[0]
-    governing = np.argmin(times, axis=1)
-    time, force, energy, imbalance = found[:, np.arange(n), governing]
+    return _first(found, scene.first_echo[rows])
+
+
+def _first(found: Array, first_echo: Array) -> Fractures:
+    """The crossing (4, n, L) that comes first for each specimen."""
+    governing = np.argmin(found[0], axis=1)
+    time, force, energy, imbalance = found[:, np.arange(len(governing)), governing]
     none = np.isinf(time)
     return Fractures(
-        times=times,
+        times=found[0],
         first=np.where(none, -1, governing),
         time=np.where(none, np.nan, time),
         force=force,
         energy=energy,
         imbalance=imbalance,
-        early=~none & (time < scene.first_echo[rows]),
+        early=~none & (time < first_echo),
     )
 
 

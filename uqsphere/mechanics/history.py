@@ -421,6 +421,15 @@ class FieldView:
     returns: tuple[float, float]
     tensions: tuple[Tension, ...]
 
+    def __post_init__(self) -> None:
+        if self.stress.ndim != 2 or not 0 < self.stress.size <= 1_000_000 or not np.isfinite(self.stress).all():
+            raise ValueError("the stress must be a table of finite numbers")
+        numbers = (*self.reach, self.begin, self.last, self.wave_speed, self.record_end)
+        if not all(math.isfinite(value) for value in numbers) or not min(*self.reach, self.wave_speed) > 0.0:
+            raise ValueError("lengths, times and the speed must be finite, lengths and speed positive")
+        if not self.begin < self.last or any(one.bar not in BARS for one in self.tensions):
+            raise ValueError("the times must ascend, and the bars be those of the model")
+
     @property
     def places(self) -> Array:
         """(x,) places [m] along the bars, the sphere at 0: between them, which is itself no bar."""
@@ -459,7 +468,7 @@ class FieldView:
         """
         left, right = (float(value) for value in found["reach"])
         one, two = (math.inf if value is None else float(value) for value in found["returns"])
-        view = cls(
+        return cls(
             reach=(left, right),
             begin=float(found["begin"]),
             last=float(found["last"]),
@@ -473,14 +482,6 @@ class FieldView:
                 for entry in found["tensions"]
             ),
         )
-        if view.stress.ndim != 2 or not 0 < view.stress.size <= 1_000_000 or not np.isfinite(view.stress).all():
-            raise ValueError("the stress must be a table of finite numbers")
-        numbers = (left, right, view.begin, view.last, view.wave_speed, view.record_end)
-        if not all(math.isfinite(value) for value in numbers) or not (left > 0.0 < right and view.wave_speed > 0.0):
-            raise ValueError("lengths, times and the speed must be finite, lengths and speed positive")
-        if not view.begin < view.last or any(one.bar not in BARS for one in view.tensions):
-            raise ValueError("the times must ascend, and the bars be those of the model")
-        return view
 
 
 def shown_time(history: History) -> float:

@@ -214,6 +214,21 @@ class Answers:
     others: Mapping[str, Array] = field(default_factory=dict)
 
 
+def _absent(scene: Scene, quantity: str) -> set[str]:
+    """Numbers that a quantity needs and a scene does not have."""
+    return {name for name in _roots(quantity, scene.demands) if "." in name} - scene.columns.keys()
+
+
+def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
+    if absent := sorted(_absent(scene, quantity)):
+        tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in absent}))
+        raise ValueError(f"{quantity} needs {' and '.join(absent)}: add them in the table {tables}")
+    if quantity not in scene.demands:
+        return np.asarray(columns[quantity])
+    key, parameters = scene.demands[quantity]
+    return demand(CRITERIA[key], columns, parameters)
+
+
 def answers_of(
     scene: Scene,
     scaled: Array,
@@ -241,18 +256,9 @@ def answers_of(
     """
     tracked = {name: scaled[:, column] for name, (column, _) in SCALED.items()}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5})
-    absent = {name: {n for n in _roots(name, scene.demands) if "." in n} - scene.columns.keys() for name in OUTPUTS}
     if quantities is None:
-        quantities = [*(name for name in OUTPUTS if not absent[name]), *scene.demands]
-    values: dict[str, Array] = {}
-    for name in quantities:
-        if absent.get(name):
-            raise ValueError(f"{name} needs {' and '.join(sorted(absent[name]))}: add a table [product] with A and b")
-        if name in scene.demands:
-            key, parameters = scene.demands[name]
-            values[name] = demand(CRITERIA[key], columns, parameters)
-        else:
-            values[name] = columns[name]
+        quantities = [*(name for name in OUTPUTS if not _absent(scene, name)), *scene.demands]
+    values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
     bad = ~answered(status)

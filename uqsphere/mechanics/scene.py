@@ -107,7 +107,7 @@ STATUS: dict[int, str] = {
     6: "the answer is not finite",
     7: "an event comes at one of several times, and less than the tolerance decides which: the answer may jump",
 }
-#: shortest pulse and round trip over t_c
+#: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
 _SHORTEST: Final = 1e-9
 #: the status of a row that has two answers
 UNDECIDED: Final = 7
@@ -118,20 +118,12 @@ def answered(status: Places) -> Flags:
     return np.asarray((status == 0) | (status == UNDECIDED))
 
 
-#: columns without which there is no scene; lengths are needed by finite bars only
-_NEEDED = (
-    "sphere.E",
-    "sphere.nu",
-    "sphere.radius",
-    "sphere.density",
-    "bars.E",
-    "bars.nu",
-    "bars.density",
-    "bars.diameter",
-    "striker.speed",
-)
-
-
+#: columns without which there is no scene, and those of finite bars
+_NEEDED: Final = (
+    "sphere.E", "sphere.nu", "sphere.radius", "sphere.density",
+    "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
+)  # fmt: skip
+_NEEDED_FINITE: Final = ("bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end")
 #: what makes a striker another bar than the others
 STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
@@ -201,19 +193,11 @@ class Scene:
             raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
         if (self.shape == "measured") != (self.record is not None):
             raise ValueError("a record belongs to the shape 'measured', and that shape needs one")
-        needed = list(_NEEDED)
-        if not self.infinite:
-            needed += ["bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end"]
-        needed += [f"pulse.{name}" for name in PARAMETERS.get(self.shape, ())]
-        if self.shape not in ("step", "measured") and "pulse.duration" not in self.columns:
-            needed.append("striker.length")
         if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
             raise ValueError(f"a {self.shape} pulse does not follow from the striker's material or diameter")
-        missing = [name for name in needed if name not in self.columns]
-        if missing:
+        if missing := [name for name in self._needed if name not in self.columns]:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
-        unknown = [name for name in self.columns if name not in INPUTS]
-        if unknown:
+        if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
         if self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse never ends: the record needs a horizon")
@@ -222,6 +206,17 @@ class Scene:
         rows = {np.shape(column) for column in self.columns.values()}
         if len(rows) != 1 or len(next(iter(rows))) != 1:
             raise ValueError(f"every column must have shape (n,), found {sorted(map(str, rows))}")
+
+    @property
+    def _needed(self) -> tuple[str, ...]:
+        """Columns without which there is no such scene."""
+        timed = self.shape in ("step", "measured") or "pulse.duration" in self.columns
+        return (
+            *_NEEDED,
+            *(() if self.infinite else _NEEDED_FINITE),
+            *(f"pulse.{name}" for name in PARAMETERS.get(self.shape, ())),
+            *(() if timed else ("striker.length",)),
+        )
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))

@@ -249,6 +249,34 @@ def _lowest(piece, face, end, grid):
 
 
 @compiled(**INNER)
+def _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze):
+    """Note how near to leaving a pressed face comes in a step; theta at which that counts as a loss, or NaN."""
+    apart()
+    if not near > 0.0:
+        return math.nan
+    least, place = _lowest(piece, face, theta, grid)
+    if least < near and place < ends:
+        track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], least)
+        return place if least < graze else math.nan
+    if max(piece[face, 0], grid[face, 0, tracked.POINTS]) < hover:
+        track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], grid[face, 0, tracked.POINTS])
+        if graze > 0.0:
+            return passage(piece, face, graze, -1.0, 0.0, ends)
+    return math.nan
+
+
+@compiled(**INNER)
+def _depth(piece, face, theta):
+    """How deep a face that leaves at theta goes, moving freely: it turns after rate²/(2 acceleration)."""
+    apart()
+    _, rate = both(piece, face, theta)
+    bend = 0.0
+    for k in range(ORDER, 1, -1):
+        bend = bend * theta + k * (k - 1.0) * piece[face, k]
+    return 0.5 * rate * rate / bend if bend > 0.0 else math.inf
+
+
+@compiled(**INNER)
 def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
     """Loss of contact or touch of either face in a step: theta at which the step ends, 2 + face or 0, and loss.
 
@@ -273,27 +301,13 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
         if not math.isnan(found):
             ends, why = found, 2 + face
             continue
-        if pressed and near > 0.0:
-            least, place = _lowest(piece, face, theta, grid)
-            if least < near and place < ends:
-                track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], least)
-                if least < graze:
-                    ends, why, lost = place, 1, face
-            elif max(piece[face, 0], grid[face, 0, tracked.POINTS]) < hover:
-                track[tracked.NEAREST, lane] = min(track[tracked.NEAREST, lane], grid[face, 0, tracked.POINTS])
-                found = passage(piece, face, graze, -1.0, 0.0, ends) if graze > 0.0 else math.nan
-                if not math.isnan(found):
-                    ends, why, lost = found, 1, face
+        found = _near_loss(track, lane, piece, face, grid, theta, ends, near, hover, graze) if pressed else math.nan
+        if not math.isnan(found):
+            ends, why, lost = found, 1, face
     if why > 1 and piece[why - 2, 0] > 0.0:
-        face = why - 2
-        _, rate = both(piece, face, ends)
-        # the face now moves freely: it turns after a depth of rate²/(2 acceleration)
-        bend = 0.0
-        for k in range(ORDER, 1, -1):
-            bend = bend * ends + k * (k - 1.0) * piece[face, k]
-        depth = 0.5 * rate * rate / bend if bend > 0.0 else math.inf
+        depth = _depth(piece, why - 2, ends)
         if depth >= -graze:
-            lost = face
+            lost = why - 2
             if math.isnan(track[tracked.LOST, lane]):
                 track[tracked.DEPTH, lane] = depth
     if lost >= 0 and math.isnan(track[tracked.LOST, lane]):
