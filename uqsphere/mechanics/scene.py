@@ -24,6 +24,7 @@ from uqsphere.mechanics.pulses import (
     build_pulse,
     noise_names,
 )
+from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
 
 __all__ = ["INPUTS", "STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
@@ -59,6 +60,12 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="radius of rounded bar ends (flat ends: absent)"),
     Quantity(name="bars.yield_strength", symbol="Y_b", dimension="pressure", display="MPa", plausible=(1e7, 5e9),
              meaning="yield strength of the bars"),
+    Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
+             meaning="centre pressure at which a face begins to yield or to crush"),
+    Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
+             meaning="mean pressure of a face that flows fully (indentation hardness)"),
+    Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
+             plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
     Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
              meaning="speed of the striker"),
     Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),
@@ -326,6 +333,20 @@ class Scene:
             )
 
     @cached_property
+    def faces(self) -> Face | None:
+        """The law of both faces where the scene has one, (n,) each; None: elastic."""
+        if "contact.onset_pressure" not in self.columns:
+            return None
+        onset, scales = self.columns["contact.onset_pressure"], self.scales
+        return Face(
+            onset=onset,
+            hardness=self.columns.get("contact.hardness", onset),
+            pile_up=self.column("contact.pile_up", 1.0),
+            modulus=scales.modulus,
+            effective_radius=scales.effective_radius,
+        )
+
+    @cached_property
     def status(self) -> Places:
         """Status of every row before anything is integrated, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
@@ -347,6 +368,10 @@ class Scene:
             codes[~self.pulse.valid] = 1
             # what is shorter than this beside t_c is lost in the rounding of the times
             codes[scales.duration < _SHORTEST * scales.time] = 1
+            if (faces := self.faces) is not None:
+                # b between 0 and 0.2 has a singularity near onset; above 100 the face is Hertz's but for rounding
+                b = faces.softening
+                codes[~((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))] = 1
             brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
             codes[brief.any(axis=1)] = 1
             if not self.infinite:

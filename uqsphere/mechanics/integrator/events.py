@@ -12,7 +12,15 @@ import math
 
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.step import INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.integrator.faces import (
+    ARMED,
+    face_force,
+    has_yielded,
+    largest_approach,
+    largest_force,
+    stored_energy,
+)
+from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
 __all__ = [
@@ -47,12 +55,20 @@ def both(piece, face, theta):
 
 
 @compiled(**INNER)
-def combine(kind, mode, x1, x2, d1, d2):
+def combine(kind, mode, x1, x2, d1, d2, yielding, law, lane):
     """Value and derivative of a searched function from the approaches and their derivatives."""
     if kind == tracked.FACE_A:
         return x1, d1
     if kind == tracked.FACE_B:
         return x2, d2
+    if yielding and has_yielded(law, lane):
+        if kind == tracked.DIFFERENCE:
+            force1, slope1 = face_force(law, lane, x1)
+            force2, slope2 = face_force(law, LANES + lane, x2)
+            return force1 - force2, slope1 * d1 - slope2 * d2
+        energy1, slope1 = stored_energy(law, lane, x1)
+        energy2, slope2 = stored_energy(law, LANES + lane, x2)
+        return energy1 + energy2, slope1 * d1 + slope2 * d2
     if x1 <= 0.0:
         x1, d1 = 0.0, 0.0
     if x2 <= 0.0:
@@ -68,13 +84,13 @@ def combine(kind, mode, x1, x2, d1, d2):
 
 
 @compiled(**INNER)
-def _measure(kind, mode, piece, theta):
+def _measure(kind, mode, piece, theta, yielding, law, lane):
     """Value and derivative of one of the searched functions inside a step."""
     if kind <= tracked.FACE_B:
         return both(piece, kind, theta)
     x1, d1 = both(piece, 0, theta)
     x2, d2 = both(piece, 1, theta)
-    return combine(kind, mode, x1, x2, d1, d2)
+    return combine(kind, mode, x1, x2, d1, d2, yielding, law, lane)
 
 
 @compiled(**INNER)
@@ -116,14 +132,33 @@ def _root(piece, face, level, a, b):
 
 
 @compiled(**INNER)
-def _extremum(kind, mode, piece, a, b, slope_a, slope_b):
+def _extremum(kind, mode, piece, a, b, slope_a, slope_b, yielding, law, lane):
     """theta between a and b at which the slope of a searched function changes sign, as it does at the ends."""
     apart()
     for _ in range(40):
         c = b - slope_b * (b - a) / (slope_b - slope_a)
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        _, slope_c = _measure(kind, mode, piece, c)
+        _, slope_c = _measure(kind, mode, piece, c, yielding, law, lane)
+        if abs(c - b) < 1e-6 or slope_c == 0.0:
+            return c
+        if (slope_c < 0.0) != (slope_b < 0.0):
+            a, slope_a = b, slope_b
+        else:
+            slope_a *= 0.5
+        b, slope_b = c, slope_c
+    return b
+
+
+@compiled(**INNER)
+def _top(piece, face, a, b, slope_a, slope_b):
+    """theta between a and b at which the slope of an approach changes sign, as it does at the ends."""
+    apart()
+    for _ in range(40):
+        c = b - slope_b * (b - a) / (slope_b - slope_a)
+        if not min(a, b) < c < max(a, b):
+            c = 0.5 * (a + b)
+        _, slope_c = both(piece, face, c)
         if abs(c - b) < 1e-6 or slope_c == 0.0:
             return c
         if (slope_c < 0.0) != (slope_b < 0.0):
@@ -155,7 +190,7 @@ def passage(piece, face, level, sign, begin, end):
             and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
         ):
             # the search measures the slopes themselves, without the sign; at a face no mode matters
-            peak = _extremum(face, face, piece, a, b, sign * slope_a, sign * slope_b)
+            peak = _top(piece, face, a, b, sign * slope_a, sign * slope_b)
             if sign * (value(piece, face, peak) - level) >= 0.0:
                 return _root(piece, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
@@ -172,20 +207,26 @@ def _survey(piece, end, grid):
 
 
 @compiled(**INNER)
-def _largest(kind, mode, piece, end, grid, known):
+def _largest(kind, mode, piece, end, grid, known, yielding, law, lane):
     """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
     apart()
     width = end / tracked.POINTS
-    left, left_slope = combine(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0])
+    left, left_slope = combine(
+        kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], yielding, law, lane
+    )
     known = max(known, abs(left))
     for i in range(1, tracked.POINTS + 1):
-        right, right_slope = combine(kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i])
+        right, right_slope = combine(
+            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], yielding, law, lane
+        )
         known = max(known, abs(right))
         sign = 1.0 if left + right >= 0.0 else -1.0
         top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
         if top > max(known, max(abs(left), abs(right))):
-            peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope)
-            at_peak, _ = _measure(kind, mode, piece, peak)
+            peak = _extremum(
+                kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, yielding, law, lane
+            )
+            at_peak, _ = _measure(kind, mode, piece, peak, yielding, law, lane)
             known = max(known, abs(at_peak))
         left, left_slope = right, right_slope
     return known
@@ -241,7 +282,7 @@ def _lowest(piece, face, end, grid):
     for i in range(tracked.POINTS):
         left, right = grid[face, 1, i], grid[face, 1, i + 1]
         if left < 0.0 < right:
-            found = _extremum(face, face, piece, i * width, (i + 1) * width, left, right)
+            found = _top(piece, face, i * width, (i + 1) * width, left, right)
             at = value(piece, face, found)
             if 0.0 < at < least:
                 least, place = at, found
@@ -318,34 +359,100 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
 
 
 @compiled(**INNER)
+def _turn(piece, face, a, b, slope_a, slope_b):
+    """theta between a and b at which the slope of an approach falls through zero, to the last bits."""
+    apart()
+    for _ in range(60):
+        c = b - slope_b * (b - a) / (slope_b - slope_a)
+        if not a < c < b and not b < c < a:
+            c = 0.5 * (a + b)
+        _, slope_c = both(piece, face, c)
+        if abs(c - b) < 1e-13 or slope_c == 0.0:
+            return c
+        if (slope_c < 0.0) != (slope_b < 0.0):
+            a, slope_a = b, slope_b
+        else:
+            slope_a *= 0.5
+        b, slope_b = c, slope_c
+    return b
+
+
+@compiled(**INNER)
+def _switch(law, lane, piece, grid, theta):
+    """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, or 0."""
+    apart()
+    ends, why = theta, 0
+    for face in range(2):
+        m, found = face * LANES + lane, math.nan
+        if law[tracked.SPRING, m] == 0.0:
+            for i in range(tracked.POINTS):
+                if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
+                    found = _turn(
+                        piece,
+                        face,
+                        i * theta / tracked.POINTS,
+                        (i + 1) * theta / tracked.POINTS,
+                        grid[face, 1, i],
+                        grid[face, 1, i + 1],
+                    )
+                    break
+        else:
+            room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
+            width = theta / tracked.POINTS
+            for i in range(tracked.POINTS):
+                left, right = grid[face, 0, i], grid[face, 0, i + 1]
+                if left >= room * (1.0 - ARMED):
+                    continue
+                if right >= room:
+                    found = _root(piece, face, room, i * width, (i + 1) * width)
+                elif highest_between(left, width * grid[face, 1, i], right, width * grid[face, 1, i + 1]) >= room:
+                    found = passage(piece, face, room, 1.0, i * width, (i + 1) * width)
+                if not math.isnan(found):
+                    break
+        if found <= ends and (why == 0 or found < ends):
+            ends, why = found, face + (6 if law[tracked.SPRING, m] == 0.0 else 4)
+    return ends, why
+
+
+@compiled(**INNER)
 def after_step(
     mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
+    yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
-    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion
-    goes on (face + 2).  `echo` is the time of the first reflected wave, `tiny` the error allowed in an approach,
-    `low` > 0 the share of the largest approach below which the record ends; for the others see `_faces`.
-    grid (face, 2, tracked.POINTS + 1): values and slopes over [0, theta].
+    What ends the step: 0 nothing, 1 the record, 2 a face that lost contact or touched again while the motion goes on
+    (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
+    reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
+    the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta].
     """
     apart()
     ends, why = theta, 0
+    if flags & tracked.SWITCHES:
+        ends, why = _switch(law, lane, piece, grid, theta)
+        if ends < theta and flags != tracked.SWITCHES:
+            _survey(piece, ends, grid)
+        elif ends < theta:
+            grid[0, 0, tracked.POINTS], grid[1, 0, tracked.POINTS] = value(piece, 0, ends), value(piece, 1, ends)
+        theta = ends
     if flags & tracked.SOMETHING:
-        ends, why, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
+        ends, met, lost = _faces(track, lane, piece, grid, theta, before, h, near, hover, graze)
         if lost >= 0 and stop_at_loss:
             why = 1
-        elif why == 1:
-            ends, why = theta, 0
+        elif met == 1:
+            ends = theta
+        elif met != 0:
+            why = met
     if ends < theta:
         _survey(piece, ends, grid)
     known = track[tracked.FACE_A, lane]
     if flags & (1 << tracked.FACE_A):
         for face in range(2):
-            known = _largest(face, mode, piece, ends, grid, known)
+            known = _largest(face, mode, piece, ends, grid, known, yielding, law, lane)
         track[tracked.FACE_A, lane] = known
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
-            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane])
+            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], yielding, law, lane)
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[tracked.TOUCHED_A + face, lane] = 1.0
@@ -426,7 +533,7 @@ _sign = elementwise(LANES, 2, _signs)
 
 
 @compiled(**INNER)
-def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room):
+def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known, crest, room, yielding, law):
     """What may have happened in each lane's step, as flags, and the largest approach up to its end.
 
     at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
@@ -464,11 +571,11 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
     if wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY):
-        _look_further(mode, wanted, at, rate, track, theta, flags)
+        _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law)
 
 
 @compiled(**INNER)
-def _look_further(mode, wanted, at, rate, track, theta, flags):
+def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
     """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
     apart()
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
@@ -477,10 +584,13 @@ def _look_further(mode, wanted, at, rate, track, theta, flags):
                 for j in range(LANES):
                     k = LANES + j
                     width = theta[j] / tracked.POINTS
-                    left, left_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
-                    right, right_slope = combine(
-                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
+                    left, left_slope = combine(
+                        kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], yielding, law, j
                     )
+                    right, right_slope = combine(
+                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k],
+                        yielding, law, j,
+                    )  # fmt: skip
                     above = highest_between(left, left_slope, right, right_slope)
                     below = highest_between(-left, -left_slope, -right, -right_slope)
                     if max(above, below) > track[kind, j]:
@@ -550,10 +660,12 @@ def _outermost(path, scale, start, length, crest, count, ended, level, backward)
 
 
 @compiled(**INNER)
-def _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift):
-    """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted."""
+def _passages(power, wanted, path, scale, start, length, crest, count, ended, largest, shift):
+    """Width, whether it is censored, and rise of the larger force, its thresholds times `shift`; NaN if not wanted.
+
+    power: that of the force in what the path holds: 2/3 for approaches, 1 for the forces themselves.
+    """
     apart()
-    power = 1.0 if mode == 1 else 2.0 / 3.0
     width, censored, rise = math.nan, 0.0, math.nan
     if wanted & tracked.WANT_WIDTH:
         half = largest * 0.5**power * shift
@@ -569,7 +681,7 @@ def _passages(mode, wanted, path, scale, start, length, crest, count, ended, lar
 
 
 @compiled(**INNER)
-def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out):
+def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out, yielding, law):
     """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane.
 
     unsure: share by which a threshold may be off.
@@ -580,6 +692,15 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
         newest = (count - 1) % len(start)
         ended = start[newest] + length[newest]
     largest = track[tracked.FACE_A, lane]
+    power, top = 1.0 if mode == 1 else 2.0 / 3.0, largest
+    if yielding:
+        power, top = 1.0, largest_force(law, lane, largest)
+        largest = largest_approach(law, lane, largest)
+        for face in range(2):
+            m = face * LANES + lane
+            began = law[tracked.SPRING, m] == 0.0 or law[tracked.LARGEST, m] > law[tracked.ONSET, m]
+            out[tracked.ANSWER_YIELD + face] = law[tracked.LARGEST, m] if began else 0.0
+        out[tracked.ANSWER_UNLOADINGS] = track[tracked.UNLOADINGS, lane]
     out[tracked.ANSWER_X_MAX] = largest
     out[tracked.ANSWER_X_FIRST] = track[tracked.X_FIRST, lane]
     out[tracked.ANSWER_END] = ended
@@ -598,7 +719,7 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
         # each threshold is also taken a little lower and higher: where it is then passed one oscillation sooner or
         # later, the answer is a jump
         shift = 1.0 + (k - 1.0) * unsure
-        width, censored, rise = _passages(mode, wanted, path, scale, start, length, crest, count, ended, largest, shift)
+        width, censored, rise = _passages(power, wanted, path, scale, start, length, crest, count, ended, top, shift)
         if k == 1:
             out[tracked.ANSWER_WIDTH], out[tracked.ANSWER_WIDTH_CENSORED] = width, censored
             out[tracked.ANSWER_RISE] = rise

@@ -16,6 +16,16 @@ import numpy as np
 
 from uqsphere.mechanics.integrator import events, incoming, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.faces import (
+    largest_approach,
+    may_switch,
+    new_faces,
+    on_virgin_loading,
+    press_deeper,
+    switch,
+    tail_level,
+    wrong_branch,
+)
 from uqsphere.mechanics.integrator.step import (
     LANES,
     ORDER,
@@ -44,8 +54,8 @@ LIMIT = 1 << 20
 
 @compiled()
 def march(
-    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, local,
-    asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, laws,
+    local, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
@@ -55,6 +65,7 @@ def march(
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
     the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
     kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
+    laws (n, 4, 2): onset, softening, pile-up and stiffness of the faces that yield; (n, 0, 2): none does.
     """
     lanes, last_point = LANES, tracked.POINTS
     keeping = kept_start.shape[0] > 0
@@ -67,8 +78,16 @@ def march(
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((2, lanes)),
         np.zeros((2, 2, tracked.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
-        np.zeros((4, lanes), dtype=np.int64),
+        np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
+        np.zeros((1, PAIR)),
     )  # fmt: skip
+    # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
+    law, log, inverse_root = bare(owned[23]), bare(owned[24]), bare(owned[25][0])
+    yielding, switched, has_yielded = (
+        laws.shape[1] > 0,
+        np.zeros(lanes, dtype=np.bool_),
+        np.zeros(lanes, dtype=np.bool_),
+    )
     x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
     at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
     trips, cubic, queue = bare(owned[10]), bare(owned[11]), bare(owned[12])
@@ -126,6 +145,9 @@ def march(
             stop[j] = incoming.next_break(breaks, r, 0.0, queue, head, tail, j, end[j])
             proposed[j] = 1e30
             on_slow[j], calm[j] = False, decay_time(mass[r], local)
+            if yielding:
+                new_faces(law, j, laws[r])
+                has_yielded[j] = False
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
             )
@@ -149,6 +171,8 @@ def march(
             misfit[j] = 0.0
             over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
             low[j] = share * track[tracked.FACE_A, j] if over else -math.inf
+            if over and has_yielded[j]:
+                low[j] = tail_level(law, j, track[tracked.FACE_A, j], tracked.TAIL_SHARE)
             near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
@@ -167,21 +191,50 @@ def march(
                                               time[j] - trips[bar, j], h[j], 2.0 * reflect[bar, j],
                                               0.1 * local * size[0, j] / h[j], push, work)  # fmt: skip
         # ---- the motion over the steps
-        expand(mode, h, inverse_mu, push, x, u, root, force, half)
+        apart, virgin = False, False
+        if yielding:
+            for j in range(lanes):
+                if has_yielded[j] and row[j] >= 0:
+                    apart = True
+                    virgin |= on_virgin_loading(law, j)
+        expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root)
         longest(x, u, size, local, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
             if row[j] < 0:
                 continue
+            if has_yielded[j] and touching[j] == 0:
+                # what jumped may have turned a face against its branch: the step is made again on the other one
+                switched[j] = wrong_branch(law, j, x, h[j], track, j)
+                if wrong_branch(law, LANES + j, x, h[j], track, j):
+                    switched[j] = True
             if touching[j] == 1:
                 theta[j] = 1.0
-                step_from_touch(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force)
-            elif mode == 0 and inverse_mu[j] * SMALL_MU > 1.0 and time[j] >= calm[j]:
+                step_from_touch(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force, yielding, law)
+            elif (
+                mode == 0
+                and inverse_mu[j] * SMALL_MU > 1.0
+                and time[j] >= calm[j]
+                and not (has_yielded[j] and on_virgin_loading(law, j))
+            ):
                 slow, swing = 0.0, math.inf
+                springs = (law[tracked.SPRING, j], law[tracked.SPRING, LANES + j]) if has_yielded[j] else (1.0, 1.0)
                 # on the slow motion the forces differ by mu u', and u' is of the order of one
                 if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
                     slow, swing = slow_step(
-                        j, h[j], mass[row[j]], push, x, u, root, force, size[0, j], local, on_slow[j], slow_room
+                        j,
+                        h[j],
+                        mass[row[j]],
+                        push,
+                        x,
+                        u,
+                        root,
+                        force,
+                        size[0, j],
+                        local,
+                        on_slow[j],
+                        slow_room,
+                        springs,
                     )
                 on_slow[j] = slow > 0.0
                 if on_slow[j]:
@@ -204,12 +257,18 @@ def march(
             evaluate(x, theta, i / tracked.POINTS, half, row_of(at, i, 0), row_of(rate, i, 0))
         evaluate(u, theta, 1.0, half, at_u, rate_u)
         if mode != 1:
-            root_error(root, theta, half, at, branch, row_of(room, 0, 0), row_of(room, 1, 0))
-        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room)
+            root_error(root, theta, half, at, law, branch, row_of(room, 0, 0), row_of(room, 1, 0))
+        events.look(mode, wanted, x, at, rate, track, theta, low, near, row, flags, known, crest, room, yielding, law)
         for j in range(lanes):
             if row[j] < 0:
                 continue
             r = row[j]
+            if yielding:
+                if switched[j]:
+                    switched[j] = False
+                    continue
+                if touching[j] == 0 and may_switch(law, j, room[1], rate):
+                    flags[j] |= tracked.SWITCHES
             impulse = h[j] * theta[j] * max(branch[j], branch[LANES + j])
             allowed = 100.0 * local * size[0, j]
             if mode == 0:
@@ -233,22 +292,28 @@ def march(
                     for i in range(tracked.POINTS + 1):
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
+                quiet = share if low[j] > 0.0 else 0.0
+                if has_yielded[j] and low[j] > 0.0:
+                    quiet = low[j] / max(track[tracked.FACE_A, j], known[j])
                 ending, why = events.after_step(
                     mode, flags[j], track, j, piece, grid, theta[j], before, h[j], min(trips[0, j], trips[1, j]),
-                    share if low[j] > 0.0 else 0.0, local * size[0, j], near[j], asked * size[0, j], graze[r],
-                    stop_at_loss,
+                    quiet,
+                    local * size[0, j], near[j], asked * size[0, j], graze[r], stop_at_loss, yielding, law,
                 )  # fmt: skip
-            if flags[j] & (1 << tracked.FACE_A) == 0:
+            # a step that is cut where a face begins to yield has not reached what `look` saw
+            if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
                 track[tracked.FACE_A, j] = known[j]
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
                     track[tracked.X_FIRST, j] = known[j]
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
+            if yielding:
+                crests[j, n] = math.inf
             if store:
                 for face in range(2):
                     for k in range(TERMS):
-                        path[j, n, face, k] = x[k, face * LANES + j]
+                        path[j, n, face, k] = force[k, face * LANES + j] if yielding else x[k, face * LANES + j]
             for bar in range(2):
                 if before + trips[bar, j] < end[j]:
                     for k in range(TERMS):
@@ -268,16 +333,29 @@ def march(
                 a, b, w = 0.0, 0.0, 0.0
                 for k in range(ORDER, -1, -1):
                     a, b, w = a * ending + x[k, j], b * ending + x[k, LANES + j], w * ending + u[k, j]
-                touching[j] = 1 if x[0, (why - 2) * LANES + j] <= 0.0 else 0
+                touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0
                 at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
-                at[last_point, (why - 2) * LANES + j] = 0.0
-                if mode == 2:  # both faces move alike
+                if why < 4:
+                    at[last_point, (why - 2) * LANES + j] = 0.0
+                else:
+                    has_yielded[j], m = True, (why % 2) * LANES + j
+                    at[last_point, m] = switch(law, m, at[last_point, m], track, j)
+                    if mode == 2:
+                        switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
+                        at[last_point, j] = at[last_point, LANES + j] = at[last_point, m]
+                if mode == 2 and why < 4:  # both faces move alike
                     at[last_point, j], at[last_point, LANES + j] = 0.0, 0.0
             time[j] = stop[j] if at_stop else before + ending * h[j]
             x[0, j], x[0, LANES + j], u[0, j] = at[last_point, j], at[last_point, LANES + j], at_u[j]
+            if has_yielded[j]:
+                press_deeper(law, j, x)
+                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                    track[tracked.X_FIRST, j] = largest_approach(law, j, track[tracked.FACE_A, j])
             size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
             size[1, j] = max(size[1, j], abs(u[0, j]))
             proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
+            if why >= 4:  # a face on its other branch moves on as smoothly as before
+                proposed[j] = max(proposed[j], h[j])
             done = why == 1
             if not done and at_stop:
                 if time[j] >= end[j]:
@@ -296,13 +374,13 @@ def march(
                         live -= 1
                         continue
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
-            if not done and steady[j] >= 0.0 and touching[j] == 0:
+            if not done and steady[j] >= 0.0 and touching[j] == 0 and not has_yielded[j]:
                 done = events.decided(
                     mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
                 )
             if done:
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
-                              local, out[r])  # fmt: skip
+                              local, out[r], yielding, law)  # fmt: skip
                 status[r] = tracked.OK
                 steps[r] = count[j]
                 row[j] = -1

@@ -49,6 +49,7 @@ MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
 #: what `scaled_arguments` gives, in the order in which the kernel takes it
 _ARGUMENTS: Final = (
     "mass", "ends", "round_trips", "breaks", "coefficients", "frequencies", "horizon", "pulse_end", "level", "graze",
+    "laws",
 )  # fmt: skip
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
@@ -192,7 +193,23 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
         "graze": np.zeros(len(rows)),
+        "laws": _laws(scene, rows),
     }
+
+
+def _laws(scene: Scene, rows: Places) -> Array:
+    """Onset, softening, pile-up and stiffness of both faces in scaled variables, (n, 4, 2); (n, 0, 2): elastic."""
+    faces = scene.faces
+    if faces is None:
+        return np.zeros((len(rows), 0, 2))
+    softening = faces.softening[rows]
+    columns = [
+        faces.onset_approach[rows] / scene.scales.approach[rows],
+        np.where(np.abs(softening) < 1e-12, 0.0, softening),
+        faces.pile_up[rows],
+        np.ones(len(rows)),
+    ]
+    return np.ascontiguousarray(np.repeat(np.stack(columns, axis=1)[:, :, None], 2, axis=2))
 
 
 @dataclass(frozen=True, kw_only=True)

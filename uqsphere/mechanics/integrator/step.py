@@ -19,6 +19,21 @@ from __future__ import annotations
 import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.faces import face_force, log_start
+from uqsphere.mechanics.integrator.tracked import (
+    BASE,
+    BY_LOG,
+    BY_ROOT,
+    BY_X,
+    CONSTANT,
+    INNER,
+    LANES,
+    ORDER,
+    PAIR,
+    SHIFT,
+    SPRING,
+    TERMS,
+)
 from uqsphere.mechanics.integrator.vectors import (
     apart,
     derivatives_at,
@@ -49,14 +64,6 @@ __all__ = [
     "step_from_touch",
 ]
 
-#: for functions that only compiled code calls: no way in from Python needs to be compiled
-INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-#: highest power of a series; four square roots take the 16th root
-ORDER = 16
-TERMS = ORDER + 1
-#: rows that advance together, and columns of what exists at both faces
-LANES = 16
-PAIR = 2 * LANES
 #: share of the radius of convergence that a step may use
 _CIRCLE = 0.85
 #: Runge-Kutta steps over a touch
@@ -67,6 +74,25 @@ _TOUCH_STEPS = 4
 _first_root = elementwise(
     PAIR, 2, lambda x: (root_of(larger(x, 0.0)), where(x > 0.0, 0.5 / root_of(larger(x, 1e-300)), 0.0))
 )
+_shifted_root = elementwise(
+    PAIR,
+    3,
+    lambda x, shift, by_log, base: (
+        (root := root_of(larger(x + shift, 0.0))),
+        where(x + shift > 0.0, 0.5 / root_of(larger(x + shift, 1e-300)), 0.0),
+        where((by_log < 0.0) | (by_log > 0.0), 1.0 / (root + base), 0.0),
+    ),
+)
+_log_term = elementwise(PAIR, 1, lambda total, root, k, inverse: (k * root - total) * inverse)
+_any_branch = elementwise(
+    PAIR,
+    1,
+    lambda force, spring, x, by_x, root, by_root, log, by_log, inverse_k: (
+        spring * force + by_x * x + by_root * root + by_log * log * inverse_k
+    ),
+)
+_add = elementwise(PAIR, 1, lambda force, constant: force + constant)
+_stiffer = elementwise(PAIR, 1, lambda force, spring: spring * force)
 _odd_root = elementwise(PAIR, 1, lambda x, total, half: (x - 2.0 * total) * half)
 _even_root = elementwise(PAIR, 1, lambda x, total, middle, half: (x - 2.0 * total - middle * middle) * half)
 _spring = elementwise(PAIR, 1, lambda x, first: where(first > 0.0, x, 0.0))
@@ -91,13 +117,19 @@ _next_massless = elementwise(
 
 
 @compiled(**INNER)
-def expand(mode, h, inverse_mu, push, x, u, root, force, half):
+def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse):
     """Fill the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x) from their first terms.
 
-    push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.
+    push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
+    whether faces have a law of their own, and whether one of them is on virgin loading; law: see
+    `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l; inverse (PAIR,): room.
     """
     apart()
-    _first_root(row(root, 0, 0), half, row(x, 0, 0))
+    if yielding:
+        _shifted_root(row(root, 0, 0), half, inverse, row(x, 0, 0), row(law, SHIFT, 0), row(law, BY_LOG, 0),
+                      row(law, BASE, 0))  # fmt: skip
+    else:
+        _first_root(row(root, 0, 0), half, row(x, 0, 0))
     for k in range(TERMS):
         x_k, force_k = row(x, k, 0), row(force, k, 0)
         if mode == 1:
@@ -111,6 +143,10 @@ def expand(mode, h, inverse_mu, push, x, u, root, force, half):
                 else:
                     _odd_root(root_k, x_k, root_k, half)
             products(x, root, k, 0, k + 1, force_k)
+            if virgin:
+                _branches(k, x, root, force_k, law, log, inverse)
+            elif yielding:
+                _stiffer(force_k, force_k, row(law, SPRING, 0))
         if k == ORDER:
             break
         share = 1.0 / (k + 1.0)
@@ -120,6 +156,23 @@ def expand(mode, h, inverse_mu, push, x, u, root, force, half):
             _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
         else:
             _next_x(x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share)
+
+
+@compiled(**INNER)
+def _branches(k, x, root, force_k, law, log, inverse):
+    """The k-th term of the forces where a face may be on virgin loading; force_k: that of x sqrt(x)."""
+    log_k, root_k, scale = row(log, k, 0), row(root, k, 0), 1.0
+    if k == 0:
+        for m in range(PAIR):
+            log[0, m] = log_start(law, m, root[0, m]) if law[BY_LOG, m] != 0.0 else 0.0
+    else:
+        scale = 1.0 * k
+        products(log, root, k, 1, k, log_k)
+        _log_term(log_k, log_k, root_k, scale, inverse)
+    _any_branch(force_k, force_k, row(law, SPRING, 0), row(x, k, 0), row(law, BY_X, 0), root_k, row(law, BY_ROOT, 0),
+                log_k, row(law, BY_LOG, 0), 1.0 / scale)  # fmt: skip
+    if k == 0:
+        _add(force_k, force_k, row(law, CONSTANT, 0))
 
 
 def _root_16(a):
@@ -176,12 +229,16 @@ def evaluate(x, theta, share, place, at, rate):
 
 
 _unlike = elementwise(
-    PAIR, 1, lambda begin, root, x: where((begin > 0.0) & (x > 0.0), x * size_of(root - root_of(larger(x, 0.0))), 0.0)
+    PAIR,
+    1,
+    lambda begin, root, x, shift: where(
+        (begin > 0.0) & (x > 0.0), x * size_of(root - root_of(larger(x + shift, 0.0))), 0.0
+    ),
 )
 
 
 @compiled(**INNER)
-def root_error(root, theta, place, at, found, value, slope):
+def root_error(root, theta, place, at, law, found, value, slope):
     """found (PAIR,): by how much the force of the series of sqrt(x) differs at the step's end from that of x.
 
     Past a point where a face nearly leaves, x has two complex roots so close to the real axis that the series
@@ -189,15 +246,17 @@ def root_error(root, theta, place, at, found, value, slope):
     """
     apart()
     evaluate(root, theta, 1.0, place, value, slope)
-    _unlike(found, row(at, 0, 0), value, row(at, at.shape[0] - 1, 0))
+    _unlike(found, row(at, 0, 0), value, row(at, at.shape[0] - 1, 0), row(law, SHIFT, 0))
 
 
 @compiled(**INNER)
-def _slopes(mode, inverse_mu, push_a, push_b, x1, x2, u):
+def _slopes(mode, inverse_mu, push_a, push_b, x1, x2, u, yielding, law, j):
     """Right-hand side of theory (9) for one lane."""
     apart()
     pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
-    if mode == 1:
+    if yielding:
+        force_a, force_b = face_force(law, j, x1)[0], face_force(law, LANES + j, x2)[0]
+    elif mode == 1:
         force_a, force_b = pressed_a, pressed_b
     else:
         force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
@@ -228,7 +287,7 @@ def _join(series, m, theta, left, left_slope, right, right_slope):
 
 
 @compiled(**INNER)
-def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
+def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force, yielding, law):
     """A first short step of one lane from a touch, where the force x^(3/2) has no power series in time.
 
     Runge-Kutta steps of order 4 over theta·h; the series of the lane are replaced by cubics that join both ends.
@@ -236,7 +295,7 @@ def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
     apart()
     a, b, w = x[0, j], x[0, LANES + j], u[0, j]
     x1, x2, v = a, b, w
-    begin = _slopes(mode, inverse_mu, push[0, j], push[0, LANES + j], x1, x2, v)
+    begin = _slopes(mode, inverse_mu, push[0, j], push[0, LANES + j], x1, x2, v, yielding, law, j)
     d = theta * h / _TOUCH_STEPS
     last = begin
     for i in range(_TOUCH_STEPS):
@@ -245,15 +304,19 @@ def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
         first = last
         mid_a, mid_b = _at(push, j, half), _at(push, LANES + j, half)
         second = _slopes(mode, inverse_mu, mid_a, mid_b,
-                         x1 + 0.5 * d * first[0], x2 + 0.5 * d * first[1], v + 0.5 * d * first[2])  # fmt: skip
+                         x1 + 0.5 * d * first[0], x2 + 0.5 * d * first[1], v + 0.5 * d * first[2],
+                         yielding, law, j)  # fmt: skip
         third = _slopes(mode, inverse_mu, mid_a, mid_b,
-                        x1 + 0.5 * d * second[0], x2 + 0.5 * d * second[1], v + 0.5 * d * second[2])  # fmt: skip
+                        x1 + 0.5 * d * second[0], x2 + 0.5 * d * second[1], v + 0.5 * d * second[2],
+                        yielding, law, j)  # fmt: skip
         end_a, end_b = _at(push, j, full), _at(push, LANES + j, full)
-        fourth = _slopes(mode, inverse_mu, end_a, end_b, x1 + d * third[0], x2 + d * third[1], v + d * third[2])
+        fourth = _slopes(
+            mode, inverse_mu, end_a, end_b, x1 + d * third[0], x2 + d * third[1], v + d * third[2], yielding, law, j
+        )
         x1 += d / 6.0 * (first[0] + 2.0 * (second[0] + third[0]) + fourth[0])
         x2 += d / 6.0 * (first[1] + 2.0 * (second[1] + third[1]) + fourth[1])
         v += d / 6.0 * (first[2] + 2.0 * (second[2] + third[2]) + fourth[2])
-        last = _slopes(mode, inverse_mu, end_a, end_b, x1, x2, v)
+        last = _slopes(mode, inverse_mu, end_a, end_b, x1, x2, v, yielding, law, j)
     _join(x, j, theta, a, h * begin[0], x1, h * last[0])
     _join(x, LANES + j, theta, b, h * begin[1], x2, h * last[1])
     _join(u, j, theta, w, h * begin[2], v, h * last[2])
@@ -263,7 +326,11 @@ def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
         left_slope, right_slope = x[1, m], h * last[face]
         left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
         right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
-        if mode == 1:
+        if yielding:
+            left_force, left_rate = face_force(law, m, left)
+            right_force, right_rate = face_force(law, m, right)
+            _join(force, m, theta, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
+        elif mode == 1:
             _join(force, m, theta, left, left_slope, right, right_slope)
         else:
             _join(force, m, theta, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
@@ -280,6 +347,8 @@ def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force):
 # Starting from z = 0, the second and the third equation give u, D and z in turn, each round a factor of about
 # mu smaller, all as power series over the step; the first one is integrated term by term.  The series is used where
 # it satisfies the equations of motion to the tolerance and where it meets the state of the row.
+# Faces that have yielded are springs of different stiffness k_1, k_2 above their dents: equal forces then mean
+# z = tilt m, from which the rounds start.
 
 #: mass number below which the slow motion is looked for
 SMALL_MU = 0.02
@@ -308,10 +377,12 @@ def _slope(series, k_row, theta):
 
 
 @compiled(**INNER)
-def _slow_mean(lane, h, push, s):
+def _slow_mean(lane, h, push, s, springs, tilt):
     """Integrate m for a given z; rows of s: m, z, u, x_1, x_2, sqrt(x_1), sqrt(x_2), q_1, q_2."""
     apart()
     for k in range(TERMS):
+        if tilt != 0.0:
+            s[1, k] = tilt * s[0, k]
         for face in range(2):
             x, y, q = 3 + face, 5 + face, 7 + face
             s[x, k] = s[0, k] + (0.5 - face) * s[1, k]
@@ -327,7 +398,7 @@ def _slow_mean(lane, h, push, s):
             total = 0.0
             for i in range(k + 1):
                 total += s[x, i] * s[y, k - i]
-            s[q, k] = total
+            s[q, k] = springs[face] * total
         if k < TERMS - 1:
             rate = 0.5 * (push[k, lane] + push[k, LANES + lane] - s[7, k] - s[8, k])
             s[0, k + 1] = h * rate / (k + 1.0)
@@ -335,7 +406,7 @@ def _slow_mean(lane, h, push, s):
 
 
 @compiled(**INNER)
-def _correct(lane, h, mu, push, s):
+def _correct(lane, h, mu, push, s, springs):
     """One round: u from the waves, D from u, z from D.  Returns the largest change of z in the step, of its terms."""
     apart()
     # s[9]: what D lacks, s[10]: the change of z
@@ -345,11 +416,12 @@ def _correct(lane, h, mu, push, s):
     for k in range(TERMS):
         wanted = mu * (k + 1.0) * s[2, k + 1] / h if k + 1 < TERMS else 0.0
         s[9, k] = (wanted - (s[7, k] - s[8, k])) / 0.75
-    lead, change = s[5, 0] + s[6, 0], 0.0
+    stiff_1, stiff_2 = springs
+    lead, change = stiff_1 * s[5, 0] + stiff_2 * s[6, 0], 0.0
     for k in range(TERMS):
         total = s[9, k]
         for i in range(1, k + 1):
-            total -= (s[5, i] + s[6, i]) * s[10, k - i]
+            total -= (stiff_1 * s[5, i] + stiff_2 * s[6, i]) * s[10, k - i]
         s[10, k] = total / lead
         s[1, k] += s[10, k]
         if k <= _GOOD:
@@ -358,7 +430,7 @@ def _correct(lane, h, mu, push, s):
 
 
 @compiled(**INNER)
-def _residual(lane, h, mu, push, s, theta):
+def _residual(lane, h, mu, push, s, springs, theta):
     """Largest error with which the series satisfies the equations at theta, as an error of an approach."""
     apart()
     a, b, w = _value(s, 3, theta), _value(s, 4, theta), _value(s, 2, theta)
@@ -367,11 +439,11 @@ def _residual(lane, h, mu, push, s, theta):
     push_a, push_b = 0.0, 0.0
     for k in range(TERMS - 1, -1, -1):
         push_a, push_b = push_a * theta + push[k, lane], push_b * theta + push[k, LANES + lane]
-    force_a, force_b = a * math.sqrt(a), b * math.sqrt(b)
+    force_a, force_b = springs[0] * (a * math.sqrt(a)), springs[1] * (b * math.sqrt(b))
     length = theta * h
     first = abs(_slope(s, 3, theta) / h - (push_a - force_a - w)) * length
     second = abs(_slope(s, 4, theta) / h - (push_b - force_b + w)) * length
-    third = abs(mu * _slope(s, 2, theta) / h - (force_a - force_b)) / (1.5 * math.sqrt(a))
+    third = abs(mu * _slope(s, 2, theta) / h - (force_a - force_b)) / (1.5 * springs[0] * math.sqrt(a))
     return max(first, max(second, third))
 
 
@@ -383,11 +455,12 @@ def decay_time(mu, local):
 
 
 @compiled(**INNER)
-def slow_step(lane, h, mu, push, x, u, root, force, size, local, on_slow, s):
+def slow_step(lane, h, mu, push, x, u, root, force, size, local, on_slow, s, springs):
     """Try to replace the step of one lane by one of the slow motion: theta it may reach, 0 if none; amplitude.
 
     The amplitude is that of the fast oscillation that the state of the row has about the slow motion, as an
-    approach; it must lie below the tolerance.  size: scale of the approaches, s (SLOW_ROOM, TERMS): working space.
+    approach; it must lie below the tolerance.  size: scale of the approaches, s (SLOW_ROOM, TERMS): working space;
+    springs: factors of x^(3/2) at the faces.
     """
     apart()
     mean, swing, speed = 0.5 * (x[0, lane] + x[0, LANES + lane]), x[0, lane] - x[0, LANES + lane], u[0, lane]
@@ -395,23 +468,34 @@ def slow_step(lane, h, mu, push, x, u, root, force, size, local, on_slow, s):
         s[1, k] = 0.0
     s[0, 0] = mean
     allowed = local * size
+    tilt = 0.0
+    if springs[0] != springs[1]:
+        ratio = (springs[1] / springs[0]) ** (2.0 / 3.0)
+        tilt = 2.0 * (ratio - 1.0) / (ratio + 1.0)
     for _ in range(_ROUNDS):
-        if not _slow_mean(lane, h, push, s):
+        if not _slow_mean(lane, h, push, s, springs, tilt):
             return 0.0, math.inf
-        change = _correct(lane, h, mu, push, s)
+        tilt = 0.0
+        change = _correct(lane, h, mu, push, s, springs)
         if not change < mean:
             return 0.0, math.inf
         if change < 0.01 * allowed:
             break
-    if not _slow_mean(lane, h, push, s):
+    if not _slow_mean(lane, h, push, s, springs, tilt):
         return 0.0, math.inf
-    fast = math.sqrt(mu / (3.0 * s[5, 0]))
+    fast = math.sqrt(mu / (3.0 * springs[0] * s[5, 0]))
     amplitude = max(abs(swing - s[1, 0]), 2.0 * abs(speed - s[2, 0]) * fast)
     if not amplitude <= (2.0 if on_slow else 0.5) * allowed:
         return 0.0, amplitude
     theta = 1.0
     for _ in range(12):
-        if max(_residual(lane, h, mu, push, s, theta), _residual(lane, h, mu, push, s, 0.6 * theta)) <= allowed:
+        if (
+            max(
+                _residual(lane, h, mu, push, s, springs, theta),
+                _residual(lane, h, mu, push, s, springs, 0.6 * theta),
+            )
+            <= allowed
+        ):
             break
         theta *= 0.6
     else:

@@ -11,6 +11,15 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
+#: for functions that only compiled code calls: no way in from Python needs to be compiled
+INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+#: highest power of a series; four square roots take the 16th root
+ORDER = 16
+TERMS = ORDER + 1
+#: rows that advance together, and columns of what exists at both faces
+LANES = 16
+PAIR = 2 * LANES
+
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 
@@ -20,11 +29,13 @@ WANT_ALL = 31
 
 # trackers of a lane while its row runs: the first KINDS are the largest values found so far
 (FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE, DEPTH,
- NEAREST) = range(12)  # fmt: skip
+ NEAREST, UNLOADINGS) = range(13)  # fmt: skip
 KINDS = 4
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
-TRACKS = 12
+#: flag of a step in which a face may begin or end to yield
+SWITCHES = 2 << KINDS
+TRACKS = 13
 
 # answers of a row, scaled: approach, force difference, energy, times
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
@@ -32,7 +43,9 @@ TRACKS = 12
  ANSWER_NEAREST) = range(13)  # fmt: skip
 # width and rise with their thresholds a little lower, then a little higher
 ANSWER_WIDTHS, ANSWER_RISES = 13, 15
-ANSWERS = 17
+# largest approach of each face that has yielded (0: none), and how often one was unloaded from there
+ANSWER_YIELD, ANSWER_UNLOADINGS = 17, 19
+ANSWERS = 20
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
 SCALED = {
     "x_max": (ANSWER_X_MAX, 0),
@@ -46,6 +59,13 @@ SCALED = {
     "rise": (ANSWER_RISE, WANT_RISE),
     "ended": (ANSWER_END, 0),
 }
+
+# the law of a face that yields, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
+(DENT, SHIFT, SPRING, BY_X, BY_ROOT, BY_LOG, CONSTANT, BASE, LARGEST, PEAK, ONSET, SOFTENING, PILE_UP,
+ STIFFNESS) = range(14)  # fmt: skip
+NUMBERS = 14
+# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2)
+LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS = range(4)
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01

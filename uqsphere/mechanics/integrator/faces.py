@@ -1,0 +1,281 @@
+"""The law of a face that yields, inside the integrator: spring, virgin loading, free (theory (C14)).
+
+Where nothing yields the force of a face is q = x^(3/2) of its approach x, and no code here runs.  A face that yields
+has a largest approach so far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x - x_r:
+
+    spring   q = k (x - x_r)^(3/2)      until x rises through x_m (to virgin loading) or falls through x_r (free)
+    virgin   q = q_y L(x/x_y)           until dx/dt falls through 0: a spring with a new dent
+    free     q = 0                      until x rises through x_r
+
+The elastic face is the spring with x_r = 0 and x_m = x_y.  Virgin loading is linear in x, y = sqrt(x) and
+l = ln((y + base)/...), so that its series costs one recurrence more:
+
+    q = constant + by_x x + by_root y + by_log l        l' (y + base) = y'        base = (b - 1) sqrt(x_y)
+
+`law` holds these numbers of every lane and face, (NUMBERS, PAIR); scaled variables.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uqsphere.mechanics.integrator.compiled import compiled
+from uqsphere.mechanics.integrator.tracked import (
+    BASE,
+    BY_LOG,
+    BY_ROOT,
+    BY_X,
+    CONSTANT,
+    DENT,
+    INNER,
+    LANES,
+    LARGEST,
+    LAW_ONSET,
+    LAW_PILE_UP,
+    LAW_SOFTENING,
+    LAW_STIFFNESS,
+    ONSET,
+    PEAK,
+    PILE_UP,
+    POINTS,
+    SHIFT,
+    SOFTENING,
+    SPRING,
+    STIFFNESS,
+    UNLOADINGS,
+)
+from uqsphere.mechanics.integrator.vectors import apart
+
+__all__ = [
+    "face_force",
+    "has_yielded",
+    "largest_approach",
+    "largest_force",
+    "let_go",
+    "log_start",
+    "may_switch",
+    "new_faces",
+    "on_virgin_loading",
+    "press_deeper",
+    "press_on",
+    "stored_energy",
+    "switch",
+    "tail_level",
+    "wrong_branch",
+]
+
+#: share of x_m by which an approach has to fall below it before it can rise through it again
+ARMED = 1e-13
+#: dx/dt that has no sign, scaled: a turn leaves so little
+STILL = 1e-10
+
+
+@compiled(**INNER)
+def _bend(t):
+    """G(t) = t²/2 - t + ln(1 + t), see `uqsphere.mechanics.yielding`."""
+    if t > 0.3:
+        return 0.5 * t * t - t + math.log1p(t)
+    total = 0.0
+    for k in range(40, 2, -1):
+        total = 1.0 / k - t * total
+    return total * t * t * t
+
+
+@compiled(**INNER)
+def _virgin(z, b, pile_up):
+    """L and A at z >= 1, (C5) and (C6)."""
+    s = math.sqrt(z) - 1.0
+    force = 1.0 + 3.0 * s + (1.5 if b == 0.0 else 3.0) * s * s
+    if b > 0.0:
+        force += 3.0 * b * b * (b - 1.0) * _bend(s / b)
+    g = 5.0
+    if pile_up > 1.0:
+        g = min(5.0, pile_up * b * b / ((pile_up - 1.0) * (1.0 + b)))
+    if g == 0.0:
+        return force, 1.0 + pile_up * s * (2.0 + s)
+    area = 1.0 + 2.0 * s + s * s * (1.0 + (pile_up - 1.0) / g)
+    return force, area + 2.0 * (pile_up - 1.0) * g * (g - 1.0) * _bend(s / g)
+
+
+@compiled(**INNER)
+def new_faces(law, lane, given):
+    """Both faces of a row before anything has yielded; given (4, 2): x_y, b, C and the factor of x^(3/2)."""
+    apart()
+    for face in range(2):
+        m = face * LANES + lane
+        for k in range(law.shape[0]):
+            law[k, m] = 0.0
+        onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
+        law[ONSET, m], law[SOFTENING, m], law[PILE_UP, m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
+        law[STIFFNESS, m], law[SPRING, m], law[LARGEST, m] = stiffness, stiffness, onset
+        law[PEAK, m] = stiffness * onset**1.5
+
+
+@compiled(**INNER)
+def press_on(law, m):
+    """A spring whose approach rises through the largest so far: virgin loading."""
+    apart()
+    onset, b = law[ONSET, m], law[SOFTENING, m]
+    force, side = law[STIFFNESS, m] * onset**1.5, math.sqrt(onset)
+    law[SHIFT, m], law[SPRING, m] = law[DENT, m], 0.0
+    law[BY_X, m] = 1.5 * force * (1.0 + b) / onset
+    law[BY_ROOT, m] = -3.0 * force * b * b / side
+    law[BY_LOG, m] = 3.0 * force * b * b * (b - 1.0)
+    law[CONSTANT, m] = force * (1.0 - 1.5 * (1.0 + b) + 3.0 * b * b) + law[BY_X, m] * law[DENT, m]
+    law[BASE, m] = (b - 1.0) * side
+
+
+@compiled(**INNER)
+def let_go(law, m, above):
+    """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach above that."""
+    apart()
+    approach, onset = above + law[DENT, m], law[ONSET, m]
+    largest = max(approach, law[LARGEST, m])
+    force, area = _virgin(largest / onset, law[SOFTENING, m], law[PILE_UP, m])
+    recovered = onset * force / math.sqrt(area)
+    law[PEAK, m] = law[STIFFNESS, m] * onset**1.5 * force
+    law[LARGEST, m], law[DENT, m] = largest, largest - recovered
+    law[SPRING, m] = law[PEAK, m] / recovered**1.5
+    law[SHIFT, m], law[BY_X, m], law[BY_ROOT, m], law[BY_LOG, m], law[CONSTANT, m] = 0.0, 0.0, 0.0, 0.0, 0.0
+    return approach - law[DENT, m]
+
+
+@compiled(**INNER)
+def switch(law, m, above, track, lane):
+    """The other branch of a face at `above` its dent; returns the approach above the dent that it has then."""
+    if law[SPRING, m] > 0.0:
+        press_on(law, m)
+        return law[LARGEST, m] - law[DENT, m]
+    track[UNLOADINGS, lane] += 1.0
+    return let_go(law, m, above)
+
+
+@compiled(**INNER)
+def press_deeper(law, lane, x):
+    """The largest approach of faces on virgin loading, at the end of a step."""
+    for face in range(2):
+        m = face * LANES + lane
+        if law[SPRING, m] == 0.0:
+            law[LARGEST, m] = max(law[LARGEST, m], x[0, m] + law[DENT, m])
+
+
+@compiled(**INNER)
+def on_virgin_loading(law, lane):
+    """Whether a face of a lane yields now."""
+    return law[SPRING, lane] == 0.0 or law[SPRING, LANES + lane] == 0.0
+
+
+@compiled(**INNER)
+def has_yielded(law, lane):
+    """Whether a face of a lane has yielded, or does."""
+    for face in range(2):
+        m = face * LANES + lane
+        if law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]:
+            return True
+    return False
+
+
+@compiled(**INNER)
+def log_start(law, m, root):
+    """l at the start of a step on virgin loading, from y."""
+    return math.log((root + law[BASE, m]) / (law[SOFTENING, m] * math.sqrt(law[ONSET, m])))
+
+
+@compiled(**INNER)
+def face_force(law, m, above):
+    """Force of a face and its derivative by the approach, `above` the dent."""
+    if law[SPRING, m] > 0.0:
+        if above <= 0.0:
+            return 0.0, 0.0
+        side = law[SPRING, m] * math.sqrt(above)
+        return side * above, 1.5 * side
+    root = math.sqrt(max(above + law[SHIFT, m], 1e-300))
+    force, slope = law[CONSTANT, m] + law[BY_X, m] * above + law[BY_ROOT, m] * root, law[BY_ROOT, m]
+    if law[BY_LOG, m] != 0.0:
+        force += law[BY_LOG, m] * log_start(law, m, root)
+        slope += law[BY_LOG, m] / (root + law[BASE, m])
+    return force, law[BY_X, m] + 0.5 * slope / root
+
+
+@compiled(**INNER)
+def stored_energy(law, m, above):
+    """Elastic energy of a face and its derivative by the approach, (C10), in units of P_c alpha_c."""
+    force, slope = face_force(law, m, above)
+    if law[SPRING, m] > 0.0:
+        return 0.4 * force * max(above, 0.0), force
+    onset, b = law[ONSET, m], law[SOFTENING, m]
+    z = max((above + law[SHIFT, m]) / onset, 1.0)
+    reached, area = _virgin(z, b, law[PILE_UP, m])
+    recovered = onset * reached / math.sqrt(area)
+    # its slope is only used to look for tops between points: that of a spring of the present stiffness
+    return 0.4 * force * recovered, 0.8 * recovered * slope
+
+
+@compiled(**INNER)
+def largest_approach(law, lane, known):
+    """Largest approach of a row so far, where `known` is that of what has not yielded."""
+    for face in range(2):
+        m = face * LANES + lane
+        if law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]:
+            known = max(known, law[LARGEST, m])
+    return known
+
+
+@compiled(**INNER)
+def largest_force(law, lane, known):
+    """Largest force of a row so far."""
+    found = max(law[STIFFNESS, lane], law[STIFFNESS, LANES + lane]) * known**1.5
+    for face in range(2):
+        m = face * LANES + lane
+        if law[SPRING, m] == 0.0:
+            found = max(found, face_force(law, m, law[LARGEST, m] - law[DENT, m])[0])
+        elif law[LARGEST, m] > law[ONSET, m]:
+            found = max(found, law[PEAK, m])
+    return found
+
+
+@compiled(**INNER)
+def tail_level(law, lane, known, share):
+    """Approach above the dents below which both forces are `share` of the largest so far."""
+    stiffest = 0.0
+    for face in range(2):
+        m = face * LANES + lane
+        stiffest = max(stiffest, max(law[SPRING, m], law[STIFFNESS, m]))
+    return (share * largest_force(law, lane, known) / stiffest) ** (2.0 / 3.0)
+
+
+@compiled(**INNER)
+def wrong_branch(law, m, x, length, track, lane):
+    """Bring a face whose motion starts against its branch to the other one; whether it was.
+
+    x (TERMS, PAIR): the series of the step, of length `length`; its first term is changed with the dent.
+    """
+    apart()
+    still = STILL * length
+    if law[SPRING, m] == 0.0:
+        if x[1, m] < -still or (x[1, m] <= still and x[2, m] < 0.0):
+            x[0, m] = switch(law, m, x[0, m], track, lane)
+            return True
+        return False
+    room = law[LARGEST, m] - law[DENT, m]
+    if x[0, m] >= room * (1.0 - ARMED) and (x[1, m] > still or (x[1, m] >= -still and x[2, m] > 0.0)):
+        x[0, m] = switch(law, m, x[0, m], track, lane)
+        return True
+    return False
+
+
+@compiled(**INNER)
+def may_switch(law, lane, top, rate):
+    """Whether a face of a lane may change its branch within a step: by what it can reach at most, or a fall.
+
+    top (PAIR,): bounds of the approaches in the step; rate (POINTS + 1, PAIR): their slopes at its points.
+    """
+    for face in range(2):
+        m = face * LANES + lane
+        if law[SPRING, m] == 0.0:
+            for i in range(1, POINTS + 1):
+                if rate[i, m] < 0.0:
+                    return True
+        elif top[m] >= law[LARGEST, m] - law[DENT, m]:
+            return True
+    return False

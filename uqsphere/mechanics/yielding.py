@@ -1,0 +1,189 @@
+"""Contact that yields: one family of laws from Hertz through metal plasticity and Thornton's law to a crushed cap.
+
+A face is elastic up to the onset, the approach alpha_y where Hertz's centre pressure is `onset` (p_y).  Beyond it the
+force leaves Hertz smoothly and its slope tends to pi r_eff C H: H is the mean pressure of full flow, C the pile-up
+(a² -> C r_eff alpha).  Unloading is Hertz with another curvature, from the largest approach down to the dent.
+
+Every function is elementwise on arrays in SI or in the scaled numbers of the face: z = alpha/alpha_y, L = P/P_y,
+A = a²/(r_eff alpha_y).  Numbering (C...) of docs/theory.md.  With s = sqrt(z) - 1 the force is written as
+
+    L = 1 + 3 s + 3 s² + 3 b² (b - 1) G(s/b),      G(t) = t²/2 - t + ln(1 + t) = t³/3 - t⁴/4 + ...
+
+which is (C5) without its cancellation: (1 + s)³, Hertz, as b grows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["FLOW", "Face", "Press", "metal_onset"]
+
+Array = npt.NDArray[np.float64]
+
+#: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
+_TERMS: Final = 40
+_NEAR: Final = 0.3
+#: steps of Newton's method for z at a force: it converges from above on a convex function, quadratically
+_STEPS: Final = 60
+#: mean pressure over yield strength of a metal that flows fully (Jackson and Green 2005)
+FLOW: Final = 2.84
+
+
+def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
+    """Centre pressure p_y [Pa] at which a metal begins to yield under a sphere: 1.295 exp(0.736 nu) Y.
+
+    Source: Jackson and Green, J. Tribol. 127 (2005) 343, von Mises along the axis; 1.61 Y at nu = 0.3.
+
+    >>> round(float(metal_onset(1.0, 0.3)), 3)
+    1.615
+    """
+    return np.asarray(1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength)
+
+
+def _bend(t: Array, moment: int = 0) -> Array:
+    """G(t) = t²/2 - t + ln(1 + t) for moment 0; its integral from 0 for 1, that of t G for 2."""
+    near, series = np.minimum(t, _NEAR), np.zeros_like(t)
+    for k in range(_TERMS, 2, -1):
+        series = 1.0 / (k * (k + moment) if moment else k) - near * series
+    series = series * near ** (3 + moment)
+    log = np.log1p(t)
+    if moment == 0:
+        far = 0.5 * t * t - t + log
+    elif moment == 1:
+        far = t**3 / 6.0 - 0.5 * t * t + (1.0 + t) * log - t
+    else:
+        far = t**4 / 8.0 - t**3 / 3.0 + 0.5 * (t * t - 1.0) * log - 0.25 * t * t + 0.5 * t
+    return np.where(t < _NEAR, series, far)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Press:
+    """What a face has taken at its largest approach; arrays of n rows in SI.
+
+    `approach` and `force` at the largest approach, `radius` of the contact, `mean` and `centre` pressure there, `dent`
+    that stays, `stored` elastic energy, `plastic` work, and `depth` z = alpha/alpha_y (below 1: elastic).
+    """
+
+    depth: Array
+    approach: Array
+    force: Array
+    radius: Array
+    mean: Array
+    centre: Array
+    dent: Array
+    stored: Array
+    plastic: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Face:
+    """The law of n faces: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E* [Pa] and r_eff [m]; each (n,).
+
+    Source: docs/theory.md (C2) to (C13); b = 0 and C = 1 is Thornton, J. Appl. Mech. 64 (1997) 383, with p_y = H.
+    """
+
+    onset: Array
+    hardness: Array
+    pile_up: Array
+    modulus: Array
+    effective_radius: Array
+
+    @property
+    def softening(self) -> Array:
+        """b of (C3): 0 for Thornton, infinite for Hertz."""
+        return np.asarray(self.pile_up * self.hardness / self.onset - 1.0)
+
+    @property
+    def onset_approach(self) -> Array:
+        """alpha_y [m], (C2)."""
+        return np.asarray(self.effective_radius * np.square(0.5 * math.pi * self.onset / self.modulus))
+
+    @property
+    def onset_force(self) -> Array:
+        """P_y [N], (C2)."""
+        return np.asarray((2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach)
+
+    def force(self, depth: Array) -> Array:
+        """L = P/P_y at z on virgin loading, (C5); Hertz below onset."""
+        s, b = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rest = np.where(b > 0.0, b * b * (b - 1.0) * _bend(s / b), -0.5 * s * s)
+        beyond = 1.0 + 3.0 * s + 3.0 * s * s + 3.0 * rest
+        return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0) ** 1.5)
+
+    def slope(self, depth: Array) -> Array:
+        """dL/dz on virgin loading, (C4)."""
+        y, b = np.sqrt(np.maximum(depth, 1.0)), self.softening
+        with np.errstate(divide="ignore", invalid="ignore"):
+            beyond = np.where(b > 0.0, 1.5 * ((1.0 + b) * y - 1.0) / (y + b - 1.0), 1.5)
+        return np.where(depth > 1.0, beyond, 1.5 * np.sqrt(np.maximum(depth, 0.0)))
+
+    def area(self, depth: Array) -> Array:
+        """A = a²/(r_eff alpha_y) at z on virgin loading, (C6)."""
+        s, b, c = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening, self.pile_up
+        with np.errstate(divide="ignore", invalid="ignore"):
+            g = np.where(c > 1.0, np.minimum(5.0, c * b * b / ((c - 1.0) * (1.0 + b))), 5.0)
+            rest = np.where(
+                g > 0.0, s * s * (1.0 + (c - 1.0) / g) + 2.0 * (c - 1.0) * g * (g - 1.0) * _bend(s / g), 0.0
+            )
+        beyond = np.where(g > 0.0, 1.0 + 2.0 * s + rest, 1.0 + c * s * (2.0 + s))
+        return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0))
+
+    def work(self, depth: Array) -> Array:
+        """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
+        s, b = np.sqrt(np.maximum(depth, 1.0)) - 1.0, self.softening
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = s / b
+            rest = np.where(
+                b > 0.0,
+                b**3 * (b - 1.0) * (_bend(t, 1) + b * _bend(t, 2)),
+                -(s**3) / 6.0 - s**4 / 8.0,
+            )
+        beyond = 0.4 + 2.0 * s + 4.0 * s**2 + 4.0 * s**3 + 1.5 * s**4 + 6.0 * rest
+        return np.where(depth > 1.0, beyond, 0.4 * np.maximum(depth, 0.0) ** 2.5)
+
+    def depth_at(self, force: Array) -> Array:
+        """z at which virgin loading has the force P [N]."""
+        ratio = np.maximum(force, 0.0) / self.onset_force
+        # the law of b = 0 is the softest: its depth is the largest, and L is convex
+        depth = 1.0 + (np.maximum(ratio, 1.0) - 1.0) / 1.5
+        for _ in range(_STEPS):
+            step = (self.force(depth) - np.maximum(ratio, 1.0)) / self.slope(depth)
+            depth = np.maximum(depth - step, 1.0)
+            if not np.any(np.abs(step) > 1e-15 * depth):
+                break
+        return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
+
+    def recovery(self, depth: Array) -> Array:
+        """alpha_e/alpha_y: the approach that unloading from z gives back, (C8)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(depth > 1.0, self.force(depth) / np.sqrt(self.area(depth)), np.maximum(depth, 0.0))
+
+    def pressed(self, depth: Array) -> Press:
+        """The state of the face whose largest approach so far is z alpha_y."""
+        force, area, recovered = self.force(depth), self.area(depth), self.recovery(depth)
+        alpha_y, force_y, p_y, hardness = self.onset_approach, self.onset_force, self.onset, self.hardness
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
+            beyond = hardness - (hardness - mean) * (hardness - p_y) / (hardness - (2.0 / 3.0) * p_y)
+        stored = 0.4 * force * recovered
+        return Press(
+            depth=np.asarray(depth),
+            approach=depth * alpha_y,
+            force=force * force_y,
+            radius=np.sqrt(area * self.effective_radius * alpha_y),
+            mean=mean,
+            centre=np.where(depth > 1.0, beyond, p_y * np.sqrt(np.maximum(depth, 0.0))),
+            dent=np.where(depth > 1.0, (depth - recovered) * alpha_y, 0.0),
+            stored=stored * force_y * alpha_y,
+            plastic=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),
+        )
+
+    def restitution(self, depth: Array) -> Array:
+        """Speed after over speed before a blow on a rigid wall that presses to z: sqrt(recovered/work)."""
+        return np.asarray(np.sqrt(0.4 * self.force(depth) * self.recovery(depth) / self.work(depth)))
