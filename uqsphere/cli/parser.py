@@ -120,8 +120,8 @@ def _add_folders(command: Command) -> None:
 
 def _add_data(command: Command) -> None:
     """Commands that begin with data, or with the design of a test."""
-    from uqsphere.experiment import add_records
-    from uqsphere.planning.command import add_plan
+    from uqsphere.cli.plan import add_plan
+    from uqsphere.cli.records import add_records
 
     given = command("analyse", "laws, dependence and drivers from a table of runs that were made already",
                     "uqsphere.cli.data")  # fmt: skip
@@ -134,9 +134,9 @@ def _add_data(command: Command) -> None:
     given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
     _json(given)
     records = "pulse, contact forces and stiffness from records of strain gauges"
-    add_records(command("records", records, "uqsphere.experiment"))
+    add_records(command("records", records, "uqsphere.cli.records"))
     plan = "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"
-    add_plan(command("plan", plan, "uqsphere.planning.command"))
+    add_plan(command("plan", plan, "uqsphere.cli.plan"))
 
 
 def _add_others(command: Command) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.design import CONSTRAINTS
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -26,13 +26,12 @@ from uqsphere.report.figures.canvas import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from uqsphere.planning.window import Plan
 
 __all__ = ["plan_figure"]
-
-Array = npt.NDArray[np.float64]
 
 #: colour, hatch and words of the fields of the map
 _FIELDS: Final[dict[str, tuple[str, str, str]]] = {
@@ -60,7 +59,7 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
         from matplotlib.patches import Patch
 
         figure, (axes,) = new_figure(4.9)
-        handles: list[Any] = []
+        handles: list[Artist] = []
         edges_v = np.concatenate([speed[:1], np.sqrt(speed[1:] * speed[:-1]), speed[-1:]])
         edges_r = np.concatenate([rise[:1], 0.5 * (rise[1:] + rise[:-1]), rise[-1:]])
         scatter = len(batch) > 1
@@ -75,8 +74,8 @@ def plan_figure(found: Plan, which: int, title: str) -> str:
             if not where.any():
                 continue
             fill = _paler(colour, alpha)
-            axes.add_collection(PolyCollection(_cells(where, edges_v, edges_r), facecolors=fill, edgecolors=fill,
-                                               linewidths=0.3))  # fmt: skip
+            cells = _cells(np.asarray(where), edges_v, edges_r)
+            axes.add_collection(PolyCollection(cells, facecolors=fill, edgecolors=fill, linewidths=0.3))
             if hatch:
                 marks = axes.contourf(
                     speed, rise, where.astype(float), levels=[0.5, 1.5], colors="none", hatches=[hatch]
@@ -113,7 +112,7 @@ def _paler(colour: str, share: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _cells(where: Any, edges_v: Array, edges_r: Array) -> list[Array]:
+def _cells(where: Flags, edges_v: Array, edges_r: Array) -> list[Array]:
     """Corners of the rectangles that cover the marked points, one for each run of them in a row."""
     found = []
     for r, row in enumerate(where):

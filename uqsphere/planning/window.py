@@ -8,13 +8,14 @@ swings, so that a test may find one strength in balance and the next one not.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.bars import wave_speed
 from uqsphere.mechanics.design import (
@@ -36,9 +37,6 @@ from uqsphere.study.axis import SPEED
 from uqsphere.uq.law import Law
 
 __all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
-
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 #: where in the distribution of the strength the specimens of a batch are
 FRACTILES: Final = tuple(float(k) / 20.0 for k in range(1, 20))
@@ -115,7 +113,7 @@ class Chart:
 
     length: float
     used: Mapping[str, Array]
-    binds: npt.NDArray[np.int64]
+    binds: Places
     kept: Flags
     windows: tuple[Window, ...]
     nearest: Mapping[tuple[str, float], str]
@@ -219,7 +217,9 @@ def request_of(
     speeds: tuple[float, float] | None = None,
     rises: tuple[float, float] | None = None,
     lengths: Sequence[float] | None = None,
-    **options: Any,
+    level: float = 0.1,
+    quantile: float = 0.5,
+    grid: tuple[int, int] = (60, 41),
 ) -> Request:
     """A request with what is left out taken from the study.
 
@@ -245,7 +245,8 @@ def request_of(
     if rises is None:
         speed = wave_speed(*(c.get(f"striker.{key}", c[f"bars.{key}"]) for key in ("E", "density")))
         rises = (0.0, _below(min(2.0 * max(lengths) / speed, first_return(scene)[0], _LONGEST)))
-    return Request(speeds=speeds, rises=rises, lengths=tuple(lengths), **options)
+    return Request(speeds=speeds, rises=rises, lengths=tuple(lengths), level=level, quantile=quantile,
+                   grid=grid)  # fmt: skip
 
 
 def judge_points(
@@ -279,7 +280,7 @@ def plan_test(study: Study, request: Request) -> Plan:
     scene, breaks, used = judge_points(subject, request, every_speed, every_rise)
     shape = (ramps, count, len(subject.fractiles))
 
-    def gridded(flat: Any) -> Any:
+    def gridded(flat: Array) -> Array:
         return flat.reshape(shape)
 
     c = subject.columns
@@ -300,8 +301,7 @@ def plan_test(study: Study, request: Request) -> Plan:
         speeds=speeds,
         rises=rises,
         listed=tuple(listed.tolist()),
-        breaks=Breaks(**{name: gridded(getattr(breaks, name)) for name in ("share", "limit", "time", "force",
-                                                                             "imbalance")}),
+        breaks=Breaks(**{field.name: getattr(breaks, field.name).reshape(shape) for field in fields(breaks)}),
         transits=gridded(breaks.time / transit),
         shortest=gridded(shortest_striker(scene, breaks, subject.fall)),
         charts=tuple(charts),
@@ -348,8 +348,7 @@ def _windows(
     """Windows of the listed ramps for every length, their edges placed by halving; what is in the way of the others."""
     every_rise, every_speed = (axis.ravel() for axis in np.meshgrid(rises, speeds, indexing="ij"))
     _, _, judged = judge_points(subject, request, every_speed, every_rise)
-    edges: list[_Edge] = []
-    open_at: dict[tuple[int, str, float], bool] = {}
+    whole: dict[tuple[int, str, float], Flags] = {}
     nearest: list[dict[tuple[str, float], str]] = [{} for _ in judged]
     for chart, flat in enumerate(judged):
         used = {name: values.reshape(len(rises), len(speeds), -1) for name, values in flat.items()}
@@ -357,31 +356,28 @@ def _windows(
         for kind in KINDS:
             at = _of_kind(subject, kind)
             for r, rise in enumerate(rises.tolist()):
-                whole = kept[r][:, at].all(axis=1)
-                if not whole.any():
+                whole[chart, kind, rise] = kept[r][:, at].all(axis=1)
+                if not whole[chart, kind, rise].any():
                     nearest[chart][kind, rise] = _in_the_way({name: values[r] for name, values in used.items()}, at)
-                open_at[chart, kind, rise] = bool(whole[0])
-                edges += [
-                    _Edge(chart=chart, kind=kind, rise=rise, low=float(speeds[s]), high=float(speeds[s + 1]),
-                          opens=bool(whole[s + 1]))
-                    for s in np.flatnonzero(np.diff(whole))
-                ]  # fmt: skip
-    placed = _place(subject, request, edges)
+    edges = [
+        _Edge(
+            chart=chart, kind=kind, rise=rise, low=float(speeds[s]), high=float(speeds[s + 1]), opens=bool(all_[s + 1])
+        )
+        for (chart, kind, rise), all_ in whole.items()
+        for s in np.flatnonzero(np.diff(all_))
+    ]
+    ends: dict[tuple[int, str, float, bool], list[tuple[float, str | None]]] = defaultdict(list)
+    for edge, placed in zip(edges, _place(subject, request, edges), strict=True):
+        ends[edge.chart, edge.kind, edge.rise, edge.opens].append(placed)
     windows: list[list[Window]] = [[] for _ in judged]
-    for (chart, kind, rise), begins_open in open_at.items():
-        low, below = (float(speeds[0]), None) if begins_open else (np.nan, None)
-        inside = begins_open
-        for edge, (speed, name) in zip(edges, placed, strict=True):
-            if (edge.chart, edge.kind, edge.rise) != (chart, kind, rise):
-                continue
-            if edge.opens:
-                low, below, inside = speed, name, True
-            else:
-                windows[chart].append(Window(kind=kind, rise=rise, low=low, high=speed, below=below, above=name))
-                inside = False
-        if inside:
-            high = float(speeds[-1])
-            windows[chart].append(Window(kind=kind, rise=rise, low=low, high=high, below=below, above=None))
+    for key, all_ in whole.items():
+        lowest: list[tuple[float, str | None]] = [(float(speeds[0]), None)] if all_[0] else []
+        highest: list[tuple[float, str | None]] = [(float(speeds[-1]), None)] if all_[-1] else []
+        pairs = zip(lowest + ends[*key, True], ends[*key, False] + highest, strict=True)
+        windows[key[0]] += [
+            Window(kind=key[1], rise=key[2], low=low, high=high, below=below, above=above)
+            for (low, below), (high, above) in pairs
+        ]
     return windows, nearest
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.console import plain, print_document, table
 from uqsphere.errors import UsageError
@@ -113,7 +114,7 @@ def command_plan(chosen: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(str(error)) from None
     content = plan_document(found, study.title)
-    written = _write(chosen.out, found, content) if chosen.out is not None else []
+    written = _write(chosen.out, found, study.title) if chosen.out is not None else []
     if chosen.json:
         print_document({**content, "written": written})
     else:
@@ -128,7 +129,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def plan_document(found: Plan, title: str) -> dict[str, Any]:
+def plan_document(found: Plan, title: str) -> dict[str, object]:
     """A plan as plain JSON, SI.
 
     `binding` (ramps x speeds) names the constraint that binds for the specimen asked for, `kept` tells whether it keeps
@@ -175,7 +176,7 @@ def _knows_yield(found: Plan) -> bool:
     return found.subject.columns.get("bars.yield_strength", 0.0) > 0.0
 
 
-def _window(window: Window) -> dict[str, Any]:
+def _window(window: Window) -> dict[str, float | str | None]:
     return {"specimens": window.kind, "rise": window.rise, "low": window.low, "high": window.high,
             "below": window.below, "above": window.above}  # fmt: skip
 
@@ -227,48 +228,46 @@ def _text(found: Plan) -> str:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def _write(folder: Path, found: Plan, content: dict[str, Any]) -> list[str]:
+def _write(folder: Path, found: Plan, title: str) -> list[str]:
     from uqsphere.planning.pictures import plan_figure
     from uqsphere.store import csv_text, write_atomically
 
     windows = [
-        [chart["length"], *(window[key] if window[key] is not None else "" for key in
-                            ("specimens", "rise", "low", "high", "below", "above"))]
-        for chart in content["charts"] for window in chart["windows"]
-    ]  # fmt: skip
+        [chart.length, *("" if value is None else value for value in _window(window).values())]
+        for chart in found.charts
+        for window in chart.windows
+    ]
     head = ["striker_length [m]", "specimens", "rise [s]", "speed_low [m/s]", "speed_high [m/s]", "below", "above"]
-    files = [("plan.csv", csv_text(*_points(found))), ("windows.csv", csv_text(head, windows))]
-    files += [(f"plan{'' if len(found.charts) == 1 else f'-{k + 1}'}.svg", plan_figure(found, k, content["title"]))
-              for k in range(len(found.charts))]  # fmt: skip
-    for name, text in files:
+    files = {"plan.csv": csv_text(*_points(found)), "windows.csv": csv_text(head, windows)}
+    for k in range(len(found.charts)):
+        files[f"plan{'' if len(found.charts) == 1 else f'-{k + 1}'}.svg"] = plan_figure(found, k, title)
+    for name, text in files.items():
         write_atomically(folder / name, text)
-    return [str(folder / name) for name, _ in files]
+    return [str(folder / name) for name in files]
 
 
-def _points(found: Plan) -> tuple[list[str], list[list[Any]]]:
+def _points(found: Plan) -> tuple[list[str], list[list[float | str]]]:
     """Header and rows of every point of the map, for the specimen that is asked for; what is not known is empty."""
     from uqsphere.mechanics.design import CONSTRAINTS
 
-    subject, names = found.subject, list(CONSTRAINTS)
+    subject, names, breaks = found.subject, list(CONSTRAINTS), found.breaks
     at, batch = subject.place, list(subject.batch)
     head = ["striker_length [m]", "speed [m/s]", "rise [s]", "kept", "share_of_strengths", "binding",
             *(f"used_{name}" for name in names), "limit", "fracture_time [s]", "fracture_force [N]", "imbalance",
             "wave_transits", "shortest_striker [m]"]  # fmt: skip
-    share = [chart.kept[:, :, batch].mean(axis=2) for chart in found.charts]
 
     def cell(value: float) -> float | str:
         return float(value) if math.isfinite(value) else ""
 
-    rows: list[list[Any]] = []
-    for k, chart in enumerate(found.charts):
-        for r, rise in enumerate(found.rises):
-            for s, speed in enumerate(found.speeds):
-                place, limit = int(chart.binds[r, s, at]), int(found.breaks.limit[r, s, at])
-                rows.append(
-                    [chart.length, float(speed), float(rise), int(chart.kept[r, s, at]), float(share[k][r, s]),
-                     names[place] if place >= 0 else "", *(cell(chart.used[name][r, s, at]) for name in names),
-                     subject.limits[limit].name if limit >= 0 else "",
-                     *(cell(part[r, s, at]) for part in (found.breaks.time, found.breaks.force, found.breaks.imbalance,
-                                                         found.transits, found.shortest))]
-                )  # fmt: skip
+    rows: list[list[float | str]] = []
+    for chart in found.charts:
+        share = chart.kept[:, :, batch].mean(axis=2)
+        for (r, rise), (s, speed) in product(enumerate(found.rises), enumerate(found.speeds)):
+            place, limit = int(chart.binds[r, s, at]), int(breaks.limit[r, s, at])
+            parts = (breaks.time, breaks.force, breaks.imbalance, found.transits, found.shortest)
+            rows.append(
+                [chart.length, float(speed), float(rise), int(chart.kept[r, s, at]), float(share[r, s]),
+                 names[place] if place >= 0 else "", *(cell(chart.used[name][r, s, at]) for name in names),
+                 subject.limits[limit].name if limit >= 0 else "", *(cell(part[r, s, at]) for part in parts)]
+            )  # fmt: skip
     return head, rows

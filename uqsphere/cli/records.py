@@ -7,8 +7,10 @@ import hashlib
 import json
 import math
 import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from uqsphere.console import plain, table
 from uqsphere.errors import UsageError
@@ -16,7 +18,8 @@ from uqsphere.quantities import format_value
 from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
-    from uqsphere.records.inverse import Faces, Inverse
+    from uqsphere.records.inverse import Inverse
+    from uqsphere.records.pulse import Bar
     from uqsphere.records.record import Record
     from uqsphere.study import Study
 
@@ -66,7 +69,7 @@ def _window(text: str | None) -> tuple[float | None, float | None]:
 
 def command_records(chosen: argparse.Namespace) -> int:
     """The pulse of a record, or forces, stiffness and the end of the elastic contact of a test."""
-    from uqsphere.records.record import RecordError, Wiring, make_record, read_table, set_baseline, turn_sign
+    from uqsphere.records.record import RecordError
     from uqsphere.study import load_study
 
     for name in ("gauge_factor", "amplification", "active_arms"):
@@ -77,33 +80,59 @@ def command_records(chosen: argparse.Namespace) -> int:
     study = None if chosen.study is None else load_study(chosen.study, chosen.overrides)
     if study is not None and study.black_box:
         raise UsageError("records need a scene with sphere and bars; this study is a black box")
+    try:
+        record, signals = _read(chosen)
+        said = _pulse(chosen, record, study) if signals < 2 or study is None else _test(chosen, record, study)
+    except RecordError as error:
+        text = str(error).removeprefix(f"{chosen.record.name}: ")
+        raise UsageError(f"{chosen.record}: {text}") from None
+    written = _write(chosen.out, said.files()) if chosen.out is not None else []
+    if chosen.json:
+        print(json.dumps({**said.content, "written": written}, indent=2, allow_nan=False))
+    else:
+        for note in said.notes:
+            print(f"note: {plain(note)}", file=sys.stderr)
+        print("\n".join([table(said.header, said.rows), *(f"wrote {path}" for path in written)]))
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Said:
+    """What a record says: the JSON document, the rows of the table, and the files that can be written."""
+
+    content: dict[str, object]
+    notes: Sequence[str]
+    header: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    files: Callable[[], dict[str, str]]
+
+
+def _write(folder: Path, files: Mapping[str, str]) -> list[str]:
+    from uqsphere.store import write_atomically
+
+    for name, text in files.items():
+        write_atomically(folder / name, text)
+    return [str(folder / name) for name in files]
+
+
+def _read(chosen: argparse.Namespace) -> tuple[Record, int]:
+    """The record with its baseline and sign, and how many signals it has."""
+    from uqsphere.records.record import Wiring, make_record, read_table, set_baseline, turn_sign
+
     wiring = Wiring(unit=chosen.unit, gauge_factor=chosen.gauge_factor, excitation=chosen.excitation,
                     amplification=chosen.amplification, active_arms=chosen.active_arms,
                     time_unit=chosen.time_unit)  # fmt: skip
     columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
-    try:
-        read = read_table(chosen.record)
-        signals = (len(columns) or len(read.names)) - 1
-        if signals > 1 and study is None:
-            raise UsageError(
-                f"{chosen.record.name} has {signals} signals: name the study with sphere and bars by --study, or the "
-                "one that is the pulse by --columns TIME,SIGNAL"
-            )
-        record = set_baseline(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns))
-        record = turn_sign(record, 0)
-        if signals > 1:
-            record = turn_sign(record, record.strain.shape[1] - 1)
-        content, text = (_pulse if signals < 2 else _test)(chosen, record, study)
-    except RecordError as error:
-        said = str(error).removeprefix(f"{chosen.record.name}: ")
-        raise UsageError(f"{chosen.record}: {said}") from None
-    if chosen.json:
-        print(json.dumps(content, indent=2, allow_nan=False))
-    else:
-        for note in content["notes"]:
-            print(f"note: {plain(note)}", file=sys.stderr)
-        print(text)
-    return 0
+    read = read_table(chosen.record)
+    signals = (len(columns) or len(read.names)) - 1
+    if signals > 1 and chosen.study is None:
+        raise UsageError(
+            f"{chosen.record.name} has {signals} signals: name the study with sphere and bars by --study, or the one "
+            "that is the pulse by --columns TIME,SIGNAL"
+        )
+    record = set_baseline(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns))
+    record = turn_sign(record, 0)
+    return (turn_sign(record, record.strain.shape[1] - 1) if signals > 1 else record), signals
 
 
 def _numbers(study: Study) -> dict[str, float]:
@@ -112,7 +141,7 @@ def _numbers(study: Study) -> dict[str, float]:
     return {name: float(column[0]) for name, column in scene_of(study, {}, 1).columns.items()}
 
 
-def _bar(columns: dict[str, float]) -> Any:
+def _bar(columns: Mapping[str, float]) -> Bar:
     from uqsphere.records.pulse import Bar
     from uqsphere.records.record import RecordError
 
@@ -122,54 +151,48 @@ def _bar(columns: dict[str, float]) -> Any:
                wave_speed=math.sqrt(columns["bars.E"] / columns["bars.density"]))  # fmt: skip
 
 
-def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> tuple[dict[str, Any], str]:
+def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> _Said:
     from uqsphere.records.pulse import cut_pulse, fit_pulse
 
     begin, end = _window(chosen.window)
     distance = _value(chosen.incident_gauge, "length", "--incident-gauge")
+    columns = None if study is None else _numbers(study)
     bar = None
     if chosen.correct_dispersion:
-        if study is None or not distance > 0.0:
+        if columns is None or not distance > 0.0:
             raise UsageError("--correct-dispersion needs --study with the bars, and --incident-gauge")
-        bar = _bar(_numbers(study))
+        bar = _bar(columns)
     cut = cut_pulse(record, bar=bar, distance=distance if bar else 0.0, begin=begin, end=end)
     pulse = fit_pulse(cut, chosen.record.name, hashlib.sha256(chosen.record.read_bytes()).hexdigest())
-    content: dict[str, Any] = {
-        "kind": "pulse", "file": chosen.record.name, "peak_strain": pulse.peak, "duration": pulse.duration,
-        "rise": pulse.rise, "begin": cut.begin, "step": record.step, "noise": float(record.noise[0]),
-        "noise_modes": pulse.noise, "band_share": cut.inside, "pieces": len(pulse.breaks) - 1, "striker_speed": None,
-        "notes": list(pulse.notes),
-    }  # fmt: skip
-    rows = [
+    speed = None if columns is None else 2.0 * math.sqrt(columns["bars.E"] / columns["bars.density"]) * pulse.peak
+    noise = f"{record.noise[0] * 1e6:.3g} microstrain, correlated over {record.memory[0]:.2g} samples"
+    rows: list[tuple[str, ...]] = [
         ("peak strain", f"{pulse.peak * 1e6:.5g} microstrain"),
         ("duration", f"{pulse.duration * 1e6:.5g} us, from {cut.begin * 1e6:.5g} us on"),
         ("rise, 10 to 90 %", f"{pulse.rise * 1e6:.4g} us"),
-        (
-            "noise of a sample",
-            f"{record.noise[0] * 1e6:.3g} microstrain, correlated over {record.memory[0]:.2g} samples",
-        ),
+        ("noise of a sample", noise),
         ("noise of each mode of the pulse", f"{pulse.noise:.2g} of its peak"),
     ]
-    if study is not None:
-        columns = _numbers(study)
-        content["striker_speed"] = 2.0 * math.sqrt(columns["bars.E"] / columns["bars.density"]) * pulse.peak
-        rows.append(("striker speed that it stands for", format_value(content["striker_speed"], "striker.speed")))
-    written = []
-    if chosen.out is not None:
+    if speed is not None:
+        rows.append(("striker speed that it stands for", format_value(speed, "striker.speed")))
+
+    def files() -> dict[str, str]:
         from uqsphere.report.figures.records import pulse_figure
-        from uqsphere.store import write_atomically
 
-        path = chosen.out / "record.svg"
-        write_atomically(path, pulse_figure(record, cut, pulse))
-        written = [str(path)]
-    content["written"] = written
-    return content, "\n".join([table(("what", "value"), rows), *(f"wrote {path}" for path in written)])
+        return {"record.svg": pulse_figure(record, cut, pulse)}
+
+    content: dict[str, object] = {
+        "kind": "pulse", "file": chosen.record.name, "peak_strain": pulse.peak, "duration": pulse.duration,
+        "rise": pulse.rise, "begin": cut.begin, "step": record.step, "noise": float(record.noise[0]),
+        "noise_modes": pulse.noise, "band_share": cut.inside, "pieces": len(pulse.breaks) - 1, "striker_speed": speed,
+        "notes": list(pulse.notes),
+    }  # fmt: skip
+    return _Said(content=content, notes=pulse.notes, header=("what", "value"), rows=rows, files=files)
 
 
-def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tuple[dict[str, Any], str]:
+def _test(chosen: argparse.Namespace, record: Record, study: Study) -> _Said:
     from uqsphere.records.inverse import Rig, at_faces, invert
 
-    assert study is not None
     columns = _numbers(study)
     infinite = bool(study.options["bars.infinite"])
 
@@ -187,11 +210,10 @@ def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tu
     begin, end = _window(chosen.window)
     faces = at_faces(record, rig, begin=begin, end=end)
     found = invert(faces, columns, gain_sd=chosen.gain_sd)
-    content, rows = _answers(chosen, faces, found, columns)
-    written = []
-    if chosen.out is not None:
+
+    def files() -> dict[str, str]:
         from uqsphere.report.figures.records import forces_figure, pulse_figure
-        from uqsphere.store import csv_text, write_atomically
+        from uqsphere.store import csv_text
 
         force = found.forces
         limits = [limit for face in "AB" for limit in force.interval(face)]
@@ -199,64 +221,58 @@ def _test(chosen: argparse.Namespace, record: Record, study: Study | None) -> tu
                 "force_b_high [N]", "model_a [N]", "model_b [N]"]  # fmt: skip
         courses = [force.time, force.force_a, force.force_b, *limits, found.fitted_a, found.fitted_b]
         lines = [[float(course[k]) for course in courses] for k in range(len(force.time))]
-        for name, content_of in (("forces.csv", csv_text(head, lines)), ("forces.svg", forces_figure(faces, found)),
-                                 ("record.svg", pulse_figure(record, faces.pulse, found.pulse))):  # fmt: skip
-            write_atomically(chosen.out / name, content_of)
-            written.append(str(chosen.out / name))
-    content["written"] = written
-    return content, "\n".join([table(("what", "value", "95 % interval"), rows), *(f"wrote {path}" for path in written)])
+        return {"forces.csv": csv_text(head, lines), "forces.svg": forces_figure(faces, found),
+                "record.svg": pulse_figure(record, faces.pulse, found.pulse)}  # fmt: skip
+
+    content, rows = _answers(found, columns)
+    content = {"kind": "test", "file": chosen.record.name, "samples": len(found.forces.time), "step": faces.step,
+               "end": float(found.forces.time[-1]), **content}  # fmt: skip
+    header = ("what", "value", "95 % interval")
+    return _Said(content=content, notes=found.notes, header=header, rows=rows, files=files)
 
 
-def _answers(chosen: argparse.Namespace, faces: Faces, found: Inverse,
-             columns: dict[str, float]) -> tuple[dict[str, Any], list[tuple[str, str, str]]]:  # fmt: skip
-    """The JSON document and the rows of the table."""
-    stiff, forces, rows = found.stiffness, found.forces, []
-    largest: dict[str, Any] = {}
+def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
+    """A row of the table: value, low and high (SI) in a unit of 1/factor."""
+    value, low, high = (f"{number * factor:.4g}" for number in numbers)
+    return what, f"{value} {unit}", f"{low} to {high} {unit}"
+
+
+def _answers(found: Inverse, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
+    """The numbers of the JSON document and the rows of the table."""
+    stiff, forces, end = found.stiffness, found.forces, found.departure
+    keys, rows = ("value", "low", "high"), []
+    largest = {}
     for face, fitted, measured in (("A", found.fitted_a, forces.force_a), ("B", found.fitted_b, forces.force_b)):
         at = int(abs(fitted).argmax() if found.held else measured.argmax())
-        low, high = forces.interval(face)
-        largest[face] = {"time": float(forces.time[at]), "value": float(measured[at]), "low": float(low[at]),
-                         "high": float(high[at])}  # fmt: skip
-        rows.append((f"largest force at {face}, at {forces.time[at] * 1e6:.4g} us", f"{measured[at] / 1e3:.4g} kN",
-                     f"{low[at] / 1e3:.4g} to {high[at] / 1e3:.4g} kN"))  # fmt: skip
-    rows.append(
-        ("reduced modulus E*", f"{stiff.modulus / 1e9:.4g} GPa", f"{stiff.low / 1e9:.4g} to {stiff.high / 1e9:.4g} GPa")
-    )
+        numbers = [float(course[at]) for course in (measured, *forces.interval(face))]
+        largest[face] = {"time": float(forces.time[at]), **dict(zip(keys, numbers, strict=True))}
+        rows.append(_row(f"largest force at {face}, at {forces.time[at] * 1e6:.4g} us", "kN", 1e-3, numbers))
+    reduced = (stiff.modulus, stiff.low, stiff.high)
+    rows.append(_row("reduced modulus E*", "GPa", 1e-9, reduced))
     bar = (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"]
-    young = [1.0 / value - bar for value in (stiff.modulus, stiff.high, stiff.low)]
-    share = 1.0 - columns["sphere.nu"] ** 2
-    modulus: dict[str, float] | None = None
-    if min(young) > 0.0:
-        middle, below, above = share / young[0], share / young[2], share / young[1]
-        modulus = {"value": middle, "low": below, "high": above}
-        rows.append(
-            ("E of the sphere that gives it", f"{middle / 1e9:.4g} GPa", f"{below / 1e9:.4g} to {above / 1e9:.4g} GPa")
-        )
+    rest = [1.0 / value - bar for value in reduced]
+    modulus = None
+    if min(rest) > 0.0:
+        young = [(1.0 - columns["sphere.nu"] ** 2) / value for value in rest]
+        modulus = dict(zip(keys, young, strict=True))
+        rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
     rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
-    end = found.departure
     if end is None:
         rows.append(("elastic contact", "held to the end of the record", ""))
     else:
-        rows.append(
-            (
-                "elastic contact ends",
-                f"{end.time * 1e6:.4g} us",
-                f"{end.earliest * 1e6:.4g} to {end.latest * 1e6:.4g} us",
-            )
-        )
-        for face, force in (("A", end.force_a), ("B", end.force_b)):
-            rows.append((f"force at {face} there, candidate for fracture", f"{force[0] / 1e3:.4g} kN",
-                         f"{force[1] / 1e3:.4g} to {force[2] / 1e3:.4g} kN"))  # fmt: skip
-    content = {
-        "kind": "test", "file": chosen.record.name, "samples": len(forces.time), "step": faces.step,
-        "end": float(forces.time[-1]), "largest_force": largest,
-        "reduced_modulus": {"value": stiff.modulus, "low": stiff.low, "high": stiff.high, "std_error": stiff.std_error},
+        rows.append(_row("elastic contact ends", "us", 1e6, (end.time, end.earliest, end.latest)))
+        rows += [
+            _row(f"force at {face} there, candidate for fracture", "kN", 1e-3, force)
+            for face, force in (("A", end.force_a), ("B", end.force_b))
+        ]
+    departure = None if end is None else {
+        "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
+        "force_a": dict(zip(keys, end.force_a, strict=True)), "force_b": dict(zip(keys, end.force_b, strict=True)),
+    }  # fmt: skip
+    content: dict[str, object] = {
+        "largest_force": largest,
+        "reduced_modulus": {**dict(zip(keys, reduced, strict=True)), "std_error": stiff.std_error},
         "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
-        "misfit": stiff.misfit, "elastic_throughout": found.held,
-        "departure": None if end is None else {
-            "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
-            "force_a": dict(zip(("value", "low", "high"), end.force_a, strict=True)),
-            "force_b": dict(zip(("value", "low", "high"), end.force_b, strict=True))},
-        "notes": list(found.notes),
+        "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure, "notes": list(found.notes),
     }  # fmt: skip
     return content, rows
