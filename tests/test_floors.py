@@ -33,7 +33,6 @@ FLOORS = {
     "uqsphere.report": 9,
     "uqsphere.given": 9,
     "uqsphere.bench": 10,
-    "uqsphere.cli.records": 10,
     "uqsphere.planning": 10,
     "uqsphere.cli": 11,
     "uqsphere.__main__": 12,
