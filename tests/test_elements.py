@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from docs.figures.stress_elements import elements_figure
 from tests.independent import elements
-from tests.independent.elements import compare, elements_figure, make_mesh, solve_elements
+from tests.independent.elements import compare, make_mesh, solve_elements
 from uqsphere.report.figures.canvas import render, style
 
 

@@ -8,10 +8,8 @@ python -m tests.campaigns.engine studies      every shipped study on a small bud
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,111 +17,6 @@ from typing import Any
 import numpy as np
 
 from tests.campaigns import table, tell
-from tests.campaigns.coverage import CoverageModel, coverage_models
-from uqsphere.arrays import Array
-from uqsphere.runner.evaluate import REPLICATES
-from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
-
-# --- overhead -------------------------------------------------------------------------------------
-
-#: half-width that every index has to reach, and what is due beside the model's own time [s]
-ASKED, DUE = 0.002, 1.0
-_FIRST, _MOST = 64, 2**15
-_WEIGHTS = np.array([0.0, 1.0, 4.5, 9.0, 99.0])
-
-
-def _kinked(u: Array) -> Array:
-    return np.asarray(np.prod(1.0 + (np.abs(4.0 * u - 2.0) - 1.0) / (1.0 + _WEIGHTS), axis=-1))
-
-
-def five_inputs() -> tuple[CoverageModel, ...]:
-    """Models with five inputs and known indices: a sum, a skewed product, a product of kinks (Sobol' 2001)."""
-    v = 1.0 / (3.0 * (1.0 + _WEIGHTS) ** 2)
-    every = float(np.prod(1.0 + v))
-    kinked = CoverageModel(
-        name="g-function of 5", function=_kinked, mean=1.0, sd=math.sqrt(every - 1.0), quantiles={},
-        first=tuple((v / (every - 1.0)).tolist()), total=tuple((v / (1.0 + v) * every / (every - 1.0)).tolist()),
-        germs=("uniform",) * 5,
-    )  # fmt: skip
-    known = {model.name: model for model in coverage_models()}
-    return known["linear"], known["lognormal"], kinked
-
-
-def _worst(first: Any, total: Any, model: CoverageModel) -> float:
-    return float(max(np.abs(first - model.first).max(), np.abs(total - model.total).max()))
-
-
-def ours(model: CoverageModel, seed: int) -> dict[str, float]:
-    """Double the design until every half-width is at most `ASKED`; seconds in the model and beside it, one thread."""
-    blocks = Blocks(inputs_count=model.dimension)
-    begin, inside = time.process_time(), 0.0
-    outputs = np.empty((REPLICATES, 0, blocks.count))
-    width = math.inf
-    while width > ASKED and outputs.shape[1] < _MOST:
-        start = outputs.shape[1]
-        rows = np.stack([
-            blocks.mix(*uniform_halves(blocks, count=max(_FIRST, start), start=start, seed=seed, task="overhead",
-                                       replicate=k))
-            for k in range(REPLICATES)
-        ])  # fmt: skip
-        entered = time.process_time()
-        fresh = model.function(rows)
-        inside += time.process_time() - entered
-        outputs = np.concatenate([outputs, fresh], axis=1)
-        found = sampled_indices(outputs, blocks)
-        width = max(e.half_width for e in (*found.first, *found.total))
-    first, total = (np.array([e.value for e in row], dtype=float) for row in (found.first, found.total))
-    return {
-        "evaluations": outputs.size, "half_width": width, "error": _worst(first, total, model), "model": inside,
-        "beside": time.process_time() - begin - inside,
-    }  # fmt: skip
-
-
-def peer(model: CoverageModel, seed: int, base_points: int) -> dict[str, float]:
-    """SALib's Saltelli design of `base_points` and its Sobol' analysis with its own bootstrap intervals: as `ours`."""
-    from SALib.analyze import sobol as analysis
-    from SALib.sample import sobol as sample
-
-    d = model.dimension
-    problem = {"num_vars": d, "names": [f"x{j}" for j in range(d)], "bounds": [[0.0, 1.0]] * d}
-    begin = time.process_time()
-    # a normal score of a uniform 0 or 1 is infinite
-    rows = np.clip(sample.sample(problem, base_points, calc_second_order=False, seed=seed), 2.0**-53, 1.0 - 2.0**-53)
-    entered = time.process_time()
-    outputs = model.function(rows)
-    inside = time.process_time() - entered
-    # a seed other than 0, which SALib takes for none
-    found = analysis.analyze(problem, outputs, calc_second_order=False, seed=seed + 1)
-    return {
-        "evaluations": len(rows), "half_width": float(max(found["S1_conf"].max(), found["ST_conf"].max())),
-        "error": _worst(found["S1"], found["ST"], model), "model": inside,
-        "beside": time.process_time() - begin - inside,
-    }  # fmt: skip
-
-
-def overhead(quick: bool) -> str:
-    """Both on every model with several seeds: medians, and the worst error."""
-    seeds = range(1, 2 if quick else 6)
-    rows, slowest = [], 0.0
-    for model in five_inputs()[:: 2 if quick else 1]:
-        ours(model, 0)  # packages are loaded, arrays have their places
-        peer(model, 0, _FIRST)
-        mine = [ours(model, seed) for seed in seeds]
-        base = 2 ** round(math.log2(np.median([run["evaluations"] for run in mine]) / (model.dimension + 2)))
-        for name, runs in (("uqsphere", mine), ("SALib", [peer(model, seed, base) for seed in seeds])):
-            at = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
-            worst = max(run["error"] for run in runs)
-            slowest = max(slowest, at["beside"]) if runs is mine else slowest
-            rows.append((model.name, name, f"{at['evaluations']:,.0f}", f"{at['half_width']:.1e}", f"{at['error']:.1e}",
-                         f"{worst:.1e}", f"{at['model']:.3f}", f"{at['beside']:.3f}"))  # fmt: skip
-            tell(" ".join(rows[-1]))
-    header = ("model", "engine", "evaluations", "stated half-width", "error, median", "error, worst", "model, s",
-              "beside it, s")  # fmt: skip
-    return (f"First and total indices to ±{ASKED:g} from {REPLICATES} randomised designs that are doubled until every "
-            "interval is as narrow; SALib's Saltelli design with 100 resamples at as many evaluations. Medians over "
-            f"{len(seeds)} seeds; processor seconds of one thread.\n\n{table(header, rows)}\n\n"
-            f"Slowest median: {slowest:.3f} s (due: below {DUE:g} s).")  # fmt: skip
-
 
 # --- granite --------------------------------------------------------------------------------------
 
@@ -219,7 +112,7 @@ def studies(quick: bool) -> str:
                       table(more, errors), *told])  # fmt: skip
 
 
-PARTS = {"overhead": overhead, "granite": granite, "studies": studies}
+PARTS = {"granite": granite, "studies": studies}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

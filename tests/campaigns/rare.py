@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from tests.campaigns import table, tell
 from uqsphere.uq.law import Law, make_law
 
 Array = npt.NDArray[np.float64]
@@ -349,75 +350,30 @@ CALLS: Final = 200
 FEW_PROBLEMS: Final = ("four branches", "two-sided", "RP14", "RP25", "RP35", "RP53", "RP57", "RP110", "roof truss")
 
 
-@dataclass(frozen=True, kw_only=True)
-class FewRow:
-    """What repetitions gave on one problem; errors relative to the reference, `missed` of known modes at worst.
-
-    `silent`: runs off by more than 20 % whose interval does not hold the reference and that give no warning.
-    """
-
-    name: str
-    dimension: int
-    repetitions: int
-    calls: float
-    rms: float
-    worst: float
-    covered: float
-    warned: float
-    missed: int
-    silent: int
-
-
-def few_call_rows(
-    *, repetitions: int, problems: Sequence[str] = FEW_PROBLEMS, notice: Callable[[str], None] = lambda text: None
-) -> list[FewRow]:
-    """`learn_probability` with at most 200 calls and as many seeds as there are repetitions."""
+def few_call_text(repetitions: int, problems: Sequence[str] = FEW_PROBLEMS) -> str:
+    """`learn_probability` with at most 200 calls and as many seeds as there are repetitions, as a table."""
     from uqsphere.uq.rare.active import learn_probability
     from uqsphere.uq.rare.problem import LimitFunction
 
-    rows = []
+    rows, silent = [], 0
     for name in problems:
+        tell(f"few calls: {name}")
         entry = problem(name)
-        notice(f"few calls: {name}")
         limit = LimitFunction(function=entry.function, dimension=entry.dimension)
         found = [learn_probability(limit, seed=1 + k, budget=CALLS) for k in range(repetitions)]
-        errors = np.array([(one.estimate.value or 0.0) / entry.reference - 1.0 for one in found])
+        errors = np.abs([(one.estimate.value or 0.0) / entry.reference - 1.0 for one in found])
         lows = np.array([one.estimate.low or 0.0 for one in found])
         highs = np.array([math.inf if one.estimate.high is None else one.estimate.high for one in found])
         held = (lows <= entry.reference) & (entry.reference <= highs)
         warned = np.array([bool(one.warning) or one.estimate.value is None for one in found])
-        rows.append(
-            FewRow(
-                name=name,
-                dimension=entry.dimension,
-                repetitions=repetitions,
-                calls=float(np.mean([one.calls for one in found])),
-                rms=float(np.sqrt(np.mean(errors**2))),
-                worst=float(np.abs(errors).max()),
-                covered=float(held.mean()),
-                warned=float(warned.mean()),
-                missed=0 if entry.modes is None else max(0, entry.modes - min(one.modes for one in found)),
-                silent=int(((np.abs(errors) > 0.2) & ~held & ~warned).sum()),
-            )
-        )
-    return rows
-
-
-def few_call_text(rows: Sequence[FewRow]) -> str:
-    """The table in Markdown."""
-    lines = [
-        f"Active learning with at most {CALLS} calls, for models of which an evaluation takes seconds.",
-        "",
-        "| problem | inputs | runs | calls | rms error | worst | covered | warned | modes missed |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {row.name} | {row.dimension} | {row.repetitions} | {row.calls:.0f} | {row.rms:.1%} | {row.worst:.1%} "
-        f"| {row.covered:.0%} | {row.warned:.0%} | {row.missed} |"
-        for row in rows
-    ]
-    lines.append(f"\nOff by more than 20 % without interval or warning: {sum(row.silent for row in rows)}.")
-    return "\n".join(lines)
+        silent += int(((errors > 0.2) & ~held & ~warned).sum())
+        missed = 0 if entry.modes is None else max(0, entry.modes - min(one.modes for one in found))
+        rows.append((name, entry.dimension, repetitions, f"{np.mean([one.calls for one in found]):.0f}",
+                     f"{np.sqrt(np.mean(errors**2)):.1%}", f"{errors.max():.1%}", f"{held.mean():.0%}",
+                     f"{warned.mean():.0%}", missed))  # fmt: skip
+    header = ("problem", "inputs", "runs", "calls", "rms error", "worst", "covered", "warned", "modes missed")
+    return (f"Active learning with at most {CALLS} calls, for models of which an evaluation takes seconds.\n\n"
+            f"{table(header, rows)}\n\nOff by more than 20 % without interval or warning: {silent}.")  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -425,13 +381,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Rare-event methods on public problems")
     parser.add_argument("--repetitions", type=int, default=10, help="runs of each problem (default 10)")
     asked = parser.parse_args(arguments)
-
-    def notice(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
-
-    print(rare_text(rare_table(repetitions=asked.repetitions, notice=notice)))
+    print(rare_text(rare_table(repetitions=asked.repetitions, notice=tell)))
     print()
-    print(few_call_text(few_call_rows(repetitions=asked.repetitions, notice=notice)))
+    print(few_call_text(asked.repetitions))
     return 0
 
 

@@ -1,6 +1,6 @@
 """What the paper's printed equations would give, beside the right ones, as the figure of the errata.
 
-python -m tests.campaigns.errata docs/figures/errata.svg
+python -m docs.figures.errata docs/figures/errata.svg
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The published reports: shipped studies run within a stated budget, their pages kept without the evaluations.
 
-    python -m tests.campaigns.publish                    # all of them, to reports/
-    python -m tests.campaigns.publish granite benchmark --out reports
+    python -m reports.publish                    # all of them, to reports/
+    python -m reports.publish granite benchmark --out reports
 
 Every report has a folder: report.html, which is whole by itself, the study with the data it reads, results.json, and
 the tables that the page names.  What a run stores beside that, samples and evaluations, is left behind: the page ends
@@ -136,7 +136,7 @@ def index_text(out: Path) -> str:
         "# Published reports\n\n"
         "Runs of the shipped studies within a reduced budget, which each page states, with what was not reached for\n"
         "it. Open `report.html` of a folder in a browser: it needs nothing else. All are made again by\n\n"
-        "    python -m tests.campaigns.publish\n\n"
+        "    python -m reports.publish\n\n"
         "and single ones by their names behind it. Samples and evaluations are left out here; the commands at the end\n"
         "of each page make them again.\n\n" + "\n".join(rows) + "\n"
     )
@@ -158,7 +158,7 @@ def _answer(results: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Publish the reports named, or all."""
-    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.publish", description=__doc__,
+    parser = argparse.ArgumentParser(prog="python -m reports.publish", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join([*REPORTS, BENCHMARK])}")
     parser.add_argument("--out", type=Path, default=Path("reports"), metavar="DIR", help="where to (default: reports)")

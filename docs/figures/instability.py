@@ -8,7 +8,7 @@ The paper says that the instability vanishes for lambda_1 = 0.  It does not: wit
 2 sqrt(2)/w with w = sqrt(2/mu), a little less than before, and the oscillation, which the bars would have damped,
 goes on for ever while both approaches grow without bound.
 
-    python -m tests.campaigns.instability docs/figures/instability.svg
+    python -m docs.figures.instability docs/figures/instability.svg
 """
 
 from __future__ import annotations
