@@ -12,66 +12,36 @@ from conftest import SUM
 
 import uqsphere
 from uqsphere.runner.account import FACTOR
-from uqsphere.runner.band import ASKED, KIND, Band, Stage, stage_of
+from uqsphere.runner.campaign import cost_of
 from uqsphere.runner.forecast import CHEAPER, forecast, plan_run, plan_text
+from uqsphere.runner.questions.curves import KIND, Band, widest
 from uqsphere.study import Study, load_study
 
 STUDIES = Path(__file__).parents[1] / "studies"
-
-
-def course(*stages: tuple[int, float, int], **more: object) -> Band:
-    """Stages (evaluations, half-width, rows at the worst value), all values wider than asked."""
-    told = tuple(Stage(evaluations=n, half_width=w, there=there, wide=n) for n, w, there in stages)
-    return Band(course=told, most=100_000, **more)  # type: ignore[arg-type]
 
 
 # --- bands ------------------------------------------------------------------------------------------------
 
 
 def test_a_band_that_is_narrow_enough_is_not_missed() -> None:
-    assert course((1000, ASKED, 100)).missed() == ""
-    assert course((1000, ASKED, 100)).needed() == 1000.0
+    band = Band(half_width=0.02, asked=0.02, evaluations=1000)
+    assert band.missed() == ""
+    assert band.table()["needed"] == 1000
 
 
-def test_a_band_that_falls_with_the_root_needs_the_square_of_its_excess() -> None:
-    band = course((1000, 0.48, 64), (4000, 0.24, 256), ended="budget", share=0.05)
-    assert band.needed() == pytest.approx(4000 * 16.0)
-    text = band.missed()
-    assert "half-width 0.24 of the smaller side of its probability, asked 0.06" in text
-    assert "about 64,000 evaluations of the curve would reach it" in text
+def test_a_band_that_is_too_wide_says_what_it_would_take() -> None:
+    cost = cost_of([(1000, 8.0), (4000, 4.0)])
+    text = Band(half_width=0.08, asked=0.02, evaluations=4000, cost=cost, share=0.05).missed()
+    assert "half-width 0.08 of the smaller side of its probability, asked 0.02" in text
+    assert "about 64,000 evaluations would reach it" in text
     assert "a budget of about 1,300,000" in text
 
 
-def test_rows_go_to_the_values_that_need_them_alone() -> None:
-    band = Band(course=(Stage(evaluations=4000, half_width=0.12, there=64, wide=500),), most=100_000)
-    # half-width by the root: four times the 500 rows, the others as they are
-    assert band.needed() == pytest.approx(4000 + 3 * 500)
-
-
-def test_a_band_that_does_not_fall_is_promised_nothing() -> None:
-    band = course((1000, 0.30, 64), (4000, 0.29, 512), ended="budget", share=0.05)
-    assert band.needed() is None
-    assert "is not known" in band.missed()
-    assert "would reach it" not in band.missed().replace("how many would reach it is not known", "")
-    assert band.table()["needed"] is None
-
-
-def test_a_band_that_more_rows_at_a_value_are_not_taken_for_says_so() -> None:
-    band = Band(course=(Stage(evaluations=4000, half_width=0.6, there=1024, wide=4000),), most=1024, ended="most")
-    assert "no value is given more than 1,024" in band.missed()
-
-
-def test_the_time_is_named_where_it_ended_the_rows() -> None:
-    assert "the time was over" in course((4000, 0.24, 256), ended="time").missed()
-
-
-def test_a_stage_looks_at_probabilities_of_interest_alone() -> None:
+def test_a_band_looks_at_probabilities_of_interest_alone() -> None:
     spread = np.where(np.arange(16) % 2, 1.0, -1.0)
     curve = np.array([0.001 + 0.0009 * spread, 0.5 + 0.1 * spread, 0.5 + 0.01 * spread])
-    found = stage_of(curve, np.array([10, 20, 30]), 0.01, 60)
     # t(15) s/sqrt(16)/p, s = 0.1 sqrt(16/15)
-    assert found.half_width == pytest.approx(2.1314 * 0.1 * np.sqrt(16 / 15) / 4.0 / 0.5, rel=1e-3)
-    assert (found.there, found.wide) == (20, 20)
+    assert widest(curve, 0.01) == pytest.approx(2.1314 * 0.1 * np.sqrt(16 / 15) / 4.0 / 0.5, rel=1e-3)
 
 
 # --- forecasts --------------------------------------------------------------------------------------------
@@ -169,5 +139,5 @@ def test_the_account_adds_up_and_says_why_parts_differ(study_from: Callable[...,
     band = results["margins"]["high"]["band"]
     assert band["half_width"] == bands[-1]["error"]
     missed = [text for text in results["accuracy"]["missed"] if "band of the curve" in text]
-    assert bool(missed) == (band["half_width"] > ASKED)
+    assert bool(missed) == (band["half_width"] > band["asked"])
     assert len(found.manifest.speed_error_seconds) == len(results["speed_error"])

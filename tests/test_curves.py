@@ -17,11 +17,11 @@ from uqsphere.cli import main
 from uqsphere.report.margins import margin_answer
 from uqsphere.report.terminal import summary_of
 from uqsphere.results import LimitEntry, MarginEntry, Results
-from uqsphere.runner.curve_rows import shared
 from uqsphere.runner.evaluate import Ledger, Work
-from uqsphere.runner.margins import find_margins
+from uqsphere.runner.questions.curves import curves_along, family_curves
+from uqsphere.runner.questions.margins import find_margins
 from uqsphere.study import Study
-from uqsphere.uq.row_fit import fit_rows
+from uqsphere.uq.curve import fit_axis, local_lines
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 #: speeds at which the crusher's limestone breaks with these probabilities, by 131,072 straight rows of another seed on
@@ -44,11 +44,11 @@ def test_corrections_are_unbiased_however_badly_the_polynomial_fits() -> None:
     for seed in range(40):
         generator = np.random.default_rng(seed)
         normals = [generator.standard_normal((16, 2, 2)) for _ in values]
-        fit = fit_rows(values, normals, [kinked(v, z) for v, z in zip(values, normals, strict=True)])
+        fit = fit_axis(values, normals, [kinked(v, z) for v, z in zip(values, normals, strict=True)])
         many = generator.standard_normal((16, 64, 2))
         z = normals[5]
-        own = (kinked(values[5], z) - fit.predict(values[5], fit.basis(z))) ** 3
-        exact = (kinked(values[5], many) - fit.predict(values[5], fit.basis(many))) ** 3
+        own = (kinked(values[5], z) - fit.predict(values[5], fit.products(z))) ** 3
+        exact = (kinked(values[5], many) - fit.predict(values[5], fit.products(many))) ** 3
         off.append(own.mean() - exact.mean())
     assert abs(np.mean(off)) < 4.0 * np.std(off, ddof=1) / np.sqrt(len(off))
 
@@ -57,24 +57,25 @@ def test_predictions_of_powers_are_exact_and_bounded() -> None:
     generator = np.random.default_rng(3)
     values = [0.5, 0.8, 1.3, 2.0]
     normals = [generator.standard_normal((16, 4, 1)) for _ in values]
-    fit = fit_rows(values, normals, [v**0.4 * np.exp(0.2 * z[:, :, 0]) for v, z in zip(values, normals, strict=True)])
-    assert fit.predict(1.1, fit.basis(normals[0])) == pytest.approx(1.1**0.4 * np.exp(0.2 * normals[0][:, :, 0]))
-    assert fit.predict(2.0, fit.basis(np.full((16, 1, 1), 60.0))).max() < 100.0
+    fit = fit_axis(values, normals, [v**0.4 * np.exp(0.2 * z[:, :, 0]) for v, z in zip(values, normals, strict=True)])
+    assert fit.predict(1.1, fit.products(normals[0])) == pytest.approx(1.1**0.4 * np.exp(0.2 * normals[0][:, :, 0]))
+    assert fit.predict(2.0, fit.products(np.full((16, 1, 1), 60.0))).max() < 100.0
     # nothing random in the scene: a polynomial of the scalar alone
     none = [np.zeros((16, 4, 0)) for _ in values]
-    still = fit_rows(values, none, [np.full((16, 4), v**2) for v in values])
-    assert still.predict(1.0, still.basis(np.zeros((16, 3, 0)))) == pytest.approx(np.ones((16, 3)), rel=1e-6)
+    still = fit_axis(values, none, [np.full((16, 4), v**2) for v in values])
+    assert still.predict(1.0, still.products(np.zeros((16, 3, 0)))) == pytest.approx(np.ones((16, 3)), rel=1e-6)
 
 
-def test_neighbours_share_what_they_tell_and_keep_what_differs() -> None:
+def test_lines_level_noise_and_keep_what_rises() -> None:
     generator = np.random.default_rng(5)
-    line = np.linspace(-1.0, 2.0, 40)[:, None]
-    noise = 0.3 * generator.standard_normal((40, 16))
-    smooth = shared(line + noise, (4,) * 40)
-    assert np.abs(smooth.mean(axis=1) - line[:, 0]).mean() < 0.6 * np.abs(noise.mean(axis=1)).mean()
-    assert shared(np.repeat(line, 16, axis=1), (4,) * 40) == pytest.approx(np.repeat(line, 16, axis=1))
-    wild = np.where(np.arange(40) % 2 == 0, 1.0, -1.0)[:, None] + 0.01 * noise
-    assert shared(wild, (4,) * 40) == pytest.approx(wild)
+    at = np.linspace(0.0, 1.0, 40)
+    places = np.tile(np.repeat(at, 4), (16, 1))
+    line = 3.0 * places - 1.0
+    noise = 0.3 * generator.standard_normal(places.shape)
+    levels, squares = local_lines(places, line + noise, at, 4.0 * (at[1] - at[0]))
+    assert np.abs(levels.mean(axis=1) - (3.0 * at - 1.0)).max() < 4.0 * 0.3 * np.sqrt(squares.max())
+    assert (levels.var(axis=1, ddof=1) / 16.0 / (0.09 * squares)).mean() == pytest.approx(1.0, abs=0.25)
+    assert local_lines(places, line, at, 0.2)[0] == pytest.approx(np.tile(3.0 * at[:, None] - 1.0, (1, 16)))
 
 
 def test_values_of_a_study_cover(crusher: Study) -> None:
@@ -120,12 +121,10 @@ def test_a_family_says_which_curves_the_budget_did_not_reach(crusher: Study) -> 
     study = replace(crusher, margins=replace(crusher.margins, bars_elastic=False), limits=crusher.limits[:1])
     budget = study.analysis.budget.evaluations
     work = Work(study=study, store=None, ledger=Ledger(evaluations={"full": budget - 1700}), fidelity="full")
-    from uqsphere.runner.margins import _curves, _members
-
-    found = _curves(work, study.limits, most=10**5, tag="")["chute"]
+    found = curves_along(work, study.limits, most=10**5)["chute"]
     assert not isinstance(found, str)
     assert found.values[0.5].value == pytest.approx(TRUTH[0.5], rel=0.01)
-    members = _members(work, study.limits, 10**5)
+    members = family_curves(work, study.limits, 10**5)
     assert all("evaluations ran out" in str(member["chute"]) for member in members.values())
     assert work.ledger.total <= budget
 

@@ -15,10 +15,9 @@ import uqsphere
 from uqsphere.errors import StudyError
 from uqsphere.report import build_report
 from uqsphere.report.terminal import summary_of
-from uqsphere.runner.curve_rows import CurveRows
-from uqsphere.runner.curves import find_rows
-from uqsphere.runner.energy_curve import energy_curve
+from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.questions.curves import energy_curve, find_rows
 from uqsphere.study import Study
 
 PROBABILITIES = (0.01, 0.1, 0.5, 0.9, 0.99)
@@ -71,7 +70,7 @@ def study_of(folder: Path, *changes: tuple[str, str]) -> Study:
     return uqsphere.load_study(path)
 
 
-def rows_of(study: Study) -> CurveRows:
+def rows_of(study: Study) -> AxisRows:
     work = Work(study=study, store=None, ledger=Ledger(), fidelity="massless")
     rows = find_rows(work, list(study.limits), least=0.005, most=3000).rows
     assert rows is not None
@@ -84,11 +83,11 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 
 @pytest.fixture(scope="module")
-def rows(study: Study) -> CurveRows:
+def rows(study: Study) -> AxisRows:
     return rows_of(study)
 
 
-def test_a_fracture_energy_comes_back_as_it_was_given(study: Study, rows: CurveRows) -> None:
+def test_a_fracture_energy_comes_back_as_it_was_given(study: Study, rows: AxisRows) -> None:
     found = energy_curve(rows, study.limits[0], "specific_energy", PROBABILITIES)
     spread = math.sqrt(math.log1p(0.35**2))
     median = 60.0 / math.sqrt(1.0 + 0.35**2)
@@ -119,7 +118,7 @@ def pressure_exceeds(energies: np.ndarray, count: int) -> np.ndarray:
     return np.array(found)
 
 
-def test_the_curve_of_a_pressure_is_that_of_the_closed_form(study: Study, rows: CurveRows) -> None:
+def test_the_curve_of_a_pressure_is_that_of_the_closed_form(study: Study, rows: AxisRows) -> None:
     found = energy_curve(rows, study.limits[1], "specific_energy", PROBABILITIES)
     known = np.array([[e.value, e.low, e.high] for e in found.values.values()], dtype=float)
     at, count = known[:, 0], 400_000
@@ -134,7 +133,7 @@ def test_the_curve_of_a_pressure_is_that_of_the_closed_form(study: Study, rows: 
     assert np.all(inner[:, 3] - inner[:, 2] < 0.1 * np.minimum(truth, 1.0 - truth))
 
 
-def test_rows_in_narrow_bins_of_energy_agree(study: Study, rows: CurveRows) -> None:
+def test_rows_in_narrow_bins_of_energy_agree(study: Study, rows: AxisRows) -> None:
     # between infinite bars the energy is a power of the speed, so that rows of speeds in equal ratios that happen to
     # have an energy are a fair sample of specimens given it
     generator = np.random.default_rng(8)
@@ -195,7 +194,7 @@ def test_a_run_has_it_everywhere(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "figures" / "fragility-energy-pressure.svg").exists()
 
 
-def test_what_cannot_be_ordered_by_energy_says_so(study: Study, rows: CurveRows) -> None:
+def test_what_cannot_be_ordered_by_energy_says_so(study: Study, rows: AxisRows) -> None:
     assert "not known in full" in energy_curve(None, study.limits[0], "specific_energy", (0.5,)).reason
     k = rows.work.quantities.index("specific_energy")
     turned = {

@@ -15,7 +15,7 @@ from uqsphere.report import build_report
 from uqsphere.report.contents import read_contents
 from uqsphere.report.margins import margin_verdicts
 from uqsphere.study import ENERGY
-from uqsphere.uq.fragility import fit_lognormal_curve, interpolate_rows
+from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
 from uqsphere.uq.whatif import roots
 
 GRID = np.geomspace(0.3, 5.0, 40)

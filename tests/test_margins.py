@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq import margins
+from uqsphere.uq import curve
+from uqsphere.uq.curve import fragility
 from uqsphere.uq.limit_state import LimitState, exceedance
-from uqsphere.uq.margins import fragility
 from uqsphere.uq.points import sobol_points
 
 TARGETS = (0.01, 0.1, 0.5, 0.9, 0.99)
@@ -95,7 +95,7 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
 
 
 def test_noise_is_levelled_half_way_between_the_running_ends() -> None:
-    assert margins._monotone(np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [0.0, 1.5, 1.5, 3.0]
+    assert curve._monotone(np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [0.0, 1.5, 1.5, 3.0]
 
 
 def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:

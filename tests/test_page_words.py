@@ -26,7 +26,7 @@ from uqsphere.report.phrases import law_name, mathematical, outward, probability
 from uqsphere.report.tables import _part_row
 from uqsphere.report.verdict import cautions, glances, verdicts
 from uqsphere.results import MeasureEntry, PartEntry, read_results
-from uqsphere.runner.band import METHOD
+from uqsphere.runner.questions.curves import METHOD
 
 ROOT = Path(__file__).parents[1]
 #: letters that a line of a table holds on A4, and in the column of the page

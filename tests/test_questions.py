@@ -25,10 +25,9 @@ from uqsphere.report.verdict import limits_are_accurate
 from uqsphere.results import AccuracyEntry, LimitEntry, MarginEntry, QuestionRow, Results, SpeedRow
 from uqsphere.results.entries import Est
 from uqsphere.runner.account import FURTHER, further_rows
-from uqsphere.runner.band import Band, Stage
 from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.finished import Run
-from uqsphere.runner.stepwise import GAP, Coarse, _coarse, _gaps
+from uqsphere.runner.questions.curves import GAP, Band, Coarse, _coarse, _steps_of
 from uqsphere.study import Study
 from uqsphere.uq.describe import Description, lacking
 from uqsphere.uq.estimate import Estimate, exact
@@ -203,24 +202,23 @@ def test_members_of_a_family_that_print_alike_stay_apart(study_from: Callable[..
 def test_steps_that_are_too_large_cost_the_values_that_halve_them() -> None:
     gaps = np.array([0.5, 1.1, 2.0])
     # halved once, and twice: one value more, and three
-    found = _coarse(gaps, 100, 900, "why")
+    found = _coarse(gaps, 100, 900, "")
     assert found is not None
     assert (found.step, found.needed) == (2.0, 900 + 400)
     assert "differ by up to 2 normal scores, asked 0.6 (about 1,300 evaluations" in found.missed()
-    assert _coarse(np.array([0.6]), 100, 900, "why") is None
+    assert _coarse(np.array([0.6]), 100, 900, "") is None
 
 
 def test_steps_are_measured_in_normal_scores() -> None:
     rows = [np.full(16, p) for p in (0.5, 0.8413447, 0.0)]
-    assert _gaps(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
+    assert _steps_of(rows) == pytest.approx([1.0, 1.0 + 4.264891], abs=1e-5)
 
 
 def test_what_is_not_reached_reads_as_more_than_was_asked() -> None:
     said = indices_missed("y", 0.0604, 0.06).said
     assert said == "y: indices: half-width 0.0604, asked 0.06"
     assert indices_missed("y", 0.06, 0.05999).said.startswith("y: indices: half-width 0.06,")
-    stage = Stage(evaluations=1000, half_width=0.060000049, there=10, wide=10)
-    assert "half-width 0.06000005 of" in Band(course=(stage,), most=100).missed()
+    assert "half-width 0.06000005 of" in Band(half_width=0.060000049, asked=0.06, evaluations=1000).missed()
     assert "by up to 0.604 normal" in Coarse(step=0.604, evaluations=1, needed=2.0, why="").missed()
     known = Estimate(value=1.0, low=0.8796, high=1.1204, std_error=0.06, method="m", evaluations=9)
     described = Description(mean=known, sd=known, quantiles={0.5: known}, censored_share=exact(0.0), scale=2.0)

@@ -13,14 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.runner.api import check_range
-from uqsphere.runner.curve_rows import CurveRows, half_width
-from uqsphere.runner.curves import find_rows
+from uqsphere.runner.axis_rows import AxisRows, evaluate_at
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.limits import state_of
-from uqsphere.runner.margins import limit_values
-from uqsphere.runner.moved import evaluate_at
+from uqsphere.runner.questions.curves import curves_along, find_rows
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.study import Limit, Study, load_study
+from uqsphere.uq.curve import half_widths
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability
 
@@ -64,6 +63,12 @@ def _work(study: Study) -> Work:
     return Work(study=study, store=None, ledger=Ledger(), fidelity="full")
 
 
+def _half_width(curve: npt.NDArray[np.float64], least: float) -> float:
+    """Largest half-width over the smaller side, where that is not below `least`; curve (K, R)."""
+    widths, side = half_widths(curve)
+    return float(widths[side >= least].max(initial=0.0))
+
+
 def _straight(work: Work, limit: Limit, value: float, rows: int) -> npt.NDArray[np.float64]:
     """Probability (R,) by so many rows of each replicate at the value itself."""
     return probability(state_of(work, limit, evaluate_at(work, value, start=0, count=rows)))
@@ -74,25 +79,25 @@ def _one_point(study: Study, limit: Limit, value: float, accuracy: float) -> tup
     work = _work(study)
     begun = time.perf_counter()
     rows = evaluate_at(work, value, start=0, count=STEP)
-    while half_width(probability(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
+    while _half_width(probability(state_of(work, limit, rows))[None, :], 0.0) > accuracy:
         rows = rows.join(evaluate_at(work, value, start=rows.count, count=STEP))
     return work.ledger.total, time.perf_counter() - begun
 
 
-def _compare(study: Study, limit: Limit, rows: CurveRows, reference: int) -> tuple[float, float]:
+def _compare(study: Study, limit: Limit, rows: AxisRows, reference: int) -> tuple[float, float]:
     """Largest relative difference of the curve from points with `reference` rows of each replicate; their half-width.
 
     The points are of another seed: nothing is shared.
     """
     work = _work(replace(study, seed=study.seed + 1))
     worst = widest = 0.0
-    for value, ours in zip(rows.grid, rows.curve(limit).mean(axis=1), strict=True):
+    for value, ours in zip(rows.grid, rows.table(limit).mean(axis=1), strict=True):
         own = _straight(work, limit, value, reference)
         true = float(own.mean())
         side = min(true, 1.0 - true)
         if side >= LEAST:
             worst = max(worst, abs(float(ours) - true) / side)
-            widest = max(widest, half_width(own[None, :], 0.0))
+            widest = max(widest, _half_width(own[None, :], 0.0))
     return worst, widest
 
 
@@ -105,24 +110,25 @@ def curve_cost(
     """
     study = load_study(path)
     check_range(study)
-    study = study if seed is None else replace(study, seed=seed)
+    asked = replace(study.analysis, accuracy=replace(study.analysis.accuracy, curve=accuracy))
+    study = replace(study, analysis=asked, seed=study.seed if seed is None else seed)
     chosen = next(one for one in study.limits if limit in (None, one.name))
     work = _work(study)
     # what is compiled on the first call is no part of the cost
     evaluate_at(_work(study), study.margins.axis.low if study.margins else 1.0, start=0, count=1)
     begun = time.perf_counter()
-    rows = find_rows(work, [chosen], least=0.5 * LEAST, most=10**8, accuracy=accuracy).rows
+    rows = find_rows(work, [chosen], least=0.5 * LEAST, most=10**8).rows
     seconds = time.perf_counter() - begun
     if rows is None:
         raise ValueError(f"the demands of {chosen.name} are not known in full")
-    table = rows.curve(chosen)
+    table = rows.table(chosen)
     p = table.mean(axis=1)
     low, high = (rows.grid[int(np.argmin(np.abs(p - at)))] for at in (LEAST, 1.0 - LEAST))
     (first, alone), (last, _) = (_one_point(study, chosen, value, accuracy) for value in (low, high))
     worst, widest = _compare(study, chosen, rows, reference_rows)
     return CurveCost(
         points=len(rows.grid), low_evaluations=first, high_evaluations=last, curve_evaluations=work.ledger.total,
-        point_seconds=alone, curve_seconds=seconds, half_width=half_width(table, LEAST), error=worst,
+        point_seconds=alone, curve_seconds=seconds, half_width=_half_width(table, LEAST), error=worst,
         reference_error=widest, reference_rows=REPLICATES * reference_rows,
     )  # fmt: skip
 
@@ -171,7 +177,8 @@ def value_coverage(
     spent = []
     for seed in seeds:
         work = _work(replace(study, seed=seed, margins=asked, limits=(limit,)))
-        for p, estimate in limit_values(work, limit, most=evaluations).items():
+        found = curves_along(work, [limit], most=evaluations)[limit.name]
+        for p, estimate in ({} if isinstance(found, str) else found.values).items():
             answers[p].append(estimate)
         spent.append(work.ledger.total)
     return [_coverage(p, truth[p], found, float(np.mean(spent))) for p, found in answers.items()]

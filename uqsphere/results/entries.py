@@ -213,6 +213,7 @@ class AccuracyTable(Entry):
     quantile: Number
     sobol: Number
     probability: Number
+    curve: Number = 0.02
 
 
 class BudgetTable(Entry):

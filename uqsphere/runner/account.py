@@ -29,7 +29,7 @@ from uqsphere.runner.forecast import CHEAPER, forecast
 from uqsphere.uq.estimate import Estimate
 
 if TYPE_CHECKING:
-    from uqsphere.runner.margins import MarginAnswer
+    from uqsphere.runner.questions.margins import MarginAnswer
     from uqsphere.runner.results import Findings
     from uqsphere.study.document import Accuracy as Accuracies
     from uqsphere.uq.describe import Description
@@ -270,7 +270,7 @@ def _of_curves(name: str, margin: MarginAnswer) -> Iterator[QuestionRow]:
     for at, band in {"": margin.band, **margin.bands}.items():
         if band is not None:
             curve = _curve(name, at, "band", band.missed(), band.table()["needed"])
-            reached = band.half_width, band.course[-1].evaluations
+            reached = band.half_width, band.evaluations
             text = "band of the curve, over the smaller side"
             yield _row(curve.subject, text, band.asked, reached, [curve] * bool(band.missed()))
     for at, steps in {"": margin.coarse, **margin.steps}.items():

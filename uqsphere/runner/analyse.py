@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from uqsphere.quantities import format_estimate
-from uqsphere.runner.answer_validity import judge_answers
 from uqsphere.runner.dear import answer_dear
 from uqsphere.runner.dear_end import Dear
 from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
@@ -17,11 +16,11 @@ from uqsphere.runner.evaluate import Work
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish
 from uqsphere.runner.finished import Run
-from uqsphere.runner.margins import band_history, find_margins
 from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.price import price
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
+from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
 from uqsphere.runner.questions.tolerance import find_tolerance
@@ -88,7 +87,6 @@ def _by_sampling(work: Work, pilot: Pilot, dear: Dear | None, notice: Callable[[
         margins = keep_margins(work, margins, dear)
     margins = judge_answers(work, margins)
     ledger.close("margins")
-    work.tell(*band_history(margins))
     fracture = find_fracture(work, sampled, margins)
     ledger.close("fracture")
     shared = share_variance(work, sampled, proposed.plan)

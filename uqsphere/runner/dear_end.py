@@ -14,10 +14,10 @@ from uqsphere.runner.dear_margins import dear_margins
 from uqsphere.runner.dear_tails import dear_tails
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import LimitAnswer, limits_missed
-from uqsphere.runner.margins import MarginAnswer
 from uqsphere.runner.price import Priced, enlarge
 from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed
 from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import Learned, learn_limits, with_surrogate_design
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.uq import augmented

@@ -20,8 +20,8 @@ from uqsphere.runner.questions.probabilities import with_surrogate_design
 if TYPE_CHECKING:
     from uqsphere.runner.dear_end import Dear
     from uqsphere.runner.limits import LimitAnswer
-    from uqsphere.runner.margins import MarginAnswer
     from uqsphere.runner.questions.indices import Sensitivity
+    from uqsphere.runner.questions.margins import MarginAnswer
     from uqsphere.uq.describe import Description
     from uqsphere.uq.estimate import Estimate
 

@@ -15,17 +15,17 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
-from uqsphere.runner.margins import MarginAnswer, asked_probabilities, unmoved_margins
-from uqsphere.runner.moved import axis_of
+from uqsphere.runner.questions.curves import asked_probabilities
+from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
 from uqsphere.study import Limit
 from uqsphere.uq import augmented
 from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
+from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.fragility import fit_lognormal_curve
 from uqsphere.uq.law import LawError
-from uqsphere.uq.margins import Fragility, fragility
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import probability

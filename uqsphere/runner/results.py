@@ -22,9 +22,10 @@ from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.index_control import IndexControl, report_of
 from uqsphere.runner.limits import LimitAnswer
-from uqsphere.runner.margins import MarginAnswer, against_table, lognormal_table
+from uqsphere.runner.questions.curves import lognormal_table
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
+from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.sums import write_sums
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
@@ -178,7 +179,7 @@ def _margins(margins: dict[str, MarginAnswer], asked: Margins | None, quantities
             "curve": [list(point) for point in found.curve],
             "lognormal": lognormal_table(found.lognormal),
             **({"family": {"path": family.path, "members": found.family}} if family and found.family else {}),
-            **against_table(found.against),
+            **({} if found.against is None else {"against": found.against.table()}),
             **({} if found.band is None else {"band": found.band.table()}),
             **({} if found.coarse is None else {"steps": found.coarse.table()}),
             **found.about,

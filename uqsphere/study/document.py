@@ -351,12 +351,16 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class Accuracy:
-    """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability relative."""
+    """Half-widths of the 95 % intervals asked for: mean and quantile over sd, sobol absolute, probability relative.
+
+    `curve` is that of the probability at every value of a fragility curve, over the smaller side of that probability.
+    """
 
     mean: Positive = 0.002
     quantile: Positive = 0.01
     sobol: Positive = 0.01
     probability: Positive = 0.05
+    curve: Positive = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -398,7 +402,7 @@ class Analysis:
     )
     accuracy: Accuracy = key(
         "half-widths of the 95 % intervals: mean and quantile relative to the standard deviation (half the 16-84 % "
-        "range where it has none), sobol absolute, probability relative",
+        "range where it has none), sobol absolute, probability relative, curve relative to the smaller side",
         Accuracy(),
     )
     budget: Budget = key(

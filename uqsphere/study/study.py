@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
-from uqsphere.study.document import Analysis, Dependence, Gauge, ModelChoice
+from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, ModelChoice
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
@@ -223,8 +223,10 @@ def _margins_json(margins: Margins) -> Json:
 
 
 def _analysis_json(analysis: Analysis) -> Json:
-    """The request; keys of black boxes only where they are given, so that they change no other study's hash."""
+    """The request; keys that came later only where they are given, so that they change no other study's hash."""
     table = _lists(asdict(analysis))
+    if analysis.accuracy.curve == Accuracy.curve:
+        del table["accuracy"]["curve"]
     own = ("cost", "rows_per_call", "time_limit")
     return {key: value for key, value in table.items() if value is not None or key not in own}
 

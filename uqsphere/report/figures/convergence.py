@@ -28,7 +28,7 @@ from uqsphere.report.tables import question_name
 from uqsphere.results import QuestionRow
 from uqsphere.results.entries import AccuracyTable
 from uqsphere.runner.account import FURTHER
-from uqsphere.runner.band import ASKED, METHOD
+from uqsphere.runner.questions.curves import METHOD
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,7 +104,7 @@ def _short(kind: str) -> str:
 
 def _asked(kind: str, accuracy: AccuracyTable) -> float:
     if _short(kind) == "band":
-        return ASKED
+        return accuracy.curve
     if kind in FURTHER:
         return float(getattr(accuracy, FURTHER[kind]))
     word = {"mean": "mean", "quantile": "quantile", "probability": "probability"}.get(_short(kind), "sobol")

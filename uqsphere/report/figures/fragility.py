@@ -50,7 +50,7 @@ from uqsphere.report.phrases import (
 from uqsphere.report.tables import margins_table
 from uqsphere.results import AgainstEntry, LimitEntry, MarginEntry
 from uqsphere.results.entries import Est, Ests
-from uqsphere.runner.margins import member_values
+from uqsphere.runner.questions.curves import member_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

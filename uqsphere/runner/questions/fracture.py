@@ -18,20 +18,20 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.model import scene_of
+from uqsphere.runner.axis_rows import axis_of, evaluate_at
 from uqsphere.runner.chunks import remembered_fractures
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_points, evaluate_sample, with_answered
 from uqsphere.runner.forecast import fracture_limits, reflected
 from uqsphere.runner.limits import SMALL, state_of
-from uqsphere.runner.margins import MarginAnswer
-from uqsphere.runner.moved import axis_of, evaluate_at
 from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.questions.probabilities import DOUBTFUL, narrower
 from uqsphere.runner.schedule import FRACTURE, FRACTURE_CURVE, RARE, REPLICATES, SPECIMENS
 from uqsphere.study import Limit
+from uqsphere.uq.curve import fragility
 from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, exceedance, pick_replicates
-from uqsphere.uq.margins import fragility
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import (

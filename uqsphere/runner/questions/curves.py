@@ -1,0 +1,686 @@
+"""Inverse questions: the curve over the free scalar, and the scalar's values at given probabilities.
+
+A look at few rows over the whole range tells where the curves rise, by each row's demands interpolated between the
+values looked at.  There a few rows are evaluated at every value of the curve, and twice as many where it is not known
+as well as asked.  A limit whose demands are censored has no such curve: it is sampled value by value, and stretches
+over which it is steep are halved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.quantities import format_value, lookup
+from uqsphere.results import SpeedRow
+from uqsphere.runner.axis_rows import AxisRows, Look, at_value, axis_of, evaluate_at, judge_of
+from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, cost_of, rounded, speed_rows_of
+from uqsphere.runner.evaluate import OutOfBudget, Work
+from uqsphere.runner.limits import state_of
+from uqsphere.runner.schedule import REPLICATES
+from uqsphere.runner.whatif import laws_of
+from uqsphere.study import Limit
+from uqsphere.study.axis import spaced, with_number
+from uqsphere.units import told_apart
+from uqsphere.uq.curve import METHOD as STEPWISE
+from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fragility, half_widths
+from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.fitting import is_fitted
+from uqsphere.uq.law import Law, LawError
+from uqsphere.uq.whatif import curves_under, probability
+
+__all__ = [
+    "GAP",
+    "KIND",
+    "LATE",
+    "METHOD",
+    "Band",
+    "Coarse",
+    "CurveFound",
+    "EnergyCurve",
+    "Found",
+    "accepted",
+    "asked_probabilities",
+    "curves_along",
+    "energy_curve",
+    "family_curves",
+    "find_rows",
+    "lognormal_table",
+    "member_values",
+    "widest",
+]
+
+#: points of each replicate that look over the range, and values that they look at
+SCAN_POINTS: Final = 2
+SCAN_VALUES: Final = 9
+#: values at which curves are drawn
+CURVE_VALUES: Final = 40
+#: points of each replicate at each of them to begin with, the more the budget allows, and the most
+FIRST_POINTS: Final = (4, 2)
+MOST_POINTS: Final = 64
+#: the same where one value serves all
+FREE_POINTS: Final = 64
+MOST_FREE: Final = 1024
+#: times that a range is widened which turned out too narrow
+WIDER: Final = 3
+#: laws that the tests allow, for the range of a curve
+TRIED: Final = 40
+#: the smallest probability whose band a curve is made for, over the smallest that is asked for
+BELOW: Final = 0.5
+#: points of each replicate at one value, value by value: as many as the budget allows for the first look
+STEP_POINTS: Final = (64, 32, 16, 8)
+#: rounds in which steep stretches are halved: those that span more than this in normal scores
+ROUNDS: Final = 4
+GAP: Final = 0.6
+NO_COST: Final = Cost()
+KIND: Final = "half-width of the band over the smaller side of its probability"
+METHOD: Final = "rows along the free scalar, beside a polynomial of them"
+LATE: Final = "the time was over, or the run was stopped, before the curve was known"
+
+
+# --- how well a curve is known ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """How well a curve is known: the largest half-width of its 95 % intervals over the smaller side of the probability.
+
+    `cost` is what the half-width that was asked would take; `share` the evaluations that the curve was allowed over the
+    budget of the study, where that ended it.
+    """
+
+    half_width: float
+    asked: float
+    evaluations: int
+    cost: Cost = NO_COST
+    share: float = 0.0
+
+    def missed(self) -> str:
+        """What is said of a band that is wider than asked: what it reached, and what it would take; or nothing."""
+        if self.half_width <= self.asked:
+            return ""
+        text = (
+            f"the band of the curve: half-width {told_apart(self.half_width, self.asked)} of the smaller side of its "
+            f"probability, asked {self.asked:g}{self.cost.text}"
+        )
+        if self.cost.needed is None or not self.share > 0.0:
+            return text
+        return f"{text}; a budget of about {rounded(self.cost.needed / self.share):,} has room for as many"
+
+    def table(self) -> dict[str, Any]:
+        """The entry of results.json."""
+        return {
+            "half_width": self.half_width,
+            "asked": self.asked,
+            "evaluations": self.evaluations,
+            "needed": rounded(self.evaluations) if self.half_width <= self.asked else self.cost.needed,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coarse:
+    """A curve whose neighbouring values lie further apart than wanted: the largest step in normal scores, what the
+    curve took, what it would take, and why it ended."""
+
+    step: float
+    evaluations: int
+    needed: float
+    why: str
+    asked: float = GAP
+
+    def missed(self) -> str:
+        """What is said of it: what was reached and asked, and what it would cost."""
+        return (
+            f"the steps of the curve: neighbours differ by up to {told_apart(self.step, self.asked)} normal scores, "
+            f"asked {self.asked:g} (about {rounded(self.needed):,} evaluations of the curve would reach it, "
+            f"unless it jumps there; {self.why})"
+        )
+
+    def table(self) -> dict[str, Any]:
+        """The entry of results.json."""
+        return {"step": self.step, "asked": self.asked, "evaluations": self.evaluations, "needed": rounded(self.needed)}
+
+
+def widest(table: Array, least: float) -> float:
+    """The largest half-width of a curve (K, R) over the smaller side, where that is not below `least`."""
+    widths, side = half_widths(table)
+    return float(widths[side >= least].max(initial=0.0))
+
+
+# --- where the rows go -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What there is of the curves: the look, if one was made, the rows, and the course of every limit's band.
+
+    `note` is a remark, `reason` why there are no curves.
+    """
+
+    look: Look | None = None
+    rows: AxisRows | None = None
+    bands: dict[str, Band] = field(default_factory=dict)
+    note: str = ""
+    reason: str = ""
+
+
+def _shortage(work: Work, cost: int) -> str:
+    """What is said where so many evaluations were due and are not left."""
+    lacking = work.ledger.total + cost - work.study.analysis.budget.evaluations
+    return f"the evaluations ran out before the curve: it takes at least {lacking:,} more than the budget has"
+
+
+def find_rows(
+    work: Work, limits: Sequence[Limit], *, least: float, most: int, tag: str = "", called: str = ""
+) -> Found:
+    """Rows where the curves of some limits rise, for about `most` evaluations; at least what a curve takes.
+
+    `least` is the smallest probability of interest.  Limits whose demands are not known in full have no share in it.
+    """
+    axis, before = axis_of(work), work.ledger.total
+    left = work.study.analysis.budget.evaluations - before
+    if not axis.moves_rows:
+        return _find_free(work, limits, least, before + min(most, left), tag, called)
+    each = REPLICATES * CURVE_VALUES
+    cost = REPLICATES * SCAN_POINTS * SCAN_VALUES + FIRST_POINTS[-1] * each
+    if cost > left:
+        return Found(reason=_shortage(work, cost))
+    found = {v: evaluate_at(work, v, start=0, count=SCAN_POINTS, tag=tag) for v in axis.grid(SCAN_VALUES)}
+    look = Look(work=work, samples=found)
+    limits = [limit for limit in limits if look.fits(limit)]
+    if not limits:
+        return Found(look=look)
+    allowed = min(max(most, 3 * each), left)
+    count = next((n for n in FIRST_POINTS if cost + (n - FIRST_POINTS[-1]) * each <= allowed), FIRST_POINTS[-1])
+    ends = _region(work, limits, look, least)
+    for _ in range(WIDER):
+        rows = AxisRows(work=work, tag=tag, grid=spaced(*ends, CURVE_VALUES))
+        rows.begin(count)
+        kept = [limit for limit in limits if rows.knows(limit.quantity)]
+        if not kept:
+            return Found(look=look)
+        wider = _widened(kept, rows, look, least)
+        if wider == ends or work.ledger.total + count * each > work.study.analysis.budget.evaluations:
+            break
+        ends = wider
+    return _found(look, _Bands(rows=rows, limits=kept, least=2.0 * least, most=before + min(most, left), called=called))
+
+
+def _find_free(work: Work, limits: Sequence[Limit], least: float, most: int, tag: str, called: str) -> Found:
+    """The same where the scalar is a strength: the rows of one value serve all."""
+    axis = axis_of(work)
+    cost = REPLICATES * FREE_POINTS if work.scene_names else 1
+    if work.ledger.total + cost > work.study.analysis.budget.evaluations:
+        return Found(reason=_shortage(work, cost))
+    rows = AxisRows(work=work, tag=tag, grid=[axis.low, axis.high])
+    rows.begin(FREE_POINTS)
+    limits = [limit for limit in limits if rows.knows(limit.quantity)]
+    if not limits:
+        return Found()
+    sample = rows.at(axis.low)
+    look = Look(work=work, samples={axis.low: sample, axis.high: sample})
+    grid = spaced(*_region(work, limits, look, least), CURVE_VALUES)
+    rows = AxisRows(work=work, tag=tag, grid=grid, rows={grid[0]: sample}, used=FREE_POINTS)
+    return _found(look, _Bands(rows=rows, limits=limits, least=2.0 * least, most=most, called=called))
+
+
+def _found(look: Look, question: _Bands) -> Found:
+    """The curves as accurate as asked, or as is affordable."""
+    work = question.rows.work
+    before = work.ledger.total - question.size
+    bands = question.answer(campaign(work, question), before)
+    return Found(look=look, rows=question.rows, bands=bands, note=question.note)
+
+
+def _region(work: Work, limits: Sequence[Limit], look: Look, least: float) -> tuple[float, float]:
+    """Where the probabilities of the limits lie between `least` and its complement, by the few rows of the look."""
+    fine = spaced(look.grid[0], look.grid[-1], 301)
+    inside = np.zeros(len(fine), dtype=bool)
+    for limit in limits:
+        p = look.curve(limit, fine).mean(axis=1)
+        sides = (p > least).astype(int) + (p > 1.0 - least)
+        crossed = np.flatnonzero(np.diff(sides) != 0)
+        inside |= sides == 1
+        inside[crossed] = inside[crossed + 1] = True
+        inside |= _open_to_tests(work, limit, look, fine, least)
+    if not inside.any():
+        return look.grid[0], look.grid[-1]
+    at = np.flatnonzero(inside)
+    return fine[max(at[0] - 2, 0)], fine[min(at[-1] + 2, len(fine) - 1)]
+
+
+def _open_to_tests(work: Work, limit: Limit, look: Look, fine: Sequence[float], least: float) -> Array | bool:
+    """Where a strength that was fitted to tests may bring the probability between `least` and its complement."""
+    if not (isinstance(limit.strength, Law) and is_fitted(limit.strength)):
+        return False
+    try:
+        laws = laws_of(work, limit, limit.strength, TRIED)
+    except LawError:
+        return False
+    coarse = fine[:: max(1, len(fine) // 30)]
+    curves = curves_under(look.states(limit, coarse), laws)
+    # one law in fifty may leave the range
+    low, high = np.quantile(curves, [0.02, 0.98], axis=0)
+    inside = (high > least) & (low < 1.0 - least)
+    return np.asarray(np.interp(np.arange(len(fine)), np.searchsorted(fine, coarse), inside.astype(float)) > 0.0)
+
+
+def _widened(limits: Sequence[Limit], rows: AxisRows, look: Look, least: float) -> tuple[float, float]:
+    """The ends of the rows, or the next values of the look beyond, where a curve is still rising at an end."""
+    low, high = rows.grid[0], rows.grid[-1]
+    for limit in limits:
+        p = rows.table(limit)[[0, -1]].mean(axis=1)
+        outer = look.curve(limit, [look.grid[0], look.grid[-1]]).mean(axis=1)
+        # an end is open where it lies between the two levels, and the look's own end is beyond one of them
+        within, beyond = (p > least) & (p < 1.0 - least), (outer <= least) | (outer >= 1.0 - least)
+        if within[0] and beyond[0]:
+            low = max((value for value in look.grid if value < rows.grid[0]), default=low)
+        if within[1] and beyond[1]:
+            high = min((value for value in look.grid if value > rows.grid[-1]), default=high)
+    return low, high
+
+
+@dataclass(kw_only=True)
+class _Bands:
+    """How well the curves of some limits are known, a question for `campaign`: rows are doubled where they are not.
+
+    `least` is the smaller side of a probability from which on it counts, `most` the ledger's evaluations up to which
+    rows are taken, `called` what the curves are of beside their limits.
+    """
+
+    rows: AxisRows
+    limits: Sequence[Limit]
+    least: float
+    most: int
+    called: str = ""
+    judged: int = 0
+    note: str = ""
+    begun: bool = False
+    full: bool = False
+
+    @property
+    def size(self) -> int:
+        return REPLICATES * self.rows.samples
+
+    @property
+    def asked(self) -> float:
+        return self.rows.work.study.analysis.accuracy.curve
+
+    def name(self, limit: Limit) -> str:
+        """What the curve of a limit is called."""
+        return f"margins.{limit.name}{self.called}"
+
+    def advance(self, room: float) -> bool:
+        """Twice the rows where a curve is wider than asked; False where there is no room, or no value takes more."""
+        if not self.begun:
+            self.begun = True
+            return True
+        rows, highest = self.rows, MOST_FREE if self.rows.free else MOST_POINTS
+        wanted = [value for value in self._wide() if rows.rows[value].count < highest]
+        cost, self.full = sum(rows.rows[value].size for value in wanted), not wanted
+        if self.note or not wanted or cost > min(room, self.most - rows.work.ledger.total):
+            return False
+        rows.double(wanted)
+        self.note = "" if all(rows.knows(limit.quantity) for limit in self.limits) else "some rows have no answer"
+        return True
+
+    def _wide(self) -> list[float]:
+        """The values at which a curve is wider than asked, and one on either side: they share what they tell."""
+        wide = np.zeros(len(self.rows.grid), dtype=bool)
+        for limit in self.limits:
+            widths, side = half_widths(self.rows.table(limit))
+            wide |= (widths > self.asked) & (side >= self.least)
+        if self.rows.free:
+            return self.rows.grid[:1] if wide.any() else []
+        near = wide | np.append(wide[1:], False) | np.append(False, wide[:-1])
+        return [value for value, wanted in zip(self.rows.grid, near, strict=True) if wanted]
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """Half-width over what is asked of the curves that are wider."""
+        widths = {self.name(limit): widest(self.rows.table(limit), self.least) for limit in self.limits}
+        return {Accuracy(name, "band"): width / self.asked for name, width in widths.items() if width > self.asked}
+
+    def errors(self) -> list[SpeedRow]:
+        """The half-width of every band."""
+        return [
+            row
+            for limit in self.limits
+            for row in speed_rows_of(
+                METHOD, self.name(limit), self.size, widest(self.rows.table(limit), self.least), KIND
+            )
+        ]
+
+    def answer(self, course: Course, before: int) -> dict[str, Band]:
+        """The bands that a campaign has reached; `before` it there were so many evaluations."""
+        budget = self.rows.work.study.analysis.budget.evaluations
+        share = (self.most - before) / budget if course.stopped in ("evaluations", "out of reach") else 0.0
+        highest = REPLICATES * (MOST_FREE if self.rows.free else MOST_POINTS)
+        full = Cost(f" (no value is given more than {highest:,} evaluations)") if self.full else None
+        return {
+            limit.name: Band(
+                half_width=widest(self.rows.table(limit), self.least),
+                asked=self.asked,
+                evaluations=self.size,
+                cost=full or course.cost(Accuracy(self.name(limit), "band")),
+                share=share,
+            )
+            for limit in self.limits
+        }
+
+
+# --- value by value --------------------------------------------------------------------------------------
+
+
+def _steps_of(table: Sequence[Array]) -> Array:
+    """Differences in normal scores between neighbouring values of a curve, (K - 1,)."""
+    from scipy.special import ndtri
+
+    means = np.clip([float(row.mean()) for row in table], 1e-5, 1.0 - 1e-5)
+    return np.asarray(np.abs(np.diff(ndtri(means))))
+
+
+def _steep(found: Mapping[float, Mapping[str, Array]], names: Iterable[str]) -> list[float]:
+    """Middles of the stretches over which a curve moves too far for interpolation."""
+    grid, middles = sorted(found), set()
+    for name in names:
+        gaps = _steps_of([found[value][name] for value in grid])
+        for gap, (left, right) in zip(gaps, pairwise(grid), strict=True):
+            if gap > GAP:
+                middles.add(spaced(left, right, 3)[1])
+    return sorted(middles)
+
+
+def _sampled(
+    work: Work, limits: Sequence[Limit], tag: str, count: int, each: int
+) -> tuple[dict[float, dict[str, Array]], str]:
+    """Probabilities (R,) of every limit by value, steep stretches halved, and what ended it."""
+    axis, budget = axis_of(work), work.study.analysis.budget.evaluations
+    todo = axis.grid(SCAN_VALUES)
+    found: dict[float, dict[str, Array]] = {}
+    for _ in range(ROUNDS + 1):
+        for value in todo:
+            # a strength leaves the demands what they are: the rows of one value serve all
+            if axis.moves_rows or not found:
+                if work.ledger.total + count * each > budget:
+                    return found, "the budget of evaluations was used up"
+                try:
+                    sample = evaluate_at(work, value, start=0, count=count, tag=tag)
+                except OutOfBudget:
+                    return found, "the time was over, or the run was stopped"
+            states = {limit.name: at_value(work, limit, state_of(work, limit, sample), value) for limit in limits}
+            found[value] = {name: probability(state) for name, state in states.items()}
+        todo = _steep(found, [limit.name for limit in limits])
+        if not todo:
+            break
+    return found, ""
+
+
+def _value_by_value(
+    work: Work, limits: Sequence[Limit], least: float, tag: str, called: str
+) -> dict[str, CurveFound | str]:
+    """The curve of every limit from one end of the range to the other, or why there is none.
+
+    `least` is the smaller side of a probability from which on its interval counts.
+    """
+    each = REPLICATES if work.scene_names else 1
+    left = work.study.analysis.budget.evaluations - work.ledger.total
+    values = SCAN_VALUES if axis_of(work).moves_rows else 1
+    count = next((n for n in STEP_POINTS if n * each * values <= left), 0)
+    names = [limit.name for limit in limits]
+    if not count:
+        return dict.fromkeys(names, _shortage(work, STEP_POINTS[-1] * each * values))
+    before = work.ledger.total
+    found, ended = _sampled(work, limits, tag, count, each)
+    if len(found) < SCAN_VALUES:
+        return dict.fromkeys(names, "the time was over, or the run was stopped, before the whole range was looked at")
+    answers: dict[str, CurveFound | str] = {}
+    for name in names:
+        usable = [value for value in sorted(found) if np.isfinite(found[value][name]).all()]
+        if len(usable) < 2:
+            answers[name] = "at fewer than two values is there an answer in every replicate"
+            continue
+        table = np.array([found[value][name] for value in usable])
+        spent, rows = work.ledger.total - before, count * each
+        wide, asked = widest(table, least), work.study.analysis.accuracy.curve
+        work.tell(speed_rows_of(STEPWISE, f"margins.{name}{called}", spent, wide, KIND))
+        answers[name] = CurveFound(
+            grid=np.array(usable), table=table, samples=count, evaluations=spent,
+            band=Band(half_width=wide, asked=asked, evaluations=spent, cost=cost_of([(spent, wide / asked)])),
+            coarse=_coarse(_steps_of(list(table)), rows, spent, ended),
+        )  # fmt: skip
+    return answers
+
+
+def _coarse(gaps: Array, each: int, evaluations: int, ended: str) -> Coarse | None:
+    """What a curve with such steps lacks, by the values that halving them would take; None where it lacks nothing."""
+    wide = gaps[gaps > GAP]
+    if not wide.size:
+        return None
+    more = sum(2 ** math.ceil(math.log2(gap / GAP)) - 1 for gap in wide)
+    why = ended or f"a stretch is halved no more than {ROUNDS} times"
+    return Coarse(step=float(wide.max()), evaluations=evaluations, needed=evaluations + more * each, why=why)
+
+
+# --- the curves of a study --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveFound:
+    """A curve of one limit: values (K,), every replicate's probabilities (K, R), and the rows, if they are few.
+
+    `samples` is the number of points of each replicate behind one probability; `values` are the free scalar's at the
+    probabilities asked for.
+    """
+
+    grid: Array
+    table: Array
+    samples: int
+    evaluations: int
+    band: Band | None
+    coarse: Coarse | None = None
+    rows: AxisRows | None = None
+    values: Mapping[float, Estimate] = field(default_factory=dict)
+    note: str = ""
+
+    def missed(self) -> list[str]:
+        """What the curve lacks: what was reached, asked, and would be taken of each."""
+        texts = [self.note] if self.note else []
+        texts += [self.band.missed()] if self.band is not None and self.band.missed() else []
+        texts += [self.coarse.missed()] if self.coarse is not None else []
+        return texts + [f"{p:g}: {e.reason}" for p, e in self.values.items() if e.value is None and e.reason]
+
+    def answer(self, targets: Sequence[float]) -> Fragility:
+        """The curve with its intervals, and the values at some probabilities."""
+        return fragility(self.grid, self.table, targets, samples=self.samples, evaluations=self.evaluations)
+
+    def lognormal(self) -> LognormalCurve | str:
+        """The lognormal curve beside it, or why there is none."""
+        return fit_lognormal_curve(self.grid, self.table, evaluations=self.evaluations)
+
+    def member(self, value: float) -> dict[str, Any]:
+        """The entry of results.json for a curve of a family."""
+        return {
+            "value": value,
+            "values": {f"{p:.15g}": e.as_dict() for p, e in self.values.items()},
+            "curve": [list(row) for row in self.answer(()).curve],
+            "lognormal": lognormal_table(self.lognormal()),
+            **({} if self.band is None else {"band": self.band.table()}),
+            **({} if self.coarse is None else {"steps": self.coarse.table()}),
+        }
+
+
+def lognormal_table(fitted: LognormalCurve | str) -> dict[str, Any]:
+    """A lognormal curve for results.json; with the reason where there is none."""
+    if isinstance(fitted, str):
+        return {"median": None, "dispersion": None, "reason": fitted}
+    return {
+        "median": fitted.median.as_dict(), "dispersion": fitted.dispersion.as_dict(), "rising": fitted.rising,
+        "largest_gap": fitted.gap, "largest_gap_at": fitted.gap_at,
+    }  # fmt: skip
+
+
+def accepted(limit: Limit) -> float | None:
+    """Probability of exceeding that the limit's target allows, or asks for."""
+    if limit.target is None:
+        return None
+    return limit.target if limit.aim == "survive" else float(f"{1.0 - limit.target:.12g}")
+
+
+def asked_probabilities(work: Work, limit: Limit) -> tuple[float, ...]:
+    """The probabilities of the study and that of the limit's own target."""
+    assert work.study.margins is not None
+    own = accepted(limit)
+    return tuple(sorted({*work.study.margins.for_probability, *(() if own is None else (own,))}))
+
+
+def curves_along(
+    work: Work, limits: Sequence[Limit], *, most: int, tag: str = "", called: str = ""
+) -> dict[str, CurveFound | str]:
+    """The curve of every limit, by few rows at each value where its demands are known in full, or why there is none.
+
+    Raises
+    ------
+    OutOfBudget
+        When the time is over before there is a curve.
+    """
+    before = work.ledger.total
+    smallest = min(min(p, 1.0 - p) for limit in limits for p in asked_probabilities(work, limit))
+    seen = find_rows(work, limits, least=BELOW * smallest, most=most, tag=tag, called=called)
+    if seen.reason:
+        return dict.fromkeys((limit.name for limit in limits), seen.reason)
+    found: dict[str, CurveFound | str] = {}
+    for limit in limits:
+        if seen.rows is not None and seen.rows.knows(limit.quantity):
+            grid, table = _with_outer(limit, seen.rows, seen.look)
+            found[limit.name] = CurveFound(
+                grid=grid, table=table, samples=seen.rows.samples, evaluations=work.ledger.total - before,
+                rows=seen.rows, note=seen.note, band=seen.bands.get(limit.name),
+            )  # fmt: skip
+    rest = [limit for limit in limits if limit.name not in found]
+    found |= _value_by_value(work, rest, smallest, tag, called) if rest else {}
+    answers: dict[str, CurveFound | str] = {}
+    for limit in limits:
+        one = found[limit.name]
+        asked = asked_probabilities(work, limit)
+        answers[limit.name] = one if isinstance(one, str) else replace(one, values=one.answer(asked).values)
+    return answers
+
+
+def _with_outer(limit: Limit, rows: AxisRows, look: Look | None) -> tuple[Array, Array]:
+    """The curve on its grid, and what was looked at beyond its ends."""
+    outer = [] if look is None or rows.free else [x for x in look.grid if not rows.grid[0] <= x <= rows.grid[-1]]
+    if look is None or not outer:
+        return np.array(rows.grid), rows.table(limit)
+    grid = np.array([*outer, *rows.grid])
+    table = np.concatenate([look.curve(limit, outer), rows.table(limit)])
+    order = np.argsort(grid)
+    return grid[order], table[order]
+
+
+def family_curves(work: Work, limits: Sequence[Limit], most: int) -> dict[float, dict[str, CurveFound | str]]:
+    """The curves at every value of another number that the study asks for, by that value."""
+    assert work.study.margins is not None
+    family = work.study.margins.family
+    found: dict[float, dict[str, CurveFound | str]] = {}
+    if family is None:
+        return found
+    for k, (value, name) in enumerate(zip(family.values, member_values(family.path, family.values), strict=True)):
+        moved = replace(work, study=with_number(work.study, family.path, value))
+        called = f" at {family.path} {name}"
+        try:
+            found[value] = curves_along(moved, limits, most=most, tag=f"-family{k}", called=called)
+        except OutOfBudget:
+            found[value] = dict.fromkeys((limit.name for limit in limits), LATE)
+    return found
+
+
+def member_values(path: str, values: Sequence[float], digits: int = 4) -> list[str]:
+    """Different values (SI) of a number as they are printed, to as many digits, from `digits` on, as tell them apart.
+
+    >>> member_values("sphere.radius", [0.01, 0.012]), member_values("sphere.radius", [0.01, 0.010002])
+    (['10 mm', '12 mm'], ['10 mm', '10.002 mm'])
+    """
+    tried = ([format_value(value, path, count) for value in values] for count in range(digits, 18))
+    return next((texts for texts in tried if len(set(texts)) == len(values)), [repr(value) for value in values])
+
+
+# --- over the specific energy ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnergyCurve:
+    """Curve [[energy, probability, low, high], ...] (J/kg), its values by probability, the lognormal curve beside it.
+
+    `reason`: why there is none.
+    """
+
+    quantity: str
+    curve: list[list[float]] = field(default_factory=list)
+    values: Mapping[float, Estimate] = field(default_factory=dict)
+    lognormal: LognormalCurve | str = ""
+    reason: str = ""
+
+    @classmethod
+    def none(cls, quantity: str, reason: str) -> EnergyCurve:
+        """No curve, and why."""
+        return cls(quantity=quantity, lognormal=reason, reason=reason)
+
+    def table(self) -> dict[str, Any]:
+        """The entry of results.json."""
+        return {
+            "quantity": self.quantity,
+            "unit": lookup(self.quantity).unit,
+            "values": {f"{p:.15g}": estimate.as_dict() for p, estimate in self.values.items()},
+            "curve": [list(point) for point in self.curve],
+            "lognormal": lognormal_table(self.lognormal),
+            **({"reason": self.reason} if self.reason else {}),
+        }
+
+
+def energy_curve(rows: AxisRows | None, limit: Limit, quantity: str, probabilities: Sequence[float]) -> EnergyCurve:
+    """The fragility of a limit over `quantity`, a positive answer that rises with the free scalar of the rows.
+
+    Comminution asks for the probability that a particle breaks at a given specific energy, as a drop-weight test finds
+    it that gives every particle the same energy per mass (L. M. Tavares and R. P. King, Int. J. Miner. Process. 54,
+    1998, 1).  The energy in the contacts is an answer, not an input: it scatters at a given speed.  So P(e) is the mean
+    over the inputs of the probability that the strength is below D(e, z), where D is the demand of a specimen with the
+    inputs z at the value of the scalar at which the quantity is e: the same rows lie where their own energies are.
+    """
+    if rows is None or rows.free:
+        reason = "the demands are not known in full at every speed, so that rows cannot be ordered"
+        return EnergyCurve.none(quantity, reason)
+    if not rows.knows(quantity):
+        return EnergyCurve.none(quantity, f"{quantity} is not known in full in every row")
+    if not all(bool((sample.answer(quantity) > 0.0).all()) for sample in rows.rows.values()):
+        return EnergyCurve.none(quantity, f"{quantity} is zero in some rows")
+    low, high = (float(np.median(rows.rows[end(rows.rows)].answer(quantity))) for end in (min, max))
+    if not high > low * (1.0 + 1e-9):
+        return EnergyCurve.none(quantity, f"{quantity} does not rise with the free number")
+    work, grid = rows.work, spaced(low, high, CURVE_VALUES)
+    table = rows.curve_of(limit.quantity, judge_of(work, limit), over=quantity).table(grid)
+    told = fragility(np.array(grid), table, probabilities, samples=rows.samples, evaluations=work.ledger.total)
+    lognormal = fit_lognormal_curve(np.array(grid), table, evaluations=work.ledger.total)
+    error = work.study.model.tolerance
+    if not isinstance(lognormal, str):
+        median, dispersion = (_no_closer(estimate, error) for estimate in (lognormal.median, lognormal.dispersion))
+        lognormal = replace(lognormal, median=median, dispersion=dispersion)
+    values = {p: _no_closer(estimate, error) for p, estimate in told.values.items()}
+    return EnergyCurve(quantity=quantity, curve=told.curve, values=values, lognormal=lognormal)
+
+
+def _no_closer(estimate: Estimate, error: float) -> Estimate:
+    """The estimate with an interval that is no narrower than the energies are integrated to, relative.
+
+    A limit on the energy itself has no scatter left in its curve.
+    """
+    if estimate.value is None or estimate.low is None or estimate.high is None:
+        return estimate
+    reach = error * abs(estimate.value)
+    low, high = min(estimate.low, estimate.value - reach), max(estimate.high, estimate.value + reach)
+    return replace(estimate, low=low, high=high)
