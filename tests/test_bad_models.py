@@ -18,7 +18,7 @@ from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
 from uqsphere.cli.watch import Progress, Silence, last_words
 from uqsphere.errors import ModelError, ModelRaised, UsageError
-from uqsphere.model import answer
+from uqsphere.model import answer_black_box
 from uqsphere.report.chapters import measure_heading
 from uqsphere.report.drivers import first_to_measure, measure_finding
 from uqsphere.report.terminal import summary_of
@@ -177,7 +177,7 @@ def test_an_exception_is_told_with_its_place(tmp_path: Path) -> None:
     study = written(tmp_path)
     line = bad.__code__.co_firstlineno + 1
     with pytest.raises(ModelRaised, match=rf"no convergence \(test_bad_models.py, line {line}\)"):
-        answer(study, ("a", "b"), np.zeros((2, 2)), ("y",), black_box=bad)
+        answer_black_box(study, ("a", "b"), np.zeros((2, 2)), ("y",), bad)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_the_place_of_an_exception_is_in_the_users_own_file(body: str, said: str
     (tmp_path / "own.py").write_text(f"import json, numpy as np\n{body}", "utf-8")
     box = load_black_box(f"{tmp_path / 'own.py'}:f")
     with pytest.raises(ModelRaised) as raised:
-        answer(written(tmp_path), ("a", "b"), np.zeros((2, 2)), ("y",), black_box=box)
+        answer_black_box(written(tmp_path), ("a", "b"), np.zeros((2, 2)), ("y",), box)
     assert str(raised.value).endswith(said)
 
 

@@ -15,7 +15,15 @@ import uqsphere
 from uqsphere.errors import AccessError, UqsphereError, UsageError
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import STATUS, Scene
-from uqsphere.model import STATUS_NOT_FINITE, answer, evaluate, load_black_box, model_digest, scene_of, status_text
+from uqsphere.model import (
+    STATUS_NOT_FINITE,
+    answer_black_box,
+    evaluate,
+    load_black_box,
+    model_digest,
+    scene_of,
+    status_text,
+)
 from uqsphere.quantities import OUTPUTS
 from uqsphere.study import Study
 
@@ -150,7 +158,7 @@ def test_the_face_is_the_same_from_outside(study: Study) -> None:
 
 
 def ask(study: Study, box: Any, n: int = 4) -> Any:
-    return answer(study, ("a",), np.linspace(0.1, 0.9, n)[:, None], ("y", "z"), black_box=box)
+    return answer_black_box(study, ("a",), np.linspace(0.1, 0.9, n)[:, None], ("y", "z"), box)
 
 
 def test_a_black_box_gets_its_inputs_and_the_fixed_ones(box_study: Study) -> None:
@@ -171,7 +179,7 @@ def test_a_black_box_cannot_change_the_points(box_study: Study) -> None:
         inputs["a"] *= 0.0
         return {"y": inputs["a"], "z": inputs["a"]}
 
-    answer(box_study, ("a",), rows, ("y", "z"), black_box=box)
+    answer_black_box(box_study, ("a",), rows, ("y", "z"), box)
     np.testing.assert_array_equal(rows[:, 0], np.linspace(0.1, 0.9, 4))
 
 

@@ -15,7 +15,7 @@ from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
-from uqsphere.model import ROUTE_ASKED, ROUTE_BOTH, ROUTE_FULL, answer, is_answered, scene_of
+from uqsphere.model import ROUTE_ASKED, ROUTE_BOTH, ROUTE_FULL, answer_scene, is_answered, scene_of
 from uqsphere.runner import fidelity as pilot
 from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_points
 from uqsphere.runner.schedule import PILOT
@@ -119,12 +119,12 @@ def test_a_mixture_is_chosen_and_keeps_the_rule(looked: tuple[Study, pilot.Pilot
     # an oracle: other rows, the mixture against full
     names, quantities = tuple(study.random), ("p_max", "specific_energy")
     rows = rows_of(study, 1024)
-    full = answer(study, names, rows, quantities, tolerance=1e-6, threads=1)
-    mixed = answer(study, names, rows, quantities, fidelity="massless", tolerance=1e-6, threads=1,
+    full = answer_scene(study, names, rows, quantities, tolerance=1e-6, threads=1)
+    mixed = answer_scene(study, names, rows, quantities, fidelity="massless", tolerance=1e-6, threads=1,
                    fallback=found.fallback)  # fmt: skip
     error = np.sqrt(np.mean((mixed.values - full.values) ** 2, axis=0)) / full.values.std(axis=0)
     assert (error < 0.02).all()
-    alone = answer(study, names, rows, quantities, fidelity="massless", tolerance=1e-6, threads=1)
+    alone = answer_scene(study, names, rows, quantities, fidelity="massless", tolerance=1e-6, threads=1)
     assert np.sqrt(np.mean((alone.values - full.values)[:, 0] ** 2)) > 0.02 * full.values[:, 0].std()
     share = np.mean(mixed.routes == ROUTE_FULL)
     taken = next(c for c in found.candidates if c.fidelity == "massless")
@@ -142,13 +142,13 @@ def test_each_row_is_answered_by_one_of_the_two(looked: tuple[Study, pilot.Pilot
     study, found = looked
     names, rows = tuple(study.random), rows_of(study, 300)
     given: dict[str, Any] = {"quantities": ("p_max", "specific_energy"), "tolerance": 1e-6, "threads": 1}
-    full, cheap = (answer(study, names, rows, fidelity=f, **given) for f in ("full", "massless"))
-    mixed = answer(study, names, rows, fidelity="massless", fallback=found.fallback, **given)
+    full, cheap = (answer_scene(study, names, rows, fidelity=f, **given) for f in ("full", "massless"))
+    mixed = answer_scene(study, names, rows, fidelity="massless", fallback=found.fallback, **given)
     by_full = mixed.routes == ROUTE_FULL
     assert 0 < by_full.sum() < len(rows)
     np.testing.assert_array_equal(mixed.values, np.where(by_full[:, None], full.values, cheap.values))
     parts = [
-        answer(study, names, rows[k : k + 37], fidelity="massless", fallback=found.fallback, **given)
+        answer_scene(study, names, rows[k : k + 37], fidelity="massless", fallback=found.fallback, **given)
         for k in range(0, len(rows), 37)
     ]
     np.testing.assert_array_equal(np.concatenate([part.values for part in parts]), mixed.values)
@@ -227,7 +227,7 @@ def test_a_record_that_one_model_outlasts_alone_is_an_error(study_from: Build) -
                        'sphere.density={dist="loguniform", lower="100 kg/m3", upper="20000 kg/m3"}')  # fmt: skip
     massless = next(c for c in pilot.first_look(work_of(study)).candidates if c.fidelity == "massless")
     names, rows = tuple(study.random), rows_of(study, PILOT.first // 2, task="pilot")
-    full = answer(study, names, rows, ("contact_time",), tolerance=1e-6, threads=1)
+    full = answer_scene(study, names, rows, ("contact_time",), tolerance=1e-6, threads=1)
     let_go = ~full.censored[:, 0]
     assert let_go.any()
     assert massless.unlike

@@ -10,7 +10,7 @@ import pytest
 from uqsphere import load_study
 from uqsphere.errors import StudyError
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.model import answer
+from uqsphere.model import answer_scene
 from uqsphere.quantities import lookup
 from uqsphere.study import Study
 
@@ -98,7 +98,7 @@ def test_the_model_answers_the_demand(fidelity: str, tmp_path: Path) -> None:
     found = study(limits, tmp_path)
     names = ["p_max", "P_max", "a_max", "loading_rate", "weakest_link_volume.split", "core_tension.rate"]
     radius = np.array([[0.009], [0.011]])
-    values = answer(found, ["sphere.radius"], radius, names, fidelity=fidelity).values
+    values = answer_scene(found, ["sphere.radius"], radius, names, fidelity=fidelity).values
     columns = dict(zip(names, values.T, strict=True)) | {"sphere.radius": radius[:, 0]}
     columns |= {name: np.full(2, found.at_means()[name]) for name in ("sphere.nu", "sphere.E")}
     wanted = demand(CRITERIA["weakest_link_volume"], columns, {"modulus": 9.0, "reference_volume": 1e-6})
@@ -107,5 +107,5 @@ def test_the_model_answers_the_demand(fidelity: str, tmp_path: Path) -> None:
         demand(CRITERIA["core_tension"], columns, {"rate_0": 200.0}), rel=1e-5
     )
     # what a demand needs is followed although nobody asked for it
-    alone = answer(found, ["sphere.radius"], radius, ["core_tension.rate"], fidelity=fidelity).values
+    alone = answer_scene(found, ["sphere.radius"], radius, ["core_tension.rate"], fidelity=fidelity).values
     assert alone[:, 0] == pytest.approx(columns["core_tension.rate"], rel=1e-5)

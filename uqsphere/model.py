@@ -28,7 +28,8 @@ __all__ = [
     "STATUS_NOT_FINITE",
     "Answered",
     "BlackBox",
-    "answer",
+    "answer_black_box",
+    "answer_scene",
     "evaluate",
     "is_answered",
     "load_black_box",
@@ -162,17 +163,29 @@ def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: fl
     )
 
 
-def _answer_scene(
+def answer_scene(
     study: Study,
     names: Sequence[str],
     rows: Array,
     quantities: Sequence[str],
-    fidelity: str,
-    tolerance: float,
-    threads: int | None,
-    fallback: Fallback | None,
+    *,
+    fidelity: str = "full",
+    tolerance: float = 1e-6,
+    threads: int | None = None,
+    fallback: Fallback | None = None,
 ) -> Answered:
-    """Answers of the fidelity, and of `full` for the rows that the error estimate or a failure leaves to it."""
+    """Answers of n rows by the impact model.
+
+    Parameters
+    ----------
+    names : d dotted paths that the columns of `rows` belong to.
+    rows : (n, d) array, SI.
+    quantities : q names of `uqsphere.quantities.OUTPUTS`.
+    fidelity, tolerance, threads : see `uqsphere.mechanics.integrator.solve`.
+    fallback : which rows a cheaper fidelity leaves to `full`, by its error estimate; so do those where it fails.
+    """
+    if len(rows) == 0:
+        return _no_rows(quantities)
 
     def scene_at(which: Any) -> Scene:
         some = rows[which]
@@ -197,10 +210,35 @@ def _answer_scene(
     return Answered(values=values, censored=censored, status=status, route=route)
 
 
-def _answer_black_box(
-    names: Sequence[str], rows: Array, outputs: Sequence[str], needed: Sequence[str] | None, box: BlackBox
+def answer_black_box(
+    study: Study,
+    names: Sequence[str],
+    rows: Array,
+    outputs: Sequence[str],
+    box: BlackBox | None,
+    needed: Sequence[str] | None = None,
 ) -> Answered:
-    given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(names)}
+    """Answers of n rows by the user's own model, in one call.
+
+    Parameters
+    ----------
+    names : d names of inputs that the columns of `rows` (n, d) belong to; the others are the study's fixed numbers.
+    outputs : q outputs of the model.
+    needed : the outputs without which a row has failed, all if None; numbers of a failed row are then kept where they
+        are finite.
+
+    Raises
+    ------
+    ModelError
+        When the model raises or returns something of the wrong form.
+    """
+    if len(rows) == 0:
+        return _no_rows(outputs)
+    if box is None:
+        raise UsageError("a black-box study is run with --model FILE.py:FUNCTION")
+    given = {name: np.full(len(rows), value) for name, value in study.fixed.items()}
+    given |= {name: np.array(rows[:, k]) for k, name in enumerate(names)}
+    inputs = np.stack(list(given.values()), axis=1)
     try:
         with prints_to_stderr():
             found = box(given)
@@ -209,40 +247,46 @@ def _answer_black_box(
         raise ModelRaised(f"the model raised {type(error).__name__}: {said}{where_raised(error)}") from error
     if not isinstance(found, Mapping):
         raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
-    columns = []
-    for name in outputs:
-        if name not in found and needed is not None and name not in needed:
-            columns.append(np.full(len(rows), np.nan))
-            continue
-        if name not in found:
-            raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
-        try:
-            if np.iscomplexobj(found[name]):
-                raise TypeError("found complex numbers")
-            # what a masked array hides is no answer
-            column: npt.NDArray[np.float64] = np.ma.filled(np.ma.asarray(found[name], dtype=float), np.nan)
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
-        if column.shape != (len(rows),):
-            raise ModelError(
-                f"the model's {name!r} must have shape ({len(rows)},), one number for each row of its inputs, found "
-                f"{column.shape}"
-            )
-        columns.append(column)
+    due = [needed is None or name in needed for name in outputs]
+    columns = [_output(found, name, len(rows), must) for name, must in zip(outputs, due, strict=True)]
     values = np.stack(columns, axis=1)
-    known = np.isfinite(values)
-    finite = known[:, [needed is None or name in needed for name in outputs]].all(axis=1)
+    known: npt.NDArray[np.bool_] = np.isfinite(values)
+    finite = np.all(known[:, due], axis=1)
     note = ""
     if not finite.all():
         at = int(np.argmin(finite))
-        k = next(k for k, name in enumerate(outputs) if not known[at, k] and (needed is None or name in needed))
-        note = f"{outputs[k]} = {values[at, k]:g} {where_of(names, rows[at])}"
+        k = next(k for k, must in enumerate(due) if must and not known[at, k])
+        note = f"{outputs[k]} = {values[at, k]:g} {where_of(list(given), inputs[at])}"
     return Answered(
-        values=np.where(known if needed is not None else finite[:, None], values, np.nan),
+        values=np.where(known if needed is not None else np.reshape(finite, (-1, 1)), values, np.nan),
         censored=np.zeros(values.shape, dtype=bool),
         status=np.where(finite, 0, STATUS_NOT_FINITE),
         note=note,
     )
+
+
+def _no_rows(quantities: Sequence[str]) -> Answered:
+    empty = np.zeros((0, len(quantities)))
+    return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
+
+
+def _output(found: Mapping[str, Any], name: str, count: int, due: bool) -> Array:
+    """One output of the model as (count,) numbers; NaN where one that is not due was not returned."""
+    if name not in found:
+        if not due:
+            return np.full(count, np.nan)
+        raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
+    try:
+        if np.iscomplexobj(found[name]):
+            raise TypeError("found complex numbers")
+        # what a masked array hides is no answer
+        column: Array = np.ma.filled(np.ma.asarray(found[name], dtype=float), np.nan)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
+    if column.shape != (count,):
+        due_shape = f"shape ({count},), one number for each row of its inputs"
+        raise ModelError(f"the model's {name!r} must have {due_shape}, found {column.shape}")
+    return column
 
 
 def where_of(names: Sequence[str], row: Array) -> str:
@@ -256,55 +300,9 @@ def where_of(names: Sequence[str], row: Array) -> str:
     return f"at {', '.join(found[:_MOST_NAMED])}{more}"
 
 
-def answer(
-    study: Study,
-    names: Sequence[str],
-    rows: Array,
-    quantities: Sequence[str],
-    *,
-    fidelity: str = "full",
-    tolerance: float = 1e-6,
-    threads: int | None = None,
-    black_box: BlackBox | None = None,
-    fallback: Fallback | None = None,
-    needed: Sequence[str] | None = None,
-) -> Answered:
-    """Answers of n rows.
-
-    Parameters
-    ----------
-    names : d dotted paths (black box: bare names) that the columns of `rows` belong to.
-    rows : (n, d) array, SI.
-    quantities : q names of `uqsphere.quantities.OUTPUTS`, or the black box's outputs.
-    fidelity, tolerance, threads : see `uqsphere.mechanics.integrator.solve.solve`.
-    black_box : the user's model, for a black-box study.
-    fallback : which rows a cheaper fidelity leaves to `full`; none if None.
-    needed : the outputs without which a black box's row has failed, all if None; numbers of a failed row are then
-        kept where they are finite.
-
-    Raises
-    ------
-    ModelError
-        When a black box raises or returns something of the wrong form.
-    """
-    if len(rows) == 0:
-        empty = np.zeros((0, len(quantities)))
-        return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
-    if study.black_box:
-        if black_box is None:
-            raise UsageError("a black-box study is run with --model FILE.py:FUNCTION")
-        columns = {
-            **{name: np.full(len(rows), value) for name, value in study.fixed.items()},
-            **{name: rows[:, k] for k, name in enumerate(names)},
-        }
-        together = np.stack(list(columns.values()), axis=1)
-        return _answer_black_box(list(columns), together, quantities, needed, black_box)
-    return _answer_scene(study, names, rows, quantities, fidelity, tolerance, threads, fallback)
-
-
 def evaluate(
     study: Study,
-    values: Mapping[str, Any],
+    values: Mapping[str, npt.ArrayLike],
     quantities: Sequence[str] = ("p_max",),
     fidelity: str = "full",
     tolerance: float = 1e-8,
@@ -336,29 +334,19 @@ def evaluate(
     """
     import pandas as pd
 
-    if isinstance(quantities, str):
-        quantities = (quantities,)
-    if not quantities:
-        raise UsageError(f"no quantity is asked for (allowed: {', '.join(OUTPUTS)})")
+    quantities = (quantities,) if isinstance(quantities, str) else quantities
     if study.black_box:
         raise UsageError("evaluate() serves the impact model; a black box is called directly")
-    unknown = [name for name in quantities if name not in OUTPUTS]
-    if unknown:
-        raise UsageError(f"unknown quantity {unknown[0]!r} (allowed: {', '.join(OUTPUTS)})")
+    if not quantities:
+        raise UsageError(f"no quantity is asked for (allowed: {', '.join(OUTPUTS)})")
+    for name in quantities:
+        if name not in OUTPUTS:
+            raise UsageError(f"unknown quantity {name!r} (allowed: {', '.join(OUTPUTS)})")
     if fidelity not in FIDELITIES:
         raise UsageError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(FIDELITIES)})")
-    columns = {name: np.atleast_1d(np.asarray(column, dtype=float)) for name, column in values.items()}
-    flat = [name for name, column in columns.items() if column.ndim != 1]
-    if flat:
-        raise UsageError(f"{flat[0]} must have shape (n,), found {columns[flat[0]].shape}")
-    lengths = {len(column) for column in columns.values()}
-    if len(lengths - {1}) > 1:
-        raise UsageError(f"the columns of values differ in length: {sorted(lengths)}")
-    n = next(iter(lengths - {1}), 1)
-    names = list(columns)
-    rows = np.stack([np.broadcast_to(columns[name], (n,)) for name in names], axis=1) if names else np.zeros((n, 0))
+    names, rows = _rows_of(values)
     try:
-        found = answer(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=threads)
+        found = answer_scene(study, names, rows, quantities, fidelity=fidelity, tolerance=tolerance, threads=threads)
     except ValueError as error:
         raise UsageError(str(error)) from error
     frame = pd.DataFrame({name: found.values[:, k] for k, name in enumerate(quantities)})
@@ -368,6 +356,21 @@ def evaluate(
         for k, name in enumerate(quantities):
             frame[f"{name}_other"] = found.others[:, k]
     return frame
+
+
+def _rows_of(values: Mapping[str, npt.ArrayLike]) -> tuple[list[str], Array]:
+    """Names, and columns of one length side by side (n, d); a single number stands in every row."""
+    columns = {name: np.atleast_1d(np.asarray(column, dtype=float)) for name, column in values.items()}
+    for name, column in columns.items():
+        if column.ndim != 1:
+            raise UsageError(f"{name} must have shape (n,), found {column.shape}")
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths - {1}) > 1:
+        raise UsageError(f"the columns of values differ in length: {sorted(lengths)}")
+    n = next(iter(lengths - {1}), 1)
+    if not columns:
+        return [], np.zeros((n, 0))
+    return list(columns), np.stack([np.broadcast_to(column, (n,)) for column in columns.values()], axis=1)
 
 
 def status_text(code: int, black_box: bool) -> str:

@@ -27,7 +27,7 @@ _SIZES, HELD_OUT = (64, 128, 256, 512, 1024), 4096
 
 def granite(quick: bool) -> str:
     """1 - Q² on held-out points, the error that each fit reports, and the verdict, by number of points."""
-    from uqsphere.model import answer
+    from uqsphere.model import answer_scene
     from uqsphere.runner.evaluate import draw
     from uqsphere.study import load_study, shipped_studies
     from uqsphere.uq.expansion import fit_chaos, germ_points, judge, validation_error
@@ -41,7 +41,7 @@ def granite(quick: bool) -> str:
 
     def drawn(task: str, seed: int, count: int) -> tuple[Any, Any]:
         points = draw(inputs, seed=seed, task=f"surrogate: {task}", start=0, count=count, replicates=1)
-        found = answer(study, names, points.inputs[0], ("p_max",), tolerance=1e-8)
+        found = answer_scene(study, names, points.inputs[0], ("p_max",), tolerance=1e-8)
         return germ_points(points.scores[0], germs), found.values[:, 0]
 
     unseen, checked = drawn("held out", 0, HELD_OUT)

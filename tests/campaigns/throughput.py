@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from uqsphere.model import answer
+from uqsphere.model import answer_scene
 from uqsphere.runner.evaluate import CHUNK, Ledger, Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import first_look
 from uqsphere.runner.schedule import REPLICATES
@@ -78,8 +78,9 @@ def measure(study: Study, evaluations: int, folder: Path, *, threads: int | None
             rows = rows[:, :, : len(work.scene_names)].reshape(REPLICATES * count, -1)
             began, used = time.perf_counter(), time.process_time()
             for first in range(0, len(rows), CHUNK):  # its best use: what a call works on fits into the cache
-                answer(study, work.scene_names, rows[first : first + CHUNK], work.quantities, fidelity=work.fidelity,
-                       threads=threads, tolerance=study.model.tolerance, fallback=work.fallback)  # fmt: skip
+                some = rows[first : first + CHUNK]
+                answer_scene(study, work.scene_names, some, work.quantities, fidelity=work.fidelity,
+                             threads=threads, tolerance=study.model.tolerance, fallback=work.fallback)  # fmt: skip
             return (time.perf_counter() - began) / len(rows), (time.process_time() - used) / len(rows)
 
         bare()  # what is compiled or loaded on first use

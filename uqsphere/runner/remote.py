@@ -30,7 +30,8 @@ from uqsphere.model import (
     STATUS_RAISED,
     Answered,
     BlackBox,
-    answer,
+    answer_black_box,
+    answer_scene,
     load_black_box,
     model_digest,
 )
@@ -129,18 +130,10 @@ def evaluate_rows(task: Task, rows: Array, box: BlackBox | None, threads: int | 
     """
 
     def call(some: Array) -> Answered:
-        return answer(
-            task.study,
-            task.names,
-            some,
-            task.columns,
-            fidelity=task.fidelity,
-            tolerance=task.tolerance,
-            threads=threads,
-            black_box=box,
-            fallback=task.fallback,
-            needed=task.needed,
-        )
+        if task.study.black_box:
+            return answer_black_box(task.study, task.names, some, task.columns, box, task.needed)
+        return answer_scene(task.study, task.names, some, task.columns, fidelity=task.fidelity,
+                            tolerance=task.tolerance, threads=threads, fallback=task.fallback)  # fmt: skip
 
     try:
         return call(rows)
