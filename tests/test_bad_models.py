@@ -20,7 +20,7 @@ from uqsphere.cli.watch import Progress, Silence, last_words
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer_black_box
 from uqsphere.report.chapters import measure_heading
-from uqsphere.report.drivers import first_to_measure, measure_finding
+from uqsphere.report.claims import Claim, first_to_measure, measure_claim
 from uqsphere.report.terminal import summary_of
 from uqsphere.results import MeasureEntry, Results
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
@@ -149,6 +149,12 @@ def _row(name: str, value: float, error: float) -> dict[str, Any]:
     return {"input": name, "sway": sway, "share": 0.5, "tests": 2, "observations": None}
 
 
+def _claim(entry: MeasureEntry) -> Claim:
+    claim = measure_claim("limits.high", entry)
+    assert claim is not None
+    return claim
+
+
 def _measured(*rows: dict[str, Any]) -> MeasureEntry:
     return MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "rows": rows})
 
@@ -157,14 +163,14 @@ def test_an_input_that_does_nothing_is_not_worth_measuring() -> None:
     """Of inputs that do nothing one has the largest sway all the same."""
     entry = _measured(_row("d", 0.02, 0.01), _row("a", -0.01, 0.01))
     assert first_to_measure(entry) is None
-    assert "No input is worth measuring" in measure_finding(entry)
-    assert measure_heading("“high”", entry) == "What to measure first for “high”"
+    assert "No input is worth measuring" in _claim(entry).text
+    assert measure_heading("“high”", measure_claim("high", entry)) == "What to measure first for “high”"
     entry = _measured(_row("d", 0.05, 0.03), _row("a", 0.04, 0.001))
     found = first_to_measure(entry)
     assert found is not None
     assert found.input == "a"
-    assert measure_finding(entry).startswith("Measure a first")
-    assert measure_heading("“high”", entry).endswith(": a")
+    assert _claim(entry).text.startswith("Measure a first")
+    assert measure_heading("“high”", measure_claim("high", entry)).endswith(": a")
 
 
 # --- models that raise, end, or never come back ---------------------------------------------------------

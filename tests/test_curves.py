@@ -14,7 +14,7 @@ from scipy.special import ndtr
 import uqsphere
 from tests.campaigns.fragility import straight_value, value_coverage
 from uqsphere.cli import main
-from uqsphere.report.margins import margin_answer
+from uqsphere.report.claims import answer_claim
 from uqsphere.report.terminal import summary_of
 from uqsphere.results import LimitEntry, MarginEntry, Results
 from uqsphere.runner.evaluate import Ledger, Work
@@ -110,7 +110,9 @@ def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
         )
         entry = LimitEntry.model_construct(aim=limit.aim, target=limit.target, quantity=limit.quantity)
         results = Results.model_construct(margins={limit.name: margin}, limits={limit.name: entry}, inputs={})
-        text = margin_answer(results, limit.name)
+        claim = answer_claim(results, limit.name)
+        assert claim is not None
+        text = claim.text
         assert "not known" in text
         assert "ran out" in text
         assert not text.startswith("No ")

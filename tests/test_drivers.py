@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 import uqsphere
 from uqsphere.report import build_report
-from uqsphere.report.drivers import specimens
+from uqsphere.report.claims import specimens
 from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
 

@@ -16,13 +16,14 @@ from matplotlib.text import Text
 from report_folders import estimate, limit, put, with_pairs, write_folder
 
 from uqsphere.report import history_figure, xt_figure
+from uqsphere.report.claims import ranked, shares_claim
 from uqsphere.report.contents import read_contents
 from uqsphere.report.figures import limits
 from uqsphere.report.figures.canvas import Picture, inline, render, spread, style
 from uqsphere.report.figures.convergence import Series, _labelled, convergence_figure, speed_figure
 from uqsphere.report.figures.distributions import distribution_figure
 from uqsphere.report.figures.fragility import fragility_figure, margin_figure
-from uqsphere.report.figures.indices import group_figure, pair_figure, ranked, sensitivity_figure, sensitivity_finding
+from uqsphere.report.figures.indices import group_figure, pair_figure, sensitivity_figure
 from uqsphere.report.figures.limits import _to_the_ends, surface_figure
 from uqsphere.report.figures.scene import force_band_figure
 from uqsphere.report.figures.swings import tornado_figure, waterfall_figure
@@ -262,7 +263,7 @@ def test_bars_are_sorted_and_the_largest_is_named(tmp_path: Path) -> None:
     first, total = (f"results/sensitivity/p_max/{order}/striker.speed" for order in ("first", "total"))
     contents = put(contents, {first: estimate(0.7), total: estimate(0.9)})
     assert ranked(contents.results.sensitivity["p_max"])[0] == "striker.speed"
-    finding = sensitivity_finding(contents, "p_max")
+    finding = shares_claim(contents.results, "p_max").text
     assert finding.startswith("Speed of the striker drives 90 % with its interactions (70 % alone) of the variance")
 
 

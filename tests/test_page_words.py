@@ -16,11 +16,12 @@ from test_page_agrees import headings, solved
 from uqsphere.report.assumptions import check_name
 from uqsphere.report.blocks import Table
 from uqsphere.report.chapters import swings_heading
+from uqsphere.report.claims import measure_claim, subject_of
 from uqsphere.report.contents import Contents, read_contents
-from uqsphere.report.drivers import given_failure_table, measure_finding, measure_table
+from uqsphere.report.drivers import given_failure_table, measure_table
 from uqsphere.report.figures.convergence import _legend_names, _ticks
 from uqsphere.report.figures.fragility import family_figure
-from uqsphere.report.margins import margin_verdicts, parts_table, subject_of
+from uqsphere.report.margins import margin_verdicts, parts_table
 from uqsphere.report.page import build_report, new_environment, unbroken
 from uqsphere.report.phrases import law_name, mathematical, outward, probability_range
 from uqsphere.report.tables import _part_row
@@ -175,7 +176,9 @@ def test_tests_are_counted_in_all_everywhere() -> None:
         "share": 0.98,
     }
     entry = MeasureEntry.model_validate({"of": "probability", "wanted": 0.1, "probability": 4.45e-5, "rows": [row]})
-    assert "after 1\u202f692 tests of it in all, 1\u202f672 more than there are, if only" in measure_finding(entry)
+    claim = measure_claim("limits.x", entry)
+    assert claim is not None
+    assert "after 1\u202f692 tests of it in all, 1\u202f672 more than there are, if only" in claim.text
     table = measure_table(entry, "c")
     assert table is not None
     assert table.header[-1].startswith("tests in all until")

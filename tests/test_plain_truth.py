@@ -9,10 +9,10 @@ import pytest
 from report_folders import estimate, limit, put, write_folder
 
 from uqsphere.report.chapters import failure_heading
+from uqsphere.report.claims import shares_claim
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.drivers import design_table, failure_finding
 from uqsphere.report.figures.canvas import new_figure
-from uqsphere.report.figures.indices import sensitivity_finding
 from uqsphere.report.figures.swings import Swing, _swing_bar, waterfall_heading
 from uqsphere.report.phrases import solved_name
 from uqsphere.report.terminal import _governing
@@ -70,7 +70,7 @@ def test_small_interactions_are_not_said_to_be_unseen(
     contents = read_contents(write_folder(tmp_path, inputs=("sphere.E",)))
     place = "results/sensitivity/p_max"
     contents = put(contents, {f"{place}/first/sphere.E": first, f"{place}/total/sphere.E": total})
-    assert sensitivity_finding(contents, "p_max").endswith(said)
+    assert shares_claim(contents.results, "p_max").text.endswith(said)
 
 
 @pytest.mark.parametrize(("half", "told"), [(0.1, True), (0.78, False)])

@@ -6,6 +6,7 @@ The directions are those of theory section 9; how far an answer moves is never k
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -111,10 +112,15 @@ def broken_words(check: CheckEntry) -> str:
     return _FOUND.get(check.check, check_name(check.check))
 
 
+def at_fracture(check: CheckEntry) -> bool:
+    """Whether a check is of the specimens that break, at the moment they do."""
+    return "specimens that break" in check.text
+
+
 def breach(check: CheckEntry, grade: str) -> str:
     """What is found, and in which share of what."""
     # at fracture the check is of those that break, which its text says
-    whom = "the specimens that break" if "specimens that break" in str(check.text) else "the samples"
+    whom = "the specimens that break" if at_fracture(check) else "the samples"
     words = broken_words(check)
     text = plain_percent(getattr(check, f"share_{grade}"))
     rule = next((r for r in RULES if r.name == check.check), None)
@@ -197,27 +203,39 @@ def _rising(entry: MarginEntry) -> bool:
     return bool(entry.curve[-1][1] >= entry.curve[0][1])
 
 
-def beyond_bars(entry: MarginEntry, subject: str) -> str:
-    """What is to be said of a value at which the bars are no longer elastic, in a clause; empty where they are."""
+@dataclass(frozen=True, kw_only=True)
+class BeyondBars:
+    """That a value lies beyond what the bars stand: in a clause, and what they do there."""
+
+    clause: str
+    there: str = ""
+
+    @property
+    def text(self) -> str:
+        return f"{self.clause}: there {self.there}" if self.there else self.clause
+
+
+def beyond_bars(entry: MarginEntry, subject: str) -> BeyondBars | None:
+    """What is to be said of a value at which the bars are no longer elastic; None where they are."""
     bars = entry.bars
     value = entry.value.value
     contact = bars.contact
     if value is None:
-        return ""
+        return None
     if bars.contact_everywhere == "yields":
         share = yields_at(entry, format(entry.probability, ".15g"))
-        return f"the bars yield under the sphere there{_cases(share)}"
+        return BeyondBars(clause=f"the bars yield under the sphere there{_cases(share)}")
     ends = [e for e in (contact.value, bars.pulse_value) if e is not None]
     passed = [e for e in ends if (value > e) == _rising(entry) and value != e]
     if not passed:
-        return ""
+        return None
     first = min(passed) if _rising(entry) else max(passed)
     share = yields_at(entry, format(entry.probability, ".15g"))
     contacts = first == contact.value
     does = f"they yield under the sphere{_cases(share)}" if contacts else "the pulse makes them yield"
     told = contact if contacts else Est.of(first)
     stand = safe_side(told, subject, at_most=_rising(entry), digits=3)
-    return f"that lies beyond what these bars stand ({stand}): there {does}"
+    return BeyondBars(clause=f"that lies beyond what these bars stand ({stand})", there=does)
 
 
 def _cases(share: float | None) -> str:

@@ -7,6 +7,14 @@ from typing import Any, Final
 
 from uqsphere.report.assumptions import answer_checks, granted_block, turns
 from uqsphere.report.blocks import Block, Chapter
+from uqsphere.report.claims import (
+    Claim,
+    demand_claim,
+    distribution_claim,
+    measure_claim,
+    ranked,
+    shares_claim,
+)
 from uqsphere.report.contents import Contents
 from uqsphere.report.drivers import (
     design_finding,
@@ -16,9 +24,7 @@ from uqsphere.report.drivers import (
     drivers_remark,
     failure_finding,
     failure_table,
-    first_to_measure,
     given_failure_table,
-    measure_finding,
     measure_remarks,
     measure_table,
     mostly_missed,
@@ -26,12 +32,7 @@ from uqsphere.report.drivers import (
     told_from_none,
 )
 from uqsphere.report.figures.convergence import convergence_figure, course_finding, progress_finding, speed_figure
-from uqsphere.report.figures.distributions import (
-    distribution_figure,
-    distribution_finding,
-    overlap_remarks,
-    single_value,
-)
+from uqsphere.report.figures.distributions import distribution_figure, overlap_remarks, single_value
 from uqsphere.report.figures.fragility import (
     energy_block,
     family_figure,
@@ -41,7 +42,6 @@ from uqsphere.report.figures.fragility import (
     fragility_finding,
     lognormal_remarks,
     margin_figure,
-    margin_finding,
 )
 from uqsphere.report.figures.indices import (
     MOST_INPUTS,
@@ -51,9 +51,7 @@ from uqsphere.report.figures.indices import (
     pair_figure,
     pair_finding,
     pair_table,
-    ranked,
     sensitivity_figure,
-    sensitivity_finding,
 )
 from uqsphere.report.figures.limits import (
     fitted_tests,
@@ -97,7 +95,6 @@ from uqsphere.report.phrases import (
     plain_percent,
     powers,
     rounded,
-    share_text,
     short_input,
     shortfalls,
     symbol,
@@ -119,7 +116,6 @@ from uqsphere.report.tables import (
     plan_table,
     quantity_table,
 )
-from uqsphere.results import IndexEntry, MeasureEntry
 from uqsphere.results.entries import Est
 
 __all__ = [
@@ -184,11 +180,10 @@ def family_heading(contents: Contents, name: str) -> str:
 def demand_heading(contents: Contents) -> str:
     """The median margin of one limit or of two."""
     limits = contents.results.limits
-    known = {name: limit.margin["median"] for name, limit in limits.items()}
-    told = [(name, e) for name, e in known.items() if e and e.value is not None]
-    if not told or len(limits) > 2:
+    found = {name: demand_claim(name, limit).short for name, limit in limits.items()}
+    texts = [(limit_name(name, 20), short) for name, short in found.items() if short]
+    if not texts or len(limits) > 2:
         return "Strength over demand"
-    texts = [(limit_name(name, 20), rounded(e, digits=3)) for name, e in told]
     if len({text for _, text in texts}) == 1:
         return f"Strength over demand: {texts[0][1]} in the median case"
     return "Strength over demand: " + ", ".join(f"{text} for {name}" for name, text in texts)
@@ -213,12 +208,7 @@ def fracture_heading(contents: Contents) -> str:
 
 def distribution_heading(contents: Contents, name: str) -> str:
     """Between which values nine cases of ten lie."""
-    entry = contents.results.quantities[name]
-    ends = [entry.quantiles.get(p, Est()) for p in ("0.05", "0.95")]
-    finding = ""
-    if all(end.value is not None for end in ends) and ends[0].number < ends[1].number:
-        finding = " to ".join(rounded(end, name, 3) for end in ends) + " in nine cases of ten"
-    return _told(begin(name, call(name)), finding)
+    return _told(begin(name, call(name)), distribution_claim(contents.results, name).short)
 
 
 def failure_heading(contents: Contents, name: str) -> str:
@@ -235,12 +225,7 @@ def failure_heading(contents: Contents, name: str) -> str:
 
 def indices_heading(contents: Contents, name: str) -> str:
     """Which input drives a quantity, and how much of its variance."""
-    entry = contents.results.sensitivity.get(name, IndexEntry())
-    rows = ranked(entry) if entry else []
-    if not rows:
-        return symbol(name)
-    share = share_text(entry.first[rows[0]])
-    return f"{begin(rows[0], short_input(rows[0]))} drives {symbol(name)}: {share} of its variance by itself"
+    return shares_claim(contents.results, name).short or symbol(name)
 
 
 def swings_heading(contents: Contents, name: str, furthest: str) -> str:
@@ -248,10 +233,9 @@ def swings_heading(contents: Contents, name: str, furthest: str) -> str:
     return _told(f"How far each input moves {symbol(name)}", furthest and f"{short_input(furthest)} furthest")
 
 
-def measure_heading(words: str, entry: MeasureEntry | None) -> str:
+def measure_heading(words: str, claim: Claim | None) -> str:
     """Which input to measure first, where one can be told from those that do nothing."""
-    first = first_to_measure(entry)
-    return _told(f"What to measure first for {words}", input_name(first.input) if first else "")
+    return _told(f"What to measure first for {words}", claim.short if claim is not None else "")
 
 
 def granted_heading(contents: Contents) -> str:
@@ -292,7 +276,7 @@ def accuracy_heading(contents: Contents) -> str:
 def distribution_block(contents: Contents, name: str) -> Block:
     """The distribution of a quantity, its numbers in the appendix."""
     single = single_value(contents, name)
-    finding = f"One value: {single}." if single else _without_name(distribution_finding(contents, name))
+    finding = f"One value: {single}." if single else distribution_claim(contents.results, name).told
     return Block(
         heading=distribution_heading(contents, name),
         finding=finding,
@@ -302,11 +286,6 @@ def distribution_block(contents: Contents, name: str) -> Block:
         files=("tables/quantities.csv",),
         remarks=overlap_remarks(contents, name),
     )
-
-
-def _without_name(finding: str) -> str:
-    """A finding under a heading that names its subject."""
-    return capital(finding.partition(": ")[2])
 
 
 def decided(contents: Contents) -> list[str]:
@@ -332,7 +311,7 @@ def indices_block(contents: Contents, name: str) -> Block:
         remarks.append(f"The figure shows the {MOST_INPUTS} largest; {hidden} more are in the table.")
     return Block(
         heading=indices_heading(contents, name),
-        finding=sensitivity_finding(contents, name),
+        finding=shares_claim(contents.results, name).text,
         picture=picture,
         table=index_table(contents, name) or shapley_table(contents, name),
         remarks=tuple(text for text in remarks if text),
@@ -389,15 +368,16 @@ def measure_block(contents: Contents, kind: str, name: str) -> Block:
     words = limit_name(name) if limit else symbol(name)
     caption = f"What better known laws are worth, {words}" if limit else f"What the variance of {words} would lose"
     table = measure_table(first, caption)
-    heading = measure_heading(words, first)
-    if table is None:
+    claim = measure_claim(name, first)
+    heading = measure_heading(words, claim)
+    if table is None or claim is None:
         return Block(heading=heading)
     method = first.method
     if (first.probability or 0.0) > 0.5:
         method = method.replace("(0.1 p))^2", "(0.1 p))^2, p the smaller side of the probability", 1)
     return Block(
         heading=heading,
-        finding=measure_finding(first),
+        finding=claim.text,
         table=table,
         remarks=(mathematical(method), *measure_remarks(contents, name, kind)),
         files=("tables/drivers.csv",),
@@ -421,7 +401,7 @@ def quantities_chapter(contents: Contents) -> Chapter:
     shown = {*decided(contents), *others(contents)}
     blocks = [distribution_block(contents, name) for name in contents.results.quantities if name not in shown]
     blocks = [] if contents.results.limits else blocks
-    heading = "The quantities in full" if blocks else "Force and stress over time"
+    heading, short = ("The quantities in full", "Quantities") if blocks else ("Force and stress over time", "Over time")
     blocks.append(
         Block(
             heading=force_band_heading(contents),
@@ -445,7 +425,7 @@ def quantities_chapter(contents: Contents) -> Chapter:
     return Chapter(
         anchor="quantities",
         heading=heading,
-        short="Quantities" if heading.startswith("The quantities") else "Over time",
+        short=short,
         blocks=tuple(blocks),
         remark="Figures: drawn from up to 16 384 stored samples. Numbers: from all evaluations.",
     )
@@ -656,7 +636,7 @@ def margins_chapter(contents: Contents) -> Chapter:
         blocks.append(
             Block(
                 heading=demand_heading(contents),
-                finding=" ".join(margin_finding(name, limit.margin, limit.aim) for name, limit in limits.items()),
+                finding=" ".join(demand_claim(name, limit).text for name, limit in limits.items()),
                 picture=margin_figure(contents),
                 table=limits_table(contents),
                 appendix=True,

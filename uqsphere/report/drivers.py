@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
+from uqsphere.report.claims import _side, specimens
 from uqsphere.report.contents import Contents
 from uqsphere.report.phrases import (
     ABSENT,
@@ -20,7 +21,7 @@ from uqsphere.report.phrases import (
     two_digits,
     value_text,
 )
-from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, MeasureRow, SharesEntry
+from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, SharesEntry
 from uqsphere.results.entries import Est, Ests
 
 if TYPE_CHECKING:
@@ -34,14 +35,11 @@ __all__ = [
     "drivers_remark",
     "failure_finding",
     "failure_table",
-    "first_to_measure",
     "given_failure_table",
-    "measure_finding",
     "measure_remarks",
     "measure_table",
     "mostly_missed",
     "shapley_table",
-    "specimens",
     "tied_inputs",
 ]
 
@@ -194,22 +192,6 @@ def _range(low: float, high: float, subject: str) -> str:
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def specimens(entry: MeasureEntry, row: MeasureRow) -> int | None:
-    """Specimens after which the mean of an input leaves the smaller side of a probability known as wanted.
-
-    What is stored counts to a tenth, say, of the probability itself: of one near 1 any single specimen tells that,
-    and nothing is learnt about how near it is.
-
-    >>> row = MeasureRow(input="x", tests=1, share=1.0, sway=Est.of(1.83149e-4))
-    >>> specimens(MeasureEntry(of="probability", wanted=0.1, probability=1.0 - 4.45344e-5), row)
-    1692
-    """
-    p, sway = entry.probability, row.sway.value
-    if entry.of != "probability" or p is None or not 0.5 < p < 1.0 or sway is None:
-        return row.tests
-    return max(1, math.ceil((float(sway) / (float(entry.wanted) * (1.0 - float(p)))) ** 2))
-
-
 def measure_table(entry: MeasureEntry | None, caption: str) -> Table | None:
     """Inputs by what knowing them better is worth, with the number of specimens."""
     if not entry or not entry.rows:
@@ -256,45 +238,6 @@ def measure_table(entry: MeasureEntry | None, caption: str) -> Table | None:
 def _scaled(estimate: Est, factor: float) -> Est:
     """An estimate times a number."""
     return Est.of(*(None if end is None else factor * end for end in (estimate.value, estimate.low, estimate.high)))
-
-
-def first_to_measure(entry: MeasureEntry | None) -> MeasureRow | None:
-    """The row of the input that is worth most, None where no input can be told from one that does nothing.
-
-    Of several inputs that do nothing one always comes first, by chance: three standard errors let hardly any pass.
-    """
-    for row in entry.rows if entry is not None else ():
-        found = row.effect
-        if abs(found.value or 0.0) > 3.0 * (found.std_error or 0.0):
-            return row
-    return None
-
-
-def _side(entry: MeasureEntry) -> str:
-    """Of which probability a tenth, say, is to be known."""
-    return "the probability to the contrary" if (entry.probability or 0.0) > 0.5 else "the probability"
-
-
-def measure_finding(entry: MeasureEntry | None) -> str:
-    """Which input to measure first, and how often."""
-    rows = entry.rows if entry is not None else ()
-    if not rows or entry is None:
-        return ""
-    first, wanted = first_to_measure(entry), f"{100.0 * entry.wanted:g} %"
-    if first is None:
-        of = "moves the probability" if entry.of == "probability" else "has a part in the variance"
-        return f"No input is worth measuring by itself: none {of} by more than chance would show."
-    count = specimens(entry, first) or 0
-    tests = thousands(count) + f" test{'s' if count != 1 else ''}"
-    text = f"Measure {input_name(first.input)} first: "
-    seen = first.observations
-    more = f", {thousands(count - seen)} more than there are" if seen and count > seen else ""
-    if entry.of == "probability":
-        return text + (
-            f"{_side(entry)} itself is known to {wanted} (one standard error) after {tests} of it in all{more}, if "
-            "only its mean is unknown; how many settle the target is another question, and stands in the verdict."
-        )
-    return text + f"after {tests} its part in the variance is {wanted} of today’s whole variance."
 
 
 def design_table(contents: Contents, name: str) -> Table | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 
 from uqsphere.quantities import format_value
 from uqsphere.report.assumptions import beyond_bars, reach_note
 from uqsphere.report.blocks import Table, Verdict, cell
+from uqsphere.report.claims import Claim, answer_claim
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import (
@@ -20,89 +20,27 @@ from uqsphere.report.phrases import (
     limit_name,
     listed,
     number_text,
-    of_limit,
     plain_percent,
     probability_range,
     rounded,
     safe_side,
-    solved_name,
     two_digits,
     value_text,
 )
-from uqsphere.results import BarsEntry, FactorsEntry, LimitEntry, MarginEntry, MarginOpenEntry, Results
+from uqsphere.results import BarsEntry, FactorsEntry, LimitEntry, MarginEntry
 from uqsphere.results.entries import Est
-from uqsphere.study.axis import quantity_of
 
 __all__ = [
     "at_most",
     "down",
-    "margin_answer",
     "margin_verdicts",
     "no_common_value",
     "parts_finding",
     "parts_table",
     "reserve",
     "settling_text",
-    "subject_of",
     "tests_text",
 ]
-
-
-def subject_of(results: Results, solve: str) -> str:
-    """The name whose unit the free scalar has: a strength has that of its limit's quantity."""
-    return quantity_of(solve, {limit: str(entry.quantity) for limit, entry in results.limits.items()})
-
-
-def margin_answer(results: Results, name: str) -> str:
-    """At most or at least how much keeps the aim of a limit, in a sentence; empty where it has no target."""
-    entry, limit = results.margins.get(name), results.limits.get(name)
-    if not entry or not entry.value or limit is None or limit.target is None:
-        return ""
-    value, solve = entry.value, entry.solve
-    subject = subject_of(results, solve)
-    survive = limit.aim == "survive"
-    chance = plain_percent(limit.target if survive else 1.0 - limit.target)
-    share = f"at most {chance}" if survive else f"{chance} or more"
-    aim = f"{event(results, name)} with a probability of {share}"
-    own = of_limit(results, name)
-    if value.value is None:
-        # that there is none may be said only where the whole range was looked at
-        if str(value.reason).startswith("no value between"):
-            return f"No {input_name(solve)} between the bounds of the study is such that {aim}{own}: {value.reason}."
-        return f"At which {input_name(solve)} {aim}{own} is not known: {value.reason}."
-    most = at_most(entry, limit.aim)
-    word = "at most" if most else "at least"
-    opened = entry.ignorance
-    known = safe_side(value, subject, at_most=most)
-    what = solved_name(results, solve)
-    if opened.sure is not None:
-        # what the tests leave open comes first: the value by their fitted law is exact in nothing but the computation
-        exact = Est.of(opened.sure)
-        sure = safe_side(exact, subject, at_most=most, digits=3)
-        text = (
-            f"{what}: {word} {sure} to be {plain_percent(opened.confidence)} sure (one-sided) that {aim}{own}, the "
-            f"value to keep to; {word} {known} by the law fitted to the {_tests(opened)}{_open_range(opened, subject)}"
-        )
-    else:
-        text = f"{what}: {word} {known}, so that {aim}{own}"
-        if opened and opened.reason is None:
-            confidence = plain_percent(opened.confidence)
-            text += f"; {_tests(opened)} are too few to be {confidence} sure of any value looked at"
-    beyond = beyond_bars(entry, subject)
-    return f"{text}. {known} is the answer for elastic bars: {beyond}." if beyond else f"{text}."
-
-
-def _open_range(opened: MarginOpenEntry, subject: str) -> str:
-    """Between which values the tests leave the answer, two-sided."""
-    if opened.low is None or opened.high is None:
-        return ""
-    low, high = (value_text(end, subject, 3) for end in (opened.low, opened.high))
-    return f", which leave open {low} to {high} (95 %)"
-
-
-def _tests(opened: MarginOpenEntry) -> str:
-    stopped = opened.stopped
-    return f"{opened.tests} tests" + (f" ({stopped} of them stopped before failure)" if stopped else "")
 
 
 def margin_verdicts(contents: Contents) -> list[Verdict]:
@@ -110,8 +48,8 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
     found: list[Verdict] = []
     said = ""
     for name in contents.results.margins:
-        answer = margin_answer(contents.results, name)
-        if not answer:
+        answer = answer_claim(contents.results, name)
+        if answer is None:
             continue
         entry, limit = contents.results.margins[name], contents.results.limits[name]
         lines = (
@@ -133,18 +71,17 @@ def margin_verdicts(contents: Contents) -> list[Verdict]:
     return found
 
 
-def _headed(answer: str, entry: MarginEntry, contents: Contents) -> tuple[str, str]:
-    """The answer in its first clause, with what the bars stand if that lies below it, and the rest of it."""
-    first, *rest = re.split(r"; |\. ", answer, maxsplit=1)
+def _headed(claim: Claim, entry: MarginEntry, contents: Contents) -> tuple[str, str]:
+    """The answer, with what the bars stand if that lies below it, and the rest of what is claimed."""
     sure = entry.ignorance.sure
     told = entry.value if sure is None else entry.value.model_copy(update={"value": sure})
     beyond = beyond_bars(entry.model_copy(update={"value": told}), contents.subject(entry.solve))
-    beyond = beyond.partition(": there")[0]
-    head = first.rstrip(".") + (f"; {beyond}" if beyond else "")
-    if rest and beyond and sure is None:
+    more = list(claim.more)
+    if more and beyond is not None and sure is None:
         # the head has it already
-        return f"{head}.", f"{rest[0].partition(': ')[0]}."
-    return f"{head}.", capital(rest[0]) if rest else ""
+        more[-1] = f"{claim.short} is the answer for elastic bars"
+    head = claim.first.rstrip(".") + (f"; {beyond.clause}" if beyond is not None else "")
+    return f"{head}.", capital("; ".join(more)) + "." if more else ""
 
 
 def no_common_value(contents: Contents) -> str:
@@ -296,7 +233,7 @@ def bars_text(bars: BarsEntry, entry: MarginEntry, contents: Contents) -> str:
         value = safe_side(contact, subject, at_most=rising, digits=3)
         text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
         text += f"{'from' if rising else 'below'} {value}"
-        text += " on: harder or thicker bars are due" if beyond_bars(entry, subject) else " on"
+        text += " on: harder or thicker bars are due" if beyond_bars(entry, subject) is not None else " on"
     elif bars.contact_everywhere == "yields":
         text = (
             f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "

@@ -6,10 +6,10 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 
 from uqsphere.quantities import OUTPUTS, lookup
-from uqsphere.report.assumptions import answer_checks, cases_text, check_name, yields_at
+from uqsphere.report.assumptions import answer_checks, at_fracture, cases_text, check_name, yields_at
 from uqsphere.report.blocks import Table, cell, index_cell, thousands
+from uqsphere.report.claims import ranked
 from uqsphere.report.contents import Contents, family_of
-from uqsphere.report.figures.indices import ranked
 from uqsphere.report.phrases import (
     ABSENT,
     answer_text,
@@ -173,7 +173,7 @@ def answer_checks_table(contents: Contents, name: str) -> Table | None:
 def checks_table(contents: Contents) -> Table:
     """Validity checks, graded, with the share of the samples that break each."""
     caption = "Assumptions of the model, checked on a pilot sample of the study as planned"
-    if any("specimens that break" in str(check.text) for check in contents.results.validity):
+    if any(map(at_fracture, contents.results.validity)):
         caption += (
             "; at fracture on specimens that break, drawn from the samples each with its own probability to break"
         )

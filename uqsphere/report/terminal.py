@@ -8,8 +8,7 @@ from typing import Final
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import format_value, reading_units
 from uqsphere.report.assumptions import answer_checks, instead_text, turns, verdict_word
-from uqsphere.report.drivers import first_to_measure, specimens
-from uqsphere.report.margins import margin_answer, subject_of
+from uqsphere.report.claims import claims, first_to_measure, specimens, subject_of
 from uqsphere.report.phrases import (
     MOST_DIGITS,
     SUBJECTS,
@@ -297,7 +296,7 @@ def summary_of(results: Results, width: int | None = None) -> str:
 
 
 def _parts(results: Results, width: int) -> list[str]:
-    answers = [wrap(text, width) for name in results.margins if (text := margin_answer(results, name))]
+    answers = [wrap(claim.text, width) for claim in claims(results) if claim.topic == "answer"]
     parts = [wrap(results.study.title, width, ""), "", *answers, *([""] if answers else [])]
     parts += [*_verdicts(results, width), *_governing(results, width)]
     broken = _fracture_rows(results.fracture)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from uqsphere.quantities import lookup, unit_that_reads
-from uqsphere.report.margins import subject_of
+from uqsphere.report.claims import subject_of
 from uqsphere.results import Results
 
 __all__ = ["units_of"]

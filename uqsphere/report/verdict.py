@@ -26,12 +26,18 @@ from uqsphere.report.assumptions import (
     warned,
 )
 from uqsphere.report.blocks import Verdict
+from uqsphere.report.claims import (
+    demand_claim,
+    distribution_claim,
+    first_to_measure,
+    margin_word,
+    measure_claim,
+    shares_claim,
+)
 from uqsphere.report.contents import Contents
-from uqsphere.report.drivers import first_to_measure, measure_finding, mostly_missed
+from uqsphere.report.drivers import mostly_missed
 from uqsphere.report.figures.canvas import shorten
-from uqsphere.report.figures.distributions import distribution_finding, single_value
-from uqsphere.report.figures.fragility import margin_finding, margin_word
-from uqsphere.report.figures.indices import sensitivity_finding
+from uqsphere.report.figures.distributions import single_value
 from uqsphere.report.margins import no_common_value, settling_text, tests_text
 from uqsphere.report.phrases import (
     absent_reason,
@@ -56,11 +62,10 @@ from uqsphere.report.phrases import (
     safe_side,
     shortfalls,
     symbol,
-    the_input,
     value_text,
     without_failed,
 )
-from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, Results
+from uqsphere.results import LimitEntry, MeasureEntry, Results
 from uqsphere.results.entries import Est
 from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION
 
@@ -160,7 +165,7 @@ def _uncertainty(contents: Contents, limit: LimitEntry, word: str) -> str:
     if opened and limit.ignorance.known:
         (low, high), met = limit.ignorance.miss, limit.ignorance.met
         by_tests = _against(limit, *outward(low, high), "undecided" if met is None else "met" if met else "not met")
-        opened = opened.replace(" (95 %).", f" (95 %){by_tests}.", 1) if by_tests else opened
+        opened = ignorance_text(contents, limit, by_tests)
         return f"Its uncertainty: {opened[:1].lower()}{opened[1:]} {capital(_computed(contents, limit, word))}"
     text = f"Its uncertainty: {_computed(contents, limit, word)}"
     given = "The laws of the inputs and the strength are taken as given: the real uncertainty is larger."
@@ -215,8 +220,11 @@ def _times(ratio: float) -> str:
     return f"{math.floor(ratio * 10**digits) / 10**digits:,.{digits}f}".replace(",", "\u202f")
 
 
-def ignorance_text(contents: Contents, limit: LimitEntry) -> str:
-    """What the tests behind the laws leave open, in sentences; empty where no law was fitted to tests."""
+def ignorance_text(contents: Contents, limit: LimitEntry, against: str = "") -> str:
+    """What the tests behind the laws leave open, in sentences; empty where no law was fitted to tests.
+
+    `against` says in a clause how far that stays off the target.
+    """
     opened = limit.ignorance
     if not opened:
         return ""
@@ -224,7 +232,7 @@ def ignorance_text(contents: Contents, limit: LimitEntry) -> str:
     if opened.reason is not None:
         return f"What the tests of {sources} leave open is not known: {opened.reason}."
     low, high = opened.miss
-    text = f"The tests of {sources} leave open a probability of {probability_range(low, high)} (95 %)"
+    text = f"The tests of {sources} leave open a probability of {probability_range(low, high)} (95 %){against}"
     if limit.target is not None and opened.met is None:
         text += ", on both sides of the target: more tests would decide it"
     text += "."
@@ -269,7 +277,7 @@ def _hangs_on(contents: Contents, limit: LimitEntry) -> str:
             text += f", of {ways} ways to {whole} the aim; the others may hang on other inputs. " if ways > 1 else ". "
     else:
         text += "no failure, or nothing else, was seen, so the governing inputs are not known. "
-    return text + sensitivity_finding(contents, limit.quantity) if not governing else text.rstrip()
+    return text + shares_claim(contents.results, limit.quantity).text if not governing else text.rstrip()
 
 
 def _quantity_verdict(contents: Contents, name: str) -> Verdict:
@@ -280,7 +288,7 @@ def _quantity_verdict(contents: Contents, name: str) -> Verdict:
     return Verdict(
         word="answer",
         heading=symbol(name),
-        lines=(distribution_finding(contents, name), sensitivity_finding(contents, name)),
+        lines=(distribution_claim(contents.results, name).text, shares_claim(contents.results, name).text),
     )
 
 
@@ -398,34 +406,33 @@ class Glance:
 
 def glances(contents: Contents) -> list[Glance]:
     """What is asked first: how far may one go, how much margin, what drives it, what to measure, is it valid."""
-    limits, found = contents.results.limits, []
+    limits = contents.results.limits
     several = len(limits) > 1
+    found: list[tuple[int, Glance]] = []
     for name, limit in limits.items():
         own = f" ({limit_name(name, 30)})" if several else ""
+        to_break = limit.aim == "break"
         if name in contents.results.margins:
             solve = contents.results.margins[name].solve
-            word = "Least" if limit.aim == "break" else "Largest"
             mean = "mean " if solve in contents.resolved.random else ""
-            question = f"{word} {mean}{input_name(solve)}{own}"
-            found.append(Glance(question=question, answer=allowed_value(contents, name), anchor="decision"))
-        text = margin_finding(name, limit.margin, limit.aim)
-        answer = capital(text.partition(": ")[2] if ": " in text else text)
-        found.append(Glance(question=f"{margin_word(limit)}{own}", answer=answer, anchor="margins"))
-        found.append(Glance(question=f"Measure next{own}", answer=_measure_limit(contents, name), anchor="measure"))
+            question = f"{'Least' if to_break else 'Largest'} {mean}{input_name(solve)}{own}"
+            answer = allowed_value(contents, name)
+            found.append((to_break, Glance(question=question, answer=answer, anchor="decision")))
+        word, answer = margin_word(limit), demand_claim(name, limit).told
+        found.append((3 + (word != "Margin"), Glance(question=f"{word}{own}", answer=answer, anchor="margins")))
+        answer = _measure_limit(contents, name)
+        found.append((6, Glance(question=f"Measure next{own}", answer=answer, anchor="measure")))
     if not limits:
-        for entry in contents.results.sensitivity.values():
-            if entry.measure_first:
-                found.append(Glance(question="Measure next", answer=_measure(entry.measure_first), anchor="measure"))
-                break
+        asked = (e.measure_first for e in contents.results.sensitivity.values() if e.measure_first)
+        answer = _measure(next(asked, MeasureEntry()))
+        found.append((6, Glance(question="Measure next", answer=answer, anchor="measure")))
     quantities = dict.fromkeys(limit.quantity for limit in limits.values())
     for name in [q for q in quantities if q in contents.results.sensitivity]:
-        found.append(Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers"))
+        found.append((5, Glance(question="Main driver", answer=_driver(contents, name), anchor="drivers")))
     if contents.results.validity:
-        found.append(Glance(question="Model valid?", answer=_valid(contents), anchor="computed"))
-    found.append(Glance(question="All aims together", answer=no_common_value(contents), anchor="decision"))
-    kept = [glance for glance in found if glance.answer]
-    order = ("Largest", "Least", "All aims", "Margin", "Shortfall", "Main driver", "Measure next", "Model valid?")
-    return sorted(kept, key=lambda g: next(k for k, word in enumerate(order) if g.question.startswith(word)))
+        found.append((7, Glance(question="Model valid?", answer=_valid(contents), anchor="computed")))
+    found.append((2, Glance(question="All aims together", answer=no_common_value(contents), anchor="decision")))
+    return [glance for _, glance in sorted(found, key=lambda pair: pair[0]) if glance.answer]
 
 
 def allowed_value(contents: Contents, name: str) -> str:
@@ -448,11 +455,8 @@ def allowed_value(contents: Contents, name: str) -> str:
         text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
         text += f"({plain_percent(accepted)}); where that is reached is not known"
     elif accepted is not None and not safe:
-        text += f", more than the target allows ({plain_percent(accepted)}); no smaller probability was asked for"
-        if not survive:
-            text = (
-                text.replace(", more than", ", less than").replace("no smaller", "no larger").replace("allows", "needs")
-            )
+        more, allows, smaller = ("more", "allows", "smaller") if survive else ("less", "needs", "larger")
+        text += f", {more} than the target {allows} ({plain_percent(accepted)}); no {smaller} probability was asked for"
     elif accepted is not None and p == accepted:
         text += ", the target"
     opened = entry.ignorance
@@ -468,7 +472,7 @@ def allowed_value(contents: Contents, name: str) -> str:
             f"sure; the {opened.tests} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
         )
     beyond = beyond_bars(entry.model_copy(update={"value": known[p], "probability": p}), subject)
-    return f"{text}; {beyond}." if beyond else f"{text}."
+    return f"{text}; {beyond.text}." if beyond is not None else f"{text}."
 
 
 def _driver(contents: Contents, quantity: str) -> str:
@@ -484,21 +488,17 @@ def _driver(contents: Contents, quantity: str) -> str:
             ways_text = f" in the likeliest of {ways} ways" if ways > 1 else ""
             whole = f"{share} of what its failures tell" if several else f"importance factor {share}{ways_text}"
             parts.append(f"Of the probability of {limit_name(name)}, which decides: {input_name(first)} ({whole}).")
-    load = sensitivity_finding(contents, quantity)
-    if not contents.results.sensitivity.get(quantity, IndexEntry()).shapley:
-        # the largest share alone: the next ones stand in the chapter
-        load = load.partition(";")[0].partition(" Interactions ")[0].rstrip(".") + "."
+    # the largest share alone: the next ones stand in the chapter
+    load = shares_claim(contents.results, quantity).first
     return " ".join([*parts, f"Of the load alone: {load}"])
 
 
-def _measure(entry: MeasureEntry | None) -> str:
+def _measure(entry: MeasureEntry) -> str:
     """Which input first, and how many specimens it takes."""
-    rows = entry.rows if entry is not None else ()
-    if not rows or entry is None:
-        return ""
-    text, first = measure_finding(entry).removeprefix("Measure ").replace(" first:", ":", 1), first_to_measure(entry)
-    own = first is not None and not the_input(first.input).startswith("the ")
-    return text if own else capital(text)
+    claim, first = measure_claim("", entry), first_to_measure(entry)
+    if claim is None or first is None:
+        return claim.text if claim is not None else ""
+    return f"{begin(first.input, claim.short)}: {claim.told[:1].lower()}{claim.told[1:]}"
 
 
 def _measure_limit(contents: Contents, name: str) -> str:

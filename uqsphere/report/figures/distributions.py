@@ -9,15 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.quantities import display_unit
+from uqsphere.report.claims import distribution_claim
 from uqsphere.report.contents import Contents, Samples, law_of
 from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, new_figure, slug, style
 from uqsphere.report.phrases import (
-    begin,
-    call,
     limit_name,
     listed,
     plain_percent,
-    rounded,
     short_input,
     symbol,
     unit_text,
@@ -129,7 +127,7 @@ def distribution_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("distribution", quantity),
         title=f"Distribution of {symbol(quantity)}",
-        finding=distribution_finding(contents, quantity),
+        finding=distribution_claim(contents.results, quantity).text,
         figure=figure,
         **_drawn_densities(samples, strengths, (low, high), logarithmic),
     )
@@ -270,29 +268,6 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
         borderpad=0.0,
         handlelength=1.8,
     )
-
-
-def distribution_finding(contents: Contents, quantity: str) -> str:
-    """What the distribution of a quantity says, in one or two sentences."""
-    entry = contents.results.quantities[quantity]
-    quantiles = entry.quantiles
-    median, low, high = (quantiles.get(p, Est()) for p in ("0.5", "0.05", "0.95"))
-    share = entry.censored_share.value or 0.0
-    name = begin(quantity, call(quantity))
-    if share >= 1.0:
-        return f"{name}: no sample ends within its record, so that only a lower bound is known."
-    if median.value is None:
-        text = f"{name}: the median is not known ({median.reason})."
-    elif low.value is not None and high.value is not None:
-        text = (
-            f"{name}: half of the cases lie below {rounded(median, quantity)}, and nine in ten between "
-            f"{rounded(low, quantity)} and {rounded(high, quantity)}."
-        )
-    else:
-        text = f"{name}: half of the cases lie below {rounded(median, quantity)}."
-    if share > 0.0:
-        text += f" In {plain_percent(share)} of the cases it outlasts the record; these are known as lower bounds only."
-    return text
 
 
 def single_value(contents: Contents, quantity: str) -> str:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from uqsphere.quantities import display_unit
 from uqsphere.report.assumptions import yields_at
 from uqsphere.report.blocks import Block, Table
+from uqsphere.report.claims import _known, demand_claim
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -49,7 +50,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.report.tables import margins_table
 from uqsphere.results import AgainstEntry, LimitEntry, MarginEntry
-from uqsphere.results.entries import Est, Ests
+from uqsphere.results.entries import Est
 from uqsphere.runner.questions.curves import member_values
 
 if TYPE_CHECKING:
@@ -66,9 +67,7 @@ __all__ = [
     "lognormal_remarks",
     "lognormal_scores",
     "margin_figure",
-    "margin_finding",
     "margin_findings",
-    "margin_word",
     "probability_axis",
     "score",
     "solved_label",
@@ -149,48 +148,9 @@ def _margin_bar(axes: Axes, row: int, limit: LimitEntry) -> None:
     axes.set_xlim(left, right)
 
 
-def _known(margin: Ests) -> Ests:
-    """The quantiles of a margin that have a value, the lowest first."""
-    return {key: margin[key] for key in ("0.05", "median", "0.95") if key in margin and margin[key].value is not None}
-
-
 def margin_findings(limits: Mapping[str, LimitEntry]) -> str:
     """The margins of all limits in sentences."""
-    return " ".join(margin_finding(name, limit.margin, limit.aim) for name, limit in limits.items())
-
-
-def margin_word(limit: LimitEntry) -> str:
-    """Margin, or shortfall where a demand is to reach a strength and in the median does not."""
-    median = limit.margin["median"].value
-    return "Shortfall" if limit.aim == "break" and median is not None and median > 1.0 else "Margin"
-
-
-def margin_finding(name: str, margin: Ests, aim: str = "survive") -> str:
-    """The margin of a limit in a sentence, or why there is none; a shortfall where the aim is to break."""
-    text = _margin_finding(name, margin)
-    median = margin["median"].value
-    if aim != "break" or median is None or median <= 1.0:
-        return text
-    text = text.replace(": the strength is ", ": short of it, the strength is still ", 1)
-    return text + " The load would have to be that many times as large to break it."
-
-
-def _margin_finding(name: str, margin: Ests) -> str:
-    known = {key: rounded(e, digits=3) for key, e in _known(margin).items()}
-    absent = next((e for e in margin.values() if e.value is None), None)
-    reason = "" if absent is None else str(absent.reason or "the strength is zero")
-    if not known:
-        return f"Limit {limit_name(name)} has no margin: {reason or 'the strength is zero'}."
-    text = f"Limit {limit_name(name)}: the strength is "
-    if len(known) == 3 and len(set(known.values())) == 1:
-        return text + f"{known['median']} times the demand."
-    if len(known) == 3:
-        return text + (
-            f"{known['median']} times the demand in the median case, and between {known['0.05']} and "
-            f"{known['0.95']} times it in nine cases of ten."
-        )
-    words = {"median": "in the median case", "0.05": "at the 5 % end", "0.95": "at the 95 % end"}
-    return text + "; ".join(f"{value} times the demand {words[key]}" for key, value in known.items()) + f" ({reason})."
+    return " ".join(demand_claim(name, limit).text for name, limit in limits.items())
 
 
 def score(p: Any, least: float = _LEAST) -> Array:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.report.blocks import Table, index_cell
+from uqsphere.report.claims import ranked, shares_claim
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
     BLUE,
@@ -28,7 +29,6 @@ from uqsphere.report.phrases import (
     begin,
     capital,
     input_name,
-    listed,
     share_text,
     short_input,
     symbol,
@@ -49,9 +49,7 @@ __all__ = [
     "pair_figure",
     "pair_finding",
     "pair_table",
-    "ranked",
     "sensitivity_figure",
-    "sensitivity_finding",
 ]
 
 _HALF: Final = 0.17
@@ -319,74 +317,9 @@ def sensitivity_figure(contents: Contents, quantity: str) -> Picture | None:
     return Picture(
         name=slug("sensitivity", quantity),
         title=f"What drives {symbol(quantity)}",
-        finding=sensitivity_finding(contents, quantity),
+        finding=shares_claim(contents.results, quantity).text,
         figure=figure,
     )
-
-
-def ranked(entry: IndexEntry | None) -> list[str]:
-    """Inputs with an index, the most important first: by the total index where interactions are seen."""
-    if not entry:
-        return []
-    known = [n for n, e in entry.total.items() if e.value is not None and entry.first[n].value is not None]
-    order = entry.total if any(_interacts(entry, name) for name in known) else entry.first
-    return sorted(known, key=lambda name: -float(order[name].value or 0.0))
-
-
-def sensitivity_finding(contents: Contents, quantity: str) -> str:
-    """Which inputs drive a quantity, with numbers."""
-    entry = contents.results.sensitivity.get(quantity)
-    rows = ranked(entry)
-    name = symbol(quantity)
-    if not rows and entry and entry.shapley:
-        return _shared_finding(entry.shapley, name)
-    if not rows or entry is None:
-        reason = str((entry.check.text if entry is not None else "") or "no indices were computed").rstrip(".")
-        return f"What drives {name} is not known: {reason}."
-    acting = any(_interacts(entry, n) for n in rows)
-    parts = [_driver(entry, n, acting) for n in rows[:3] if n == rows[0] or _seen(entry.total[n])]
-    text = f"{begin(rows[0], parts[0][0])} drives {parts[0][1]} of the variance of {name}"
-    if len(parts) > 1:
-        text += "; next " + listed([f"{words} with {share}" for words, share in parts[1:]])
-    if acting:
-        return f"{text}."
-    if any(_exceeds(entry, n) for n in rows):
-        return f"{text}. Interactions that are seen add at most 1 % to an input."
-    return f"{text}. Interactions are not seen above the intervals."
-
-
-def _shared_finding(shapley: Ests, name: str) -> str:
-    """Who owns the variance where inputs depend on each other."""
-    known = {n: float(e.value) for n, e in shapley.items() if e.value is not None}
-    if not known:
-        reason = next((str(e.reason) for e in shapley.values()), "no effects were computed")
-        return f"What drives {name} is not known: {reason}."
-    shares = [f"{short_input(n)} ({100.0 * known[n]:.0f} %)" for n in sorted(known, key=lambda n: -known[n])[:3]]
-    return f"Inputs depend on each other; by Shapley effects the variance of {name} belongs to {listed(shares)}."
-
-
-def _seen(estimate: Est) -> bool:
-    return (estimate.low or 0.0) > 0.0 and estimate.number > 0.005
-
-
-def _interacts(entry: IndexEntry, name: str) -> bool:
-    """Whether the total index is larger than the first by more than the intervals and by what matters."""
-    first, total = entry.first[name], entry.total[name]
-    return _exceeds(entry, name) and total.number - first.number > 0.01
-
-
-def _exceeds(entry: IndexEntry, name: str) -> bool:
-    """Whether the total index is larger than the first by more than the intervals."""
-    first, total = entry.first[name], entry.total[name]
-    return first.high is not None and total.low is not None and bool(total.low > first.high)
-
-
-def _driver(entry: IndexEntry, name: str, acting: bool) -> tuple[str, str]:
-    """An input in words, and its share of the variance; with its interactions where any input has them."""
-    first, total = share_text(entry.first[name]), share_text(entry.total[name])
-    if acting:
-        return short_input(name), f"{total} with its interactions ({first} alone)"
-    return short_input(name), first
 
 
 #: inputs of a sensitivity figure
