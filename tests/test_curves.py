@@ -24,14 +24,14 @@ from uqsphere.study import Study
 from uqsphere.uq.curve import fit_axis, local_lines
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
-#: speeds at which the crusher's limestone breaks with these probabilities, by 131,072 straight rows of another seed on
+#: speeds at which the limestone breaks with these probabilities, by 131,072 straight rows of another seed on
 #: either side of each (bench/fragility.py: straight_value), good to 1e-5 and better
 TRUTH = {0.01: 0.771664, 0.5: 1.4185936, 0.99: 1.933693}
 
 
 @pytest.fixture(scope="module")
-def crusher() -> Study:
-    return uqsphere.load_study(STUDIES / "crusher_margin.toml")
+def crushed() -> Study:
+    return uqsphere.load_study(STUDIES / "limestone_margin.toml")
 
 
 def kinked(value: float, z: np.ndarray) -> np.ndarray:
@@ -78,8 +78,8 @@ def test_lines_level_noise_and_keep_what_rises() -> None:
     assert local_lines(places, line, at, 0.2)[0] == pytest.approx(np.tile(3.0 * at[:, None] - 1.0, (1, 16)))
 
 
-def test_values_of_a_study_cover(crusher: Study) -> None:
-    found = value_coverage(crusher, crusher.limits[0], TRUTH, evaluations=3000, seeds=range(6))
+def test_values_of_a_study_cover(crushed: Study) -> None:
+    found = value_coverage(crushed, crushed.limits[0], TRUTH, evaluations=3000, seeds=range(6))
     assert sum(one.covered for one in found) >= 15
     for one in found:
         assert one.runs == 6
@@ -88,18 +88,18 @@ def test_values_of_a_study_cover(crusher: Study) -> None:
         assert one.error < 0.002
 
 
-def test_a_straight_value_agrees(crusher: Study) -> None:
-    value, error = straight_value(crusher, crusher.limits[0], 0.5, near=1.4, rows=256)
+def test_a_straight_value_agrees(crushed: Study) -> None:
+    value, error = straight_value(crushed, crushed.limits[0], 0.5, near=1.4, rows=256)
     assert error < 1e-3
     assert abs(value - TRUTH[0.5]) < 4.0 * error
 
 
-def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
-    budget = crusher.analysis.budget.evaluations
-    work = Work(study=crusher, store=None, ledger=Ledger(evaluations={"full": budget - 100}), fidelity="full")
+def test_evaluations_that_ran_out_are_told_as_that(crushed: Study) -> None:
+    budget = crushed.analysis.budget.evaluations
+    work = Work(study=crushed, store=None, ledger=Ledger(evaluations={"full": budget - 100}), fidelity="full")
     found = find_margins(work, cast("Any", None))
     assert work.ledger.total == budget - 100
-    for limit in crusher.limits:
+    for limit in crushed.limits:
         answer = found[limit.name]
         assert answer.curve == []
         assert "evaluations ran out" in answer.missed[0]
@@ -118,16 +118,16 @@ def test_evaluations_that_ran_out_are_told_as_that(crusher: Study) -> None:
         assert not text.startswith("No ")
 
 
-def test_a_family_says_which_curves_the_budget_did_not_reach(crusher: Study) -> None:
-    assert crusher.margins is not None
-    study = replace(crusher, margins=replace(crusher.margins, bars_elastic=False), limits=crusher.limits[:1])
+def test_a_family_says_which_curves_the_budget_did_not_reach(crushed: Study) -> None:
+    assert crushed.margins is not None
+    study = replace(crushed, margins=replace(crushed.margins, bars_elastic=False), limits=crushed.limits[:1])
     budget = study.analysis.budget.evaluations
     work = Work(study=study, store=None, ledger=Ledger(evaluations={"full": budget - 1700}), fidelity="full")
-    found = curves_along(work, study.limits, most=10**5)["chute"]
+    found = curves_along(work, study.limits, most=10**5)["whole"]
     assert not isinstance(found, str)
     assert found.values[0.5].value == pytest.approx(TRUTH[0.5], rel=0.01)
     members = family_curves(work, study.limits, 10**5)
-    assert all("evaluations ran out" in str(member["chute"]) for member in members.values())
+    assert all("evaluations ran out" in str(member["whole"]) for member in members.values())
     assert work.ledger.total <= budget
 
 

@@ -196,7 +196,7 @@ def test_tests_of_the_strength_open_the_answer(tmp_path: Path) -> None:
 def test_a_curve_costs_little_more_than_a_point() -> None:
     from tests.campaigns.fragility import curve_cost
 
-    study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
+    study = Path(uqsphere.__file__).parent.parent / "studies" / "limestone_margin.toml"
     found = curve_cost(study, reference_rows=64)
     assert found.points == 40
     assert found.half_width <= 0.02
@@ -205,10 +205,10 @@ def test_a_curve_costs_little_more_than_a_point() -> None:
 
 
 def test_an_impact_over_energy_with_a_family_and_bars(tmp_path: Path) -> None:
-    study = Path(uqsphere.__file__).parent.parent / "studies" / "crusher_margin.toml"
+    study = Path(uqsphere.__file__).parent.parent / "studies" / "limestone_margin.toml"
     sets = [*SMALL, f'margins.solve="{ENERGY}"', 'margins.between=["0.5 J/kg", "50 kJ/kg"]']
-    found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results.document()["margins"]["chute"]
-    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results.document()["margins"]["chute"]
+    found = uqsphere.run(uqsphere.load_study(study, sets), out=tmp_path / "r").results.document()["margins"]["whole"]
+    speeds = uqsphere.run(uqsphere.load_study(study, SMALL), out=tmp_path / "s").results.document()["margins"]["whole"]
     # kinetic energy of the striker over the sphere's mass, at the means: v50 is the same event
     means = uqsphere.load_study(study).at_means()
     mass = 4.0 / 3.0 * math.pi * means["sphere.radius"] ** 3 * means["sphere.density"]

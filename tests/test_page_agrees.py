@@ -61,8 +61,8 @@ def solved(folder: Path, **limits: dict[str, Any]) -> Path:
 
 
 @pytest.fixture
-def chute(tmp_path: Path) -> Contents:
-    return read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+def whole(tmp_path: Path) -> Contents:
+    return read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
 
 
 def words(picture: Picture | None) -> list[str]:
@@ -79,26 +79,26 @@ def headings(folder: Path) -> list[str]:
     ]
 
 
-def test_the_figure_rounds_its_answer_to_the_safe_side(chute: Contents) -> None:
-    labels = words(fragility_figure(chute, "chute"))
+def test_the_figure_rounds_its_answer_to_the_safe_side(whole: Contents) -> None:
+    labels = words(fragility_figure(whole, "whole"))
     assert "0.658 m/s" in labels
     assert "0.659 m/s" not in labels
 
 
 def test_the_answer_keeps_its_label_beside_a_neighbour(tmp_path: Path) -> None:
-    path = solved(tmp_path, crusher=limit(0.2, 0.1, False, aim="break")) / "results.json"
+    path = solved(tmp_path, crushed=limit(0.2, 0.1, False, aim="break")) / "results.json"
     results = json.loads(path.read_text(encoding="utf-8"))
-    values = results["margins"]["crusher"]["values"]
+    values = results["margins"]["crushed"]["values"]
     # 0.88 stands before it and is no answer
-    results["margins"]["crusher"]["values"] = {"0.88": estimate(2.7), **values}
+    results["margins"]["crushed"]["values"] = {"0.88": estimate(2.7), **values}
     path.write_text(json.dumps(results), encoding="utf-8")
-    labels = words(fragility_figure(read_contents(tmp_path), "crusher"))
+    labels = words(fragility_figure(read_contents(tmp_path), "crushed"))
     assert "2.80 m/s" in labels
     assert "2.70 m/s" not in labels
 
 
 def test_how_often_the_bars_yield_at_the_answer_is_one_number(tmp_path: Path) -> None:
-    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    folder = solved(tmp_path, whole=limit(0.0075, 0.01, True))
     page = build_report(folder).read_text(encoding="utf-8").replace("\u00a0", " ")
     text = summary_of(read_results(folder), 200)
     for said in (page, text):
@@ -109,15 +109,15 @@ def test_how_often_the_bars_yield_at_the_answer_is_one_number(tmp_path: Path) ->
 
 
 def test_headings_say_the_finding(tmp_path: Path) -> None:
-    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    folder = solved(tmp_path, whole=limit(0.0075, 0.01, True))
     found = headings(folder)
     for heading in (
-        "Fragility of “chute”: 1 % at 0.658 m/s",
+        "Fragility of “whole”: 1 % at 0.658 m/s",
         "Strength over demand: 1.50 in the median case",
-        "What the margin of “chute” is made of: 90 % by the strength of “chute”",
+        "What the margin of “whole” is made of: 90 % by the strength of “whole”",
         "Young’s modulus of the sphere drives p_max: 50 % of its variance by itself",
         "Validity of the model: no check is broken",
-        "Validity of the model at the answer for “chute”: 1 of 1 checks is broken somewhere",
+        "Validity of the model at the answer for “whole”: 1 of 1 checks is broken somewhere",
         "Model chosen: full",
         "What was asked, what was reached: all of it",
     ):
@@ -128,37 +128,37 @@ def test_headings_say_the_finding(tmp_path: Path) -> None:
 
 
 def test_a_curve_that_two_limits_share_is_tabled_once(tmp_path: Path) -> None:
-    chute, crusher = limit(0.0075, 0.01, True), limit(0.9, 0.1, False, aim="break")
-    folder = solved(tmp_path, chute=chute, crusher=crusher)
+    whole, crushed = limit(0.0075, 0.01, True), limit(0.9, 0.1, False, aim="break")
+    folder = solved(tmp_path, whole=whole, crushed=crushed)
     page = build_report(folder).read_text(encoding="utf-8").replace("\u00a0", " ")
-    table = page.partition("Fragility of “crusher”")[2].partition("</article>")[0]
-    assert "those of “chute”" in table
+    table = page.partition("Fragility of “crushed”")[2].partition("</article>")[0]
+    assert "those of “whole”" in table
     assert re.findall(r'<th scope="row">(.*?)</th>', table) == ["90 %"]
-    whole = page.partition("Fragility of “chute”")[2].partition("</article>")[0]
+    whole = page.partition("Fragility of “whole”")[2].partition("</article>")[0]
     assert re.findall(r'<th scope="row">(.*?)</th>', whole) == ["1 %", "50 %", "90 %"]
 
 
 def test_a_strength_that_two_limits_share_is_drawn_once(tmp_path: Path) -> None:
     one, other = limit(0.0075, 0.01, True), limit(0.9925, 0.05, False, aim="break")
-    contents = read_contents(write_folder(tmp_path, limits={"chute": one, "crusher": other}))
+    contents = read_contents(write_folder(tmp_path, limits={"whole": one, "crushed": other}))
     assert [t for t in words(distribution_figure(contents, "p_max")) if "strength" in t] == [
-        "strength of “chute” and “crusher”"
+        "strength of “whole” and “crushed”"
     ]
 
 
 def test_tests_count_for_the_rarer_outcome(tmp_path: Path) -> None:
-    row = {"input": "limits.crusher.strength", "share": 0.98, "tests": 1, "observations": None}
+    row = {"input": "limits.crushed.strength", "share": 0.98, "tests": 1, "observations": None}
     row["sway"] = {**estimate(1.83149e-4, 1e-9)}
     entry = {"of": "probability", "wanted": 0.1, "probability": 1.0 - 4.45344e-5, "rows": [row], "reason": "",
              "method": "n = (sway/(0.1 p))^2."}  # fmt: skip
-    crusher = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
-    folder = write_folder(tmp_path, limits={"crusher": crusher})
+    crushed = {**limit(0.99995, 0.05, False, aim="break", half=1e-7), "measure_first": entry}
+    folder = write_folder(tmp_path, limits={"crushed": crushed})
     text = summary_of(read_results(folder), 200)
-    assert "limits.crusher.strength (1,692 tests in all to know the probability to the contrary to 10 %)" in text
+    assert "limits.crushed.strength (1,692 tests in all to know the probability to the contrary to 10 %)" in text
     page = re.sub(r"[\u00a0\u202f]", " ", build_report(folder).read_text(encoding="utf-8"))
     assert "the probability to the contrary itself is known to 10 % (one standard error)" in page
     assert "after 1 692 tests of it in all" in page
-    assert "What to measure first for “crusher”: strength of “crusher”" in page
+    assert "What to measure first for “crushed”: strength of “crushed”" in page
 
 
 def test_a_comparison_shows_what_the_verdicts_take_for_granted(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_the_typeset_document_lists_its_chapters_with_their_pages(tmp_path: Path
     pytest.importorskip("weasyprint", exc_type=(ImportError, OSError))
     from uqsphere.report.page import typeset
 
-    page = build_report(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    page = build_report(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         document = typeset(page.read_text(encoding="utf-8"))

@@ -43,7 +43,7 @@ def narrowest(table: Table) -> float:
     return sum(longest) + GAP * len(longest)
 
 
-@pytest.mark.parametrize("name", ["granite", "crusher-margin"])
+@pytest.mark.parametrize("name", ["granite", "limestone-margin"])
 def test_the_table_of_most_columns_fits_the_page_and_the_paper(name: str) -> None:
     results = read_results(ROOT / "reports" / name)
     contents: Any = SimpleNamespace(results=results, subject=lambda variable: subject_of(results, variable))
@@ -93,7 +93,7 @@ def test_a_narrow_axis_has_several_ticks_and_none_on_another() -> None:
 
 
 def test_a_heading_has_one_colon(tmp_path: Path) -> None:
-    folder = solved(tmp_path, chute=limit(0.0075, 0.01, True))
+    folder = solved(tmp_path, whole=limit(0.0075, 0.01, True))
     assert all(heading.count(":") <= 1 for heading in headings(folder))
     contents = read_contents(folder)
     assert (
@@ -122,20 +122,20 @@ def test_how_far_below_the_target_follows_from_what_is_printed(tmp_path: Path) -
 
 def test_the_two_medians_of_a_margin_are_told_apart(tmp_path: Path) -> None:
     contents = _margined(tmp_path, medians=1.4643)
-    table = parts_table(contents, "chute")
+    table = parts_table(contents, "whole")
     assert table is not None
     assert "is the middle of strength over demand taken case by case; 1.46 is the middle strength" in table.note
-    same = contents.results.limits["chute"].margin["median"].value
-    contents = put(contents, {"results/margins/chute/factors/medians": same})
-    table = parts_table(contents, "chute")
+    same = contents.results.limits["whole"].margin["median"].value
+    contents = put(contents, {"results/margins/whole/factors/medians": same})
+    table = parts_table(contents, "whole")
     assert table is not None
     assert "case by case" not in table.note
 
 
 def _margined(tmp_path: Path, medians: float) -> Contents:
-    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
     factors = {"medians": medians, "fractiles": 1.04, "fractiles_of": {"strength": 0.05, "demand": 0.95}}
-    return put(contents, {"results/margins/chute/factors": factors})
+    return put(contents, {"results/margins/whole/factors": factors})
 
 
 def _broken(name: str, warning: float) -> dict[str, Any]:
@@ -144,10 +144,10 @@ def _broken(name: str, warning: float) -> dict[str, Any]:
 
 
 def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
-    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
     there = {"value": 1.0, "samples": 128, "checks": [_broken("bar_yield_contact", 0.5)]}
     planned = [_broken("bar_yield_contact", 0.1)]
-    contents = put(contents, {"results/validity": planned, "results/margins/chute/validity": there})
+    contents = put(contents, {"results/validity": planned, "results/margins/whole/validity": there})
     page = " ".join(cautions(contents))
     assert page.count("dent widens the contact") == 1
     assert "as planned: the bars yield under the sphere (10 % of the samples), to the same effect" in page
@@ -159,7 +159,7 @@ def test_what_a_broken_check_does_is_said_once(tmp_path: Path) -> None:
 
 
 def test_what_the_bars_stand_is_said_once(tmp_path: Path) -> None:
-    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True), second=limit(0.0075, 0.01, True)))
+    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True), second=limit(0.0075, 0.01, True)))
     bars = {"yield_strength": 1.9e9, "contact_everywhere": "elastic", "pulse_value": 97.5,
             "contact": None, "contact_probability": 0.01}  # fmt: skip
     contents = put(contents, {f"results/margins/{name}/bars": bars for name in contents.results.margins})
@@ -202,7 +202,7 @@ def test_names_are_written_as_people_write_them() -> None:
 
 
 def test_paper_names_the_figure_that_may_stand_on_the_next_page(tmp_path: Path) -> None:
-    page = build_report(solved(tmp_path, chute=limit(0.0075, 0.01, True))).read_text("utf-8")
+    page = build_report(solved(tmp_path, whole=limit(0.0075, 0.01, True))).read_text("utf-8")
     captions = [int(number) for number in re.findall(r"<figcaption>Figure (\d+)\.", page)]
     named = [int(number) for number in re.findall(r'<span class="paper"> \(Figure (\d+)\.\)</span>', page)]
     assert captions == sorted(captions)
@@ -213,12 +213,12 @@ def test_paper_names_the_figure_that_may_stand_on_the_next_page(tmp_path: Path) 
 
 
 def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) -> None:
-    contents = read_contents(solved(tmp_path, chute=limit(0.0075, 0.01, True)))
+    contents = read_contents(solved(tmp_path, whole=limit(0.0075, 0.01, True)))
     member = {"values": {"0.5": estimate(1.0), "0.1": estimate(0.8)},
               "curve": [[0.5 + 0.1 * k, 0.05 + 0.1 * k, 0.04, 0.99] for k in range(9)]}  # fmt: skip
     family = {"path": "sphere.radius", "members": [{"value": r, **member} for r in (0.008, 0.012)]}
-    contents = put(contents, {"results/margins/chute/family": family})
-    picture = family_figure(contents, "chute")
+    contents = put(contents, {"results/margins/whole/family": family})
+    picture = family_figure(contents, "whole")
     assert picture is not None
     (axes,) = picture.figure.axes
     marked = [line for line in axes.lines if line.get_linestyle() == "None"]
@@ -230,7 +230,7 @@ def test_marks_of_a_family_stand_at_the_probabilities_asked_for(tmp_path: Path) 
 def _label(contents: Contents) -> str:
     from uqsphere.report.figures.fragility import fragility_figure
 
-    picture = fragility_figure(contents, "chute")
+    picture = fragility_figure(contents, "whole")
     assert picture is not None
     return str(picture.figure.axes[0].get_xlabel())
 

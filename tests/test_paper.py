@@ -25,7 +25,7 @@ def page_of(folder: Path) -> str:
     return build_report(folder).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("study", ["granite.toml", "crusher_margin.toml"])
+@pytest.mark.parametrize("study", ["granite.toml", "limestone_margin.toml"])
 def test_every_figure_has_its_numbers_in_a_file(tmp_path: Path, study: str) -> None:
     settings = ("analysis.budget.evaluations=12_000", "model.tolerance=1e-3", "analysis.quantiles=[0.05, 0.5, 0.95]",
                 "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.5}")  # fmt: skip

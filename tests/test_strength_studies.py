@@ -171,7 +171,7 @@ def test_inverse_questions_refused(load: Load, margins: str, says: str) -> None:
 
 
 def test_a_family_over_a_number_that_is_faulty_is_no_second_fault() -> None:
-    file = Path(__file__).parents[1] / "studies" / "crusher_margin.toml"
+    file = Path(__file__).parents[1] / "studies" / "limestone_margin.toml"
     with pytest.raises(StudyError, match="no unit") as caught:
         load_study(file, ["sphere.radius=10"])
     assert len(caught.value.problems) == 1

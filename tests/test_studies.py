@@ -28,7 +28,7 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "as_printed": (ROUGH, (3.2e9, 3.9e9)),
     "ishigami": ((), (3.4, 3.6)),
     "gauge_records": (ROUGH, (2.2e9, 2.5e9)),
-    "crusher_margin": (ROUGH, (1.3e7, 1.6e7)),
+    "limestone_margin": (ROUGH, (1.3e7, 1.6e7)),
     "granite_10mm_test": (ROUGH, (1.0e4, 1.3e4)),
 }
 
@@ -112,7 +112,7 @@ def test_the_paper_stands_beside_the_corrected_model(
 def test_the_bead_is_meant_to_break(study_results: tuple[str, dict[str, Any]]) -> None:
     name, found = study_results
     for own, limit in found["limits"].items():
-        meant = name in ("glass_bead_small_bar", "granite_10mm_test") or own == "crusher"
+        meant = name in ("glass_bead_small_bar", "granite_10mm_test") or own == "crushed"
         assert limit["aim"] == ("break" if meant else "survive")
         if limit["aim"] == "break":
             assert limit["miss"]["value"] == pytest.approx(1.0 - limit["exceedance"]["value"], rel=1e-9)

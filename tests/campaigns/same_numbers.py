@@ -70,7 +70,7 @@ CASES = (
     _scene("glass_bead_small_bar", 20_000),
     _scene("gauge_records", 20_000),
     _scene("as_printed", 20_000),
-    _scene("crusher_margin", 40_000),
+    _scene("limestone_margin", 40_000),
     _scene(
         "granite",
         40_000,
