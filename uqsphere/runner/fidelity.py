@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
+from uqsphere.results import CheckEntry
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points
@@ -19,8 +20,9 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
+    from uqsphere.mechanics.validity import Check
 
-__all__ = ["Candidate", "Pilot", "check_table", "differences", "first_look"]
+__all__ = ["Candidate", "Pilot", "check_entry", "check_table", "differences", "first_look"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -82,7 +84,7 @@ class Pilot:
     chosen: str
     why: str
     measured_error: dict[str, float | None] = field(default_factory=dict)
-    validity: list[dict[str, Any]] = field(default_factory=list)
+    validity: list[CheckEntry] = field(default_factory=list)
     numbers: dict[str, float] = field(default_factory=dict)
     evaluations: dict[str, int] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
@@ -239,45 +241,59 @@ def first_look(work: Work) -> Pilot:
     scene = scene_of(study, values, count)
     few = scene_of(study, {name: column[:compared] for name, column in values.items()}, min(compared, count))
 
-    def solve(scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
-        evaluations[fidelity] = evaluations.get(fidelity, 0) + len(scene)
-
-        def solved() -> Answers:
-            return solve_scene(scene, fidelity, tolerance=tolerance, threads=work.threads, quantities=quantities)
-
-        return remembered(work.store, f"pilot.{fidelity}", scene, [fidelity, tolerance, quantities], solved)
-
-    evaluations: dict[str, int] = {}
-    tolerance = study.model.tolerance
-    full = solve(scene, "full", tolerance, None)
+    look = _Look(work=work, few=few)
+    full = look.solve(scene, "full", study.model.tolerance, None)
     same = _first(full, len(few))
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
-    candidates = []
-    for fidelity in FIDELITIES[:-1]:
-        if (asked == fidelity and count > 1) or (asked == "auto" and count >= PILOT.least):
-            cheap = solve(few, fidelity, tolerance, work.quantities)
-            cost = row_cost(cheap) / row_cost(full)
-            candidates.append(_candidate(fidelity, cheap, same, few, work, scatter, cost))
-    taken = _choose(tuple(candidates), bound) if asked == "auto" else None
-    chosen, measured = (taken.fidelity if taken else "full") if asked == "auto" else asked, {}
+    tried = [f for f in FIDELITIES[:-1] if (asked == f and count > 1) or (asked == "auto" and count >= PILOT.least)]
+    candidates = tuple(look.candidate(fidelity, same, row_cost(full), scatter) for fidelity in tried)
+    taken = _choose(candidates, bound) if asked == "auto" else None
+    chosen = taken.fidelity if taken else ("full" if asked == "auto" else asked)
+    measured: Mapping[str, float | None] = {}
     if taken:
         measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
     elif chosen != "full":
         measured = candidates[0].error if candidates else {}
     elif count > 1:
-        closer = solve(few, "full", max(1e-12, 0.01 * tolerance), work.quantities)
+        closer = look.solve(few, "full", max(1e-12, 0.01 * study.model.tolerance), work.quantities)
         measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
     return Pilot(
         chosen=chosen,
-        why=_why(asked, chosen, taken, measured, tuple(candidates), bound),
-        measured_error=measured,
+        why=_why(asked, chosen, taken, measured, candidates, bound),
+        measured_error=dict(measured),
         validity=check_table(scene, full, work.quantities),
         numbers=_numbers(scene),
-        evaluations=evaluations,
-        candidates=tuple(candidates) if asked == "auto" else (),
+        evaluations=look.evaluations,
+        candidates=candidates if asked == "auto" else (),
         fallback=taken.fallback if taken else None,
     )
+
+
+@dataclass(kw_only=True)
+class _Look:
+    """The rows of the pilot on which models are compared, and the evaluations so far."""
+
+    work: Work
+    few: Scene
+    evaluations: dict[str, int] = field(default_factory=dict)
+
+    def solve(self, scene: Scene, fidelity: str, tolerance: float, quantities: tuple[str, ...] | None) -> Answers:
+        """Answers of a scene, stored like all others."""
+        self.evaluations[fidelity] = self.evaluations.get(fidelity, 0) + len(scene)
+        threads = self.work.threads
+        return remembered(
+            self.work.store,
+            f"pilot.{fidelity}",
+            scene,
+            [fidelity, tolerance, quantities],
+            lambda: solve_scene(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities),
+        )
+
+    def candidate(self, fidelity: str, full: Answers, cost: float, scatter: Array) -> Candidate:
+        """A cheaper fidelity beside the full model, a row of which has such a cost, on the same rows."""
+        cheap = self.solve(self.few, fidelity, self.work.study.model.tolerance, self.work.quantities)
+        return _candidate(fidelity, cheap, full, self.few, self.work, scatter, row_cost(cheap) / cost)
 
 
 def _first(answers: Answers, count: int) -> Answers:
@@ -340,20 +356,21 @@ def _why(
     )
 
 
-def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Every validity check of a batch as plain JSON."""
+def check_table(scene: Scene, answers: Answers, quantities: tuple[str, ...]) -> list[CheckEntry]:
+    """Every validity check of a batch."""
     from uqsphere.mechanics.validity import check_ranges, check_validity
 
-    return [_check(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
+    return [check_entry(row) for row in (*check_validity(scene, answers), *check_ranges(scene, answers, quantities))]
 
 
-def _check(row: Any) -> dict[str, Any]:
-    return {
-        "check": row.check,
-        "share": row.share_warning + row.share_failure,
-        "share_information": row.share_information,
-        "share_warning": row.share_warning,
-        "share_failure": row.share_failure,
-        "worst": row.worst,
-        "text": row.text,
-    }
+def check_entry(row: Check) -> CheckEntry:
+    """A validity check as results.json has it."""
+    return CheckEntry(
+        check=row.check,
+        share=row.share_warning + row.share_failure,
+        share_information=row.share_information,
+        share_warning=row.share_warning,
+        share_failure=row.share_failure,
+        worst=row.worst,
+        text=row.text,
+    )

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import PlanEntry, Results, SpeedRow, ToleranceEntry
+from uqsphere.results import CheckEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
@@ -59,7 +59,7 @@ class Findings:
     history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
-    fracture: dict[str, Any] | None = None
+    fracture: FractureEntry | None = None
     plan: PlanEntry = field(default_factory=PlanEntry)
 
 
@@ -188,10 +188,10 @@ def _margins(margins: dict[str, MarginAnswer], asked: Margins | None, quantities
     }
 
 
-def _judged(check: dict[str, Any], fracture: Mapping[str, Any] | None) -> dict[str, Any]:
+def _judged(check: CheckEntry, fracture: FractureEntry | None) -> CheckEntry:
     """A validity check, at fracture where that is known, since the peaks of a sphere that breaks are never reached."""
-    found = (fracture or {}).get("check")
-    return dict(found) if found and found["check"] == check["check"] else check
+    found = None if fracture is None else fracture.check
+    return found if found is not None and found.check == check.check else check
 
 
 def versions() -> dict[str, str]:

@@ -18,6 +18,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UqsphereError
 from uqsphere.mechanics.bars import pulse_stress
 from uqsphere.model import scene_of, solve_scene
+from uqsphere.results import CheckEntry
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
@@ -379,7 +380,7 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
     """
     if work.study.margins is None or work.study.black_box or not axis_of(work).moves_rows:
         return dict(margins)
-    found, seen = dict(margins), dict[float, list[dict[str, Any]] | None]()
+    found, seen = dict(margins), dict[float, list[CheckEntry] | None]()
     for limit in work.study.limits:
         margin = margins.get(limit.name)
         value = ((margin.about.get("value") or {}) if margin else {}).get("value")
@@ -389,12 +390,13 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
             seen[value] = _checks_at(work, limit, float(value))
         checks = seen[value]
         if checks is not None:
-            about = {**margin.about, "validity": {"value": float(value), "samples": CHECKED, "checks": checks}}
+            tables = [one.document() for one in checks]
+            about = {**margin.about, "validity": {"value": float(value), "samples": CHECKED, "checks": tables}}
             found[limit.name] = replace(margin, about=about)
     return found
 
 
-def _checks_at(work: Work, limit: Limit, value: float) -> list[dict[str, Any]] | None:
+def _checks_at(work: Work, limit: Limit, value: float) -> list[CheckEntry] | None:
     """Checks with the free scalar at a value; None where they cannot be made."""
     count = CHECKED if work.scene_names else 1
     placed = study_at(work, limit, value)

@@ -39,6 +39,7 @@ from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 
 __all__ = [
+    "DOUBTFUL",
     "MOST_CALLS",
     "Demand",
     "DesignFound",
@@ -53,6 +54,7 @@ __all__ = [
     "physical_values",
     "refine_limits",
     "reserve",
+    "search_failures",
     "tied_strength",
     "with_design",
     "with_surrogate_design",
@@ -166,6 +168,18 @@ def _search(work: Work, at: int, limit: Limit, answer: LimitAnswer, room: float)
         design = find_design_points(evaluator, seed=work.study.seed, most=DESIGN_POINT)
         return with_design(work, answer, design, space), []
     return answer, []
+
+
+def search_failures(
+    work: Work, function: Callable[[Array], Array], plain: Estimate, *, integrated: bool, most: int
+) -> Estimate:
+    """A small probability by importance sampling, or as it was where that knows it better.
+
+    `function` of normal scores is negative where it fails, or it fails with the probability Phi(-g) (`integrated`).
+    """
+    limit = LimitFunction(function=function, dimension=len(work.drawn.names), integrated=integrated, on_failure="bound")
+    asked = work.study.analysis.accuracy.probability
+    return narrower(find_probability(limit, seed=work.study.seed, accuracy=asked, budget=most).estimate, plain)[0]
 
 
 def tied_strength(work: Work, limit: Limit) -> bool:
