@@ -254,22 +254,22 @@ def _timed(study: Study) -> int:
     )
 
 
-def _surrogate(study: Study) -> tuple[float, float]:
-    """Runs of one design; those that are timed are its first."""
+def _surrogate(study: Study, first: float) -> tuple[float, float]:
+    """Runs of one design, the `first` of which are those that were timed."""
     runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
     wide = _moves(study)
-    return (2 * runs if wide else runs) - _timed(study), SURROGATE.most + (256 if wide else 0)
+    return (2 * runs if wide else runs) - first, SURROGATE.most + (256 if wide else 0)
 
 
 def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tuple[str, float, float]]:
     """Name, likely and most evaluations of every part, as if nothing had been spent before it."""
     end, analysis = math.inf if budget is None else float(budget), study.analysis
-    timed = _timed(study)
-    yield "pilot", *((timed, timed) if study.black_box else _pilot(study, end))
+    first = (_timed(study), _timed(study)) if study.black_box else _pilot(study, end)
+    yield "pilot", *first
     # a cheaper model may be tried beside the full one
     cheaper = MOST_CHEAPER if not study.black_box and study.model.fidelity in ("auto", "full") else 0
     if surrogate:
-        yield "surrogate", *_surrogate(study)
+        yield "surrogate", *_surrogate(study, first[0])
     else:
         likely, most = _sampling(study, budget)
         yield "sampling", likely, most
