@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import UsageError
 from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, trusted_from
-from uqsphere.given.table import Data, combinations
+from uqsphere.given.table import Data, Document, combinations
 from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.joint import Joint
@@ -67,7 +67,7 @@ def known_laws(path: Path, names: Sequence[str]) -> Joint:
     return study.inputs().only(tuple(names))
 
 
-def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> dict[str, Any]:
+def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> Document:
     """Everything that the table tells, ready for JSON: marginal laws with their fit and what it leaves open, rank
     correlations, distributions of the outputs, first-order indices by ranks, and what an expansion tells.
 
@@ -80,28 +80,15 @@ def analyse_data(data: Data, *, known: Joint | None = None, seed: int = 0) -> di
         return _analysed(data, known, seed)
 
 
-def _analysed(data: Data, known: Joint | None, seed: int) -> dict[str, Any]:
-
+def _analysed(data: Data, known: Joint | None, seed: int) -> Document:
     marginals, laws = _fitted(data, seed) if known is None else _given(data, known)
-    varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
-    pairs = rank_correlations(data.x[:, varying]) if len(varying) > 1 else []
-    pairs = [(varying[i], varying[j], e) for i, j, e in pairs]
-    clear = {(i, j) for i, j, _ in tied(pairs)}
-    dependence: list[dict[str, Any]] = [
-        {"of": [data.inputs[i], data.inputs[j]], "spearman": e.as_dict(), "dependent": (i, j) in clear}
-        for i, j, e in pairs
-    ]
-    ties = ties_of(data.x, {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear})
+    ties, dependence = _dependence(data, fitted=known is None)
     if known is None:
-        copulas = {tie.columns: tie.copula for tie in ties}
-        for entry, (i, j, _) in zip(dependence, pairs, strict=True):
-            entry["copula"] = copulas.get((i, j))
         laws = _tied(data, laws, ties)
-    if combined := [one.text(data.inputs) for one in combinations(data.x)]:
-        laws = _Laws(columns=laws.columns, inputs=None, others=(), reason=combined[0])
-    outputs, sensitivity = {}, {}
-    for k, name in enumerate(data.outputs):
-        outputs[name], sensitivity[name] = _answered(data, k, laws, ties, seed)
+    combined = [one.text(data.inputs) for one in combinations(data.x)]
+    if combined:
+        laws = replace(laws, inputs=None, others=(), reason=combined[0])
+    answers = {name: _answered(data, k, laws, ties, seed) for k, name in enumerate(data.outputs)}
     return {
         "schema_version": SCHEMA_VERSION,
         "rows": len(data.x),
@@ -109,19 +96,38 @@ def _analysed(data: Data, known: Joint | None, seed: int) -> dict[str, Any]:
         "inputs": marginals,
         "dependence": dependence,
         "combinations": combined,
-        "outputs": outputs,
-        "sensitivity": sensitivity,
+        "outputs": {name: output for name, (output, _) in answers.items()},
+        "sensitivity": {name: drivers for name, (_, drivers) in answers.items()},
     }
+
+
+def _dependence(data: Data, *, fitted: bool) -> tuple[tuple[TiedPair, ...], list[Document]]:
+    """Pairs of inputs that depend on each other with their copula, and what is said of all pairs that vary."""
+    varying = [k for k in range(len(data.inputs)) if np.ptp(data.x[:, k]) > 0.0]
+    pairs = rank_correlations(data.x[:, varying]) if len(varying) > 1 else []
+    pairs = [(varying[i], varying[j], e) for i, j, e in pairs]
+    clear = {(i, j) for i, j, _ in tied(pairs)}
+    ties = ties_of(data.x, {(i, j): float(e.value or 0.0) for i, j, e in pairs if (i, j) in clear})
+    copulas = {tie.columns: tie.copula for tie in ties}
+    entries = []
+    for i, j, e in pairs:
+        entry: Document = {
+            "of": [data.inputs[i], data.inputs[j]],
+            "spearman": e.as_dict(),
+            "dependent": (i, j) in clear,
+        }
+        entries.append({**entry, "copula": copulas.get((i, j))} if fitted else entry)
+    return ties, entries
 
 
 # --- laws -----------------------------------------------------------------------------------------------------
 
 
-def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
+def _fitted(data: Data, seed: int) -> tuple[Document, _Laws]:
     """Laws fitted to the runs."""
     from uqsphere.uq.points import random_generator
 
-    marginals: dict[str, Any] = {}
+    marginals: Document = {}
     columns, laws, others, unknown = [], [], [], []
     for k, name in enumerate(data.inputs):
         values = data.x[:, k]
@@ -140,7 +146,7 @@ def _fitted(data: Data, seed: int) -> tuple[dict[str, Any], _Laws]:
     return marginals, _Laws(columns=tuple(columns), inputs=inputs, others=tuple(others), reason=reason)
 
 
-def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, Any], Law | None, list[Law]]:
+def _marginal(values: Array, generator: np.random.Generator) -> tuple[Document, Law | None, list[Law]]:
     """One input: every law that was tried, which is taken, and what the observations leave open of it."""
     from uqsphere.uq.fitting import fit_marginal, plausible, plausible_laws, possible_laws
 
@@ -150,7 +156,7 @@ def _marginal(values: Array, generator: np.random.Generator) -> tuple[dict[str, 
         same = float(values[0]) if np.ptp(values) == 0.0 else None
         return {"chosen": None, "reason": str(error), "fits": [], "fixed": same}, None, []
     best = fits[0]
-    entry: dict[str, Any] = {
+    entry: Document = {
         "chosen": best.law.family.name,
         "parameters": _parameters(best.law),
         "fits": [
@@ -211,11 +217,11 @@ def _parameters(law: Law) -> dict[str, float]:
     return {**dict(law.parameters), **bounds}
 
 
-def _given(data: Data, known: Joint) -> tuple[dict[str, Any], _Laws]:
+def _given(data: Data, known: Joint) -> tuple[Document, _Laws]:
     """Laws that the runs were drawn from, and whether the runs look like it."""
     from uqsphere.uq.fitting import kolmogorov_p_value
 
-    marginals: dict[str, Any] = {}
+    marginals: Document = {}
     n = len(data.x)
     for k, (name, law) in enumerate(zip(known.names, known.laws, strict=True)):
         below = np.sort(law.cdf(data.x[:, k]))
@@ -244,21 +250,19 @@ def _tied(data: Data, laws: _Laws, ties: Sequence[TiedPair]) -> _Laws:
         if abs(tie.spearman) > _SAME:
             one, other = (data.inputs[k] for k in tie.columns)
             reason = f"{other} tells the same as {one}: leave one of them out"
-            return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
+            return replace(laws, inputs=None, others=(), reason=reason)
     try:
         inputs = with_ties(laws.inputs.names, laws.inputs.laws, ties, data.inputs)
     except LawError as error:
         reason = f"the dependences of the inputs cannot be followed: {error}"
-        return _Laws(columns=laws.columns, inputs=None, others=(), reason=reason)
-    return _Laws(columns=laws.columns, inputs=inputs, others=laws.others)
+        return replace(laws, inputs=None, others=(), reason=reason)
+    return replace(laws, inputs=inputs)
 
 
 # --- outputs ---------------------------------------------------------------------------------------------------
 
 
-def _answered(
-    data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _answered(data: Data, column: int, laws: _Laws, ties: Sequence[TiedPair], seed: int) -> tuple[Document, Document]:
     """What is known of one output: its distribution, and what drives it."""
     from uqsphere.uq.beyond_variance import rank_indices
     from uqsphere.uq.points import random_generator
@@ -283,7 +287,7 @@ def _answered(
             for what, entry in found.pop("statistics").items()
         }
         chaos |= found
-    scaled: dict[str, Any] = {
+    scaled: Document = {
         "mean": _scaled(output["mean"], unit),
         "sd": _scaled(output["sd"], unit),
         "quantiles": {p: _scaled(e, unit) for p, e in output["quantiles"].items()},
@@ -315,7 +319,7 @@ def _looks(values: Array, unit: float) -> list[str]:
     return told
 
 
-def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
+def _scaled(entry: Document, unit: float) -> Document:
     """An estimate in its own unit; one whose ends leave floating point is absent."""
     numbers = {key: entry[key] for key in ("value", "low", "high", "std_error") if entry[key] is not None}
     scaled = {key: float(value) * unit for key, value in numbers.items()}
@@ -326,7 +330,7 @@ def _scaled(entry: Mapping[str, Any], unit: float) -> dict[str, Any]:
     ).as_dict()
 
 
-def _output(values: Array) -> dict[str, Any]:
+def _output(values: Array) -> Document:
     """Mean, standard deviation and quantiles of independent runs."""
     from uqsphere.uq.estimate import mean_alone, sd_alone
 
@@ -348,43 +352,24 @@ def _output(values: Array) -> dict[str, Any]:
 
 def _expansion(
     data: Data, y: Array, laws: _Laws, ties: Sequence[TiedPair], key: tuple[int, str]
-) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+) -> tuple[Document | None, Document]:
     """What an expansion tells, where it passes its check, and what there is to say about it."""
     from uqsphere.uq.points import random_generator
 
-    def refused(reason: str, error: float | None = None) -> tuple[None, dict[str, Any]]:
-        return None, {"usable": False, "error": error, "reason": reason}
-
-    if laws.inputs is None:
-        return refused(laws.reason)
     seed, name = key
     generator = random_generator(seed=seed, task=f"analyse expansion {name}")
     rows = generator.permutation(len(y))[:_MOST_FITTED]
-    if np.ptp(y) <= 1e-14 * np.abs(y).max(initial=0.0):
-        return refused("the output does not vary")
-    # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
-    if laws.others and any(law.family.observed for law in laws.inputs.laws):
-        bad = next(n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.family.observed)
-        return refused(f"no family fits {bad}: what its kernel density leaves open is not known well enough")
-    if len(rows) < (needed := least_runs(len(laws.columns))):
-        return refused(f"{len(rows)} runs are too few for {len(laws.columns)} inputs: {needed} are needed")
-    scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
-    try:
-        trusted = trusted_from(scores, y[rows], germs_of(laws.inputs.laws))
-    except ValueError as error:
-        return refused(str(error))
-    if not trusted.usable:
-        return refused(trusted.reason, min(trusted.error, 1.0))
-    dependent = laws.inputs.dependent
-    notes = []
-    if dependent:
-        tied = sorted({data.inputs[i] for tie in ties for i in tie.columns}) or list(laws.inputs.names)
-        notes.append(
-            f"{', '.join(tied)} depend on each other: Sobol' indices would not share out the variance; Shapley effects "
-            "do, and first and total are Kucherenko's, whose total may lie below the first"
-        )
-        notes += [f"{one} and {other} depend on each other otherwise than the {kind} copula that is taken here: the "
-                  "shares are in doubt" for one, other, kind in odd_pairs(laws.inputs, scores)]  # fmt: skip
+    scores: Array | None = None
+    trusted, reason = None, _hopeless(y, laws, len(rows))
+    if laws.inputs is not None and not reason:
+        scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
+        try:
+            trusted = trusted_from(scores, y[rows], germs_of(laws.inputs.laws))
+            reason = "" if trusted.usable else trusted.reason
+        except ValueError as error:
+            reason = str(error)
+    if laws.inputs is None or trusted is None or scores is None or reason:
+        return None, {"usable": False, "error": trusted and min(trusted.error, 1.0), "reason": reason}
     opened = left_open(laws.inputs, laws.others, ties, data.inputs, scores, len(data.x), generator)
     answers = given_answers(trusted, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
@@ -394,14 +379,39 @@ def _expansion(
         }
         for order, rows_ in answers.items()
     }
-    about = {
-        "usable": True, "error": trusted.error, "reason": trusted.reason, "notes": notes,
-        "kind": "dependent" if dependent else "sobol",
-    }  # fmt: skip
-    return found, about
+    notes = _notes(data, laws.inputs, ties, scores) if laws.inputs.dependent else []
+    kind = "dependent" if laws.inputs.dependent else "sobol"
+    return found, {"usable": True, "error": trusted.error, "reason": trusted.reason, "notes": notes, "kind": kind}
 
 
-def _apart(ranks: Mapping[str, Estimate], chaos: Mapping[str, Any], output: Mapping[str, Any]) -> list[str]:
+def _hopeless(y: Array, laws: _Laws, rows: int) -> str:
+    """Why no expansion is fitted; empty where it is tried."""
+    if laws.inputs is None:
+        return laws.reason
+    if np.ptp(y) <= 1e-14 * np.abs(y).max(initial=0.0):
+        return "the output does not vary"
+    # over kernel densities, fitted to the same runs, intervals were counted to hold too rarely
+    kernels = [n for n, law in zip(laws.inputs.names, laws.inputs.laws, strict=True) if law.family.observed]
+    if laws.others and kernels:
+        return f"no family fits {kernels[0]}: what its kernel density leaves open is not known well enough"
+    needed = least_runs(len(laws.columns))
+    if rows < needed:
+        return f"{rows} runs are too few for {len(laws.columns)} inputs: {needed} are needed"
+    return ""
+
+
+def _notes(data: Data, inputs: Joint, ties: Sequence[TiedPair], scores: Array) -> list[str]:
+    """What is to be said of shares where inputs depend on each other."""
+    among = sorted({data.inputs[i] for tie in ties for i in tie.columns}) or list(inputs.names)
+    return [
+        f"{', '.join(among)} depend on each other: Sobol' indices would not share out the variance; Shapley effects "
+        "do, and first and total are Kucherenko's, whose total may lie below the first",
+        *(f"{one} and {other} depend on each other otherwise than the {kind} copula that is taken here: the "
+          "shares are in doubt" for one, other, kind in odd_pairs(inputs, scores)),
+    ]  # fmt: skip
+
+
+def _apart(ranks: Mapping[str, Estimate], chaos: Document, output: Document) -> list[str]:
     """Where the expansion and what needs none differ by more than chance."""
     told = []
     for name, estimate in ranks.items():

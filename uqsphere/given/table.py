@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from uqsphere.errors import AccessError, UsageError
 __all__ = [
     "Combination",
     "Data",
+    "Document",
     "combinations",
     "read_data",
 ]
@@ -26,6 +27,10 @@ __all__ = [
 #: bytes of a file, and columns that are looked at
 _LARGEST: Final = 256 * 1024 * 1024
 _MOST_COLUMNS: Final = 128
+
+
+#: a part of analysis.json
+Document: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,30 +61,35 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
     if len(names) > _MOST_COLUMNS:
         raise UsageError(f"found {len(names)} columns, at most {_MOST_COLUMNS} are analysed at a time")
     header, rows = _lines(path)
-    places = []
-    for name in names:
-        if header.count(name) != 1:
-            said = "twice or more" if name in header else "not"
-            hint = " (the first line is taken for their names)" if all(_is_number(cell) for cell in header) else ""
-            raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}{hint}")
-        places.append(header.index(name))
-    values = np.empty((len(rows), len(names)))
-    for k, (line, row) in enumerate(rows):
-        for column, place in enumerate(places):
-            cell = row[place] if place < len(row) else ""
-            try:
-                values[k, column] = float(cell)
-            except ValueError:
-                values[k, column] = math.nan
-            if not math.isfinite(values[k, column]):
-                raise UsageError(
-                    f"{path}:{line}: column {names[column]!r}: found {cell[:40]!r}, where a finite number is due"
-                )
-    if len(values) < 5:
-        rows_found = "1 row" if len(values) == 1 else f"{len(values)} rows"
-        raise UsageError(f"{path}: found {rows_found}, at least 5 are needed")
+    places = [_place(path, header, name) for name in names]
+    if len(rows) < 5:
+        found = "1 row" if len(rows) == 1 else f"{len(rows)} rows"
+        raise UsageError(f"{path}: found {found}, at least 5 are needed")
+    values = np.array([[_number(row[k] if k < len(row) else "") for k in places] for _, row in rows])
+    odd = np.argwhere(~np.isfinite(values))
+    if odd.size:
+        at, column = odd[0]
+        line, row = rows[at]
+        cell = row[places[column]] if places[column] < len(row) else ""
+        raise UsageError(f"{path}:{line}: column {names[column]!r}: found {cell[:40]!r}, where a finite number is due")
     d = len(inputs)
     return Data(inputs=tuple(inputs), outputs=tuple(outputs), x=values[:, :d], y=values[:, d:])
+
+
+def _place(path: Path, header: Sequence[str], name: str) -> int:
+    """Where a column stands; raises UsageError where it is not, or more than once."""
+    if header.count(name) != 1:
+        said = "twice or more" if name in header else "not"
+        hint = " (the first line is taken for their names)" if all(map(_is_number, header)) else ""
+        raise UsageError(f"{path}: the column {name!r} is {said} there; columns: {', '.join(header[:30])}{hint}")
+    return header.index(name)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
 
 
 def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 from uqsphere.console import screen_width, table, wrap, writable
+from uqsphere.given.table import Document
 from uqsphere.quantities import format_estimate
 
 __all__ = ["analysis_text", "study_text"]
@@ -16,14 +17,14 @@ _MANY: Final = 30
 _ORDERS: Final = {"shapley": "Shapley effect", "first": "first", "total": "total"}
 
 
-def _shown(estimate: Mapping[str, Any]) -> str:
+def _shown(estimate: Document) -> str:
     if estimate["value"] is None:
         reason = "too few runs" if "too few" in estimate["reason"] else estimate["reason"]
         return f"- ({reason})"
     return format_estimate(estimate["value"], estimate["low"], estimate["high"])
 
 
-def _share(estimate: Mapping[str, Any]) -> str:
+def _share(estimate: Document) -> str:
     """A share of 1: what is known beyond six decimals is of no use to anybody."""
     if estimate["value"] is None or estimate["high"] - estimate["low"] > 2e-6:
         return _shown(estimate)
@@ -34,10 +35,18 @@ def _range(ends: Sequence[float] | None) -> str:
     return f"{ends[0]:.4g} to {ends[1]:.4g}" if ends else "-"
 
 
-def analysis_text(found: Mapping[str, Any], width: int | None = None) -> str:
+def analysis_text(found: Document, width: int | None = None) -> str:
     """The analysis for the terminal: no line is longer than `width` columns, those of the terminal where it is None."""
     columns = screen_width() if width is None else width
-    parts = [f"{found['rows']:,} rows", "", *_inputs(found, columns), "", _outputs(found, columns), ""]
+    parts = [
+        f"{found['rows']:,} rows",
+        "",
+        *_inputs(found, columns),
+        *_dependence(found),
+        "",
+        _outputs(found, columns),
+        "",
+    ]
     parts.append(_drivers(found, columns))
     for name, entry in found["sensitivity"].items():
         chaos = entry["chaos"]
@@ -55,7 +64,7 @@ def analysis_text(found: Mapping[str, Any], width: int | None = None) -> str:
     return writable("\n".join(text if "\n" in text else wrap(text, columns) for text in parts))
 
 
-def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
+def _inputs(found: Document, width: int) -> list[str]:
     rows: list[tuple[str, ...]] = []
     for name, entry in found["inputs"].items():
         if entry["chosen"] is None:
@@ -79,8 +88,12 @@ def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
             f"left open: what {found['rows']:,} runs do not know of the law, its family included; more runs narrow it, "
             "not the scatter",
         ]
-    parts += [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
-    tied = [pair for pair in found["dependence"] if pair["dependent"]]
+    return parts + [f"{name}: {entry['reason']}" for name, entry in found["inputs"].items() if entry["reason"]]
+
+
+def _dependence(found: Document) -> list[str]:
+    """Which inputs depend on each other, or are given by others."""
+    parts, tied = [], [pair for pair in found["dependence"] if pair["dependent"]]
     for pair in tied[:_MANY]:
         copula = pair.get("copula")
         taken = "" if copula in (None, "gaussian") else f", taken for a {copula.capitalize()} copula"
@@ -94,7 +107,7 @@ def _inputs(found: Mapping[str, Any], width: int) -> list[str]:
     return parts
 
 
-def _outputs(found: Mapping[str, Any], width: int) -> str:
+def _outputs(found: Document, width: int) -> str:
     """Statistics of every output, by the runs alone and by the expansion."""
     rows: list[tuple[str, ...] | str] = []
     for name, entry in found["outputs"].items():
@@ -113,7 +126,7 @@ def _outputs(found: Mapping[str, Any], width: int) -> str:
     return table(("output", "value (95 % interval)"), short, width)
 
 
-def _drivers(found: Mapping[str, Any], width: int) -> str:
+def _drivers(found: Document, width: int) -> str:
     """Indices of every output, by ranks and by the expansion; tables of those without one have one column less."""
     texts = []
     for kind, orders in (("dependent", ("shapley", "first", "total")), ("sobol", ("first", "total")), (None, ())):
@@ -138,7 +151,7 @@ def _drivers(found: Mapping[str, Any], width: int) -> str:
     return "\n\n".join(text if "\n" in text else wrap(text, width) for text in texts)
 
 
-def _said(found: Mapping[str, Any], name: str) -> str:
+def _said(found: Document, name: str) -> str:
     """What the intervals of an expansion hold."""
     chaos = found["sensitivity"][name]["chaos"]
     entries = [e for order in _ORDERS for e in chaos.get(order, {}).values() if e["surrogate"]["value"] is not None]
@@ -155,7 +168,7 @@ def _said(found: Mapping[str, Any], name: str) -> str:
     )
 
 
-def study_text(found: Mapping[str, Any]) -> str:
+def study_text(found: Document) -> str:
     """The inputs as a black-box study would have them, to go on with."""
     lines = [
         "# laws fitted to given data; a study with these inputs runs with --model FILE.py:FUNCTION",

@@ -366,10 +366,21 @@ def _windows(
         for (chart, kind, rise), all_ in whole.items()
         for s in np.flatnonzero(np.diff(all_))
     ]
+    return _between(whole, edges, _place(subject, request, edges), speeds, len(judged)), nearest
+
+
+def _between(
+    whole: Mapping[tuple[int, str, float], Flags],
+    edges: Sequence[_Edge],
+    placed: Sequence[tuple[float, str]],
+    speeds: Array,
+    charts: int,
+) -> list[list[Window]]:
+    """Windows of every chart, between an edge that opens and the one that closes, or where the speeds end."""
     ends: dict[tuple[int, str, float, bool], list[tuple[float, str | None]]] = defaultdict(list)
-    for edge, placed in zip(edges, _place(subject, request, edges), strict=True):
-        ends[edge.chart, edge.kind, edge.rise, edge.opens].append(placed)
-    windows: list[list[Window]] = [[] for _ in judged]
+    for edge, place in zip(edges, placed, strict=True):
+        ends[edge.chart, edge.kind, edge.rise, edge.opens].append(place)
+    windows: list[list[Window]] = [[] for _ in range(charts)]
     for key, all_ in whole.items():
         lowest: list[tuple[float, str | None]] = [(float(speeds[0]), None)] if all_[0] else []
         highest: list[tuple[float, str | None]] = [(float(speeds[-1]), None)] if all_[-1] else []
@@ -378,7 +389,7 @@ def _windows(
             Window(kind=key[1], rise=key[2], low=low, high=high, below=below, above=above)
             for (low, below), (high, above) in pairs
         ]
-    return windows, nearest
+    return windows
 
 
 def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[tuple[float, str]]:

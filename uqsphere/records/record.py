@@ -195,21 +195,19 @@ def _form(head: str, name: str) -> _Form:
     found = [(_columns_of(lines[:400], *way), way) for way in _WRITTEN]
     (score, width), (separator, comma) = max(found, key=lambda one: one[0][0])
     if not score:
-        single = any(_number(line, True) is not None for line in lines if line.strip())
+        single = any(_number(line, True) is not None for line in filter(str.strip, lines))
         raise RecordError(
             f"{name}: no table of numbers was found (columns of numbers: {'one column only' if single else 'none'}); a "
             "record has a column of time and one or more of strain or volts, divided by comma, semicolon or tab"
         )
     skip, header = _above_numbers(lines, separator, comma, width)
-    names = list(header or ())
+    names, notes = list(header or ()), [] if header else ["the file names no columns"]
     if len(names) == width + 1 and not names[-1]:
         names = names[:-1]
-    notes = [] if names else ["the file names no columns"]
     names += [f"column {k + 1}" for k in range(len(names), width)]
     split = [_unit_of(text) for text in names]
     units = _units_below(lines[:skip], separator, header, [unit for _, unit in split])
-    if comma:
-        notes.append("decimal comma")
+    notes += ["decimal comma"] * comma
     return _Form(separator=separator, comma=comma, skip=skip, names=tuple(text for text, _ in split),
                  units=tuple(units), notes=tuple(notes))  # fmt: skip
 

@@ -226,20 +226,23 @@ class Family:
             if not math.isfinite(value):
                 raise LawError(f"{key} must be a finite number, found {value}", key)
         own = {key: float(value) for key, value in given.items() if key not in self.optional}
-        if not any(set(keys) == set(own) for keys in self.alternatives):
-            # the key to point at: one that goes with none of the best matching alternatives, else the table
-            best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
-            odd = next((key for key in own if key not in best), "")
-            raise LawError(f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", odd)
-        for key in _POSITIVE:
-            if key in own and own[key] <= 0.0:
-                hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
-                raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
+        if set(own) not in map(set, self.alternatives):
+            raise LawError(
+                f"{self.name} takes {self.allowed()}; found {', '.join(own) or 'none of them'}", self._odd(own)
+            )
+        for key in (key for key in _POSITIVE if own.get(key, 1.0) <= 0.0):
+            hint = "; give the number itself where a fixed value is meant" if own[key] == 0.0 else ""
+            raise LawError(f"{key} must be positive, found {own[key]:g}{hint}", key)
+        if own.get("mean") == 0.0 and "cov" in own:
+            raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
         if "cov" in own:
-            if own["mean"] == 0.0:
-                raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
             own["sd"] = own.pop("cov") * abs(own["mean"])
         return own
+
+    def _odd(self, own: Parameters) -> str:
+        """The key to point at: one that goes with none of the best matching alternatives, else the table."""
+        best = max(self.alternatives, key=lambda keys: len(set(keys) & set(own)))
+        return next((key for key in own if key not in best), "")
 
 
 #: keys that must be above zero in every family that has them
