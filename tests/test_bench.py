@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from tests.campaigns import sweep
-from uqsphere.bench import run_bench
-from uqsphere.bench.machine import describe_machine
-from uqsphere.bench.measure import Entry, ratio_at_error
+from uqsphere.bench.measure import Entry, describe_machine, ratio_at_error
+from uqsphere.bench.page import bench_text, cost_figure, ratios, run_bench, speed_error_figure
 from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
 from uqsphere.bench.scenes import bench_scenes, scattered_scene
-from uqsphere.bench.tables import bench_text, cost_figure, ratios, speed_error_figure
 from uqsphere.errors import FolderError
 from uqsphere.mechanics.integrator.solve import integrate
 from uqsphere.mechanics.integrator.tracked import ANSWER_CONTACT, ANSWER_X_MAX

@@ -141,13 +141,13 @@ def _add_data(command: Command) -> None:
 
 def _add_others(command: Command) -> None:
     """What there is, and this installation."""
-    from uqsphere.bench.command import add_bench
+    from uqsphere.bench import add_bench
 
     listing = command("list", "what there is to choose from", "uqsphere.cli.data")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
     _json(listing)
     bench = "speed against error on this machine, and evidence for the uncertainty engine"
-    add_bench(command("bench", bench, "uqsphere.bench.command"))
+    add_bench(command("bench", bench, "uqsphere.bench"))
     schema = command("schema", "print the JSON schema of study files, for editors", "uqsphere.cli.studies")
     _json(schema, "the same: a schema is a JSON document")
     _json(command("doctor", "check this installation", "uqsphere.cli.doctor"))
