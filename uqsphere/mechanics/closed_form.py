@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Values
+from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import Answers, answers_of
 from uqsphere.mechanics.scene import Scene
 
@@ -31,12 +32,10 @@ __all__ = [
 ]
 
 
-#: below these the logarithms of (11) cancel and its series in x^(3/2) is the better way
-_SERIES_BELOW_X: Final = 0.1
-_SERIES_BELOW_S: Final = 0.1
+#: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
+#: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
+_SERIES_BELOW: Final = 0.1
 _SERIES_TERMS: Final = 12
-#: share of the largest force at which the record on infinite bars ends, theory section 8
-_TAIL_SHARE: Final = 0.01
 
 
 def _series(x: Array) -> Array:
@@ -80,11 +79,11 @@ def loading_time(x: Values) -> Array:
     x = np.asarray(x, dtype=float)
     if not bool(np.all((x >= 0.0) & (x <= 1.0))):
         raise ValueError("the approach of a loading must lie between 0 and 1 (in units of alpha_c)")
-    small = np.minimum(x, _SERIES_BELOW_X)
+    small = np.minimum(x, _SERIES_BELOW)
     root = np.sqrt(x)
     with np.errstate(divide="ignore"):
         closed = _time_at_root(root, -np.log1p(-root))
-    return np.where(x < _SERIES_BELOW_X, _series(small), closed)
+    return np.where(x < _SERIES_BELOW, _series(small), closed)
 
 
 @lru_cache(maxsize=1)
@@ -117,15 +116,15 @@ def loading_approach(s: Values) -> Array:
     if not bool(np.all(s >= 0.0)):
         raise ValueError("the time of a loading must not be negative")
     # beyond s = 60 the approach is 1 to the last bit
-    large = np.clip(s, _SERIES_BELOW_S, 60.0)
+    large = np.clip(s, _SERIES_BELOW, 60.0)
     z = np.interp(large, *_table())
     y = -np.expm1(-z)
     z = z - (_time_at_root(y, z) - large) * (1.0 + y + y * y) / (2.0 * y)
     approach = np.square(np.expm1(-z))
-    early = s < _SERIES_BELOW_S
+    early = s < _SERIES_BELOW
     if not early.any():
         return np.asarray(approach)
-    small = np.minimum(s, _SERIES_BELOW_S)
+    small = np.minimum(s, _SERIES_BELOW)
     x = small - 0.4 * small**2.5
     for _ in range(2):
         excess = _series(x) - small
@@ -263,7 +262,7 @@ def _scaled_answers(theta: Array, horizon: Array) -> Array:
     """Scaled answers (n, 10) of `outputs.answers_of`: approaches, force difference, energy, times."""
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
-    tail = theta + relaxing_time(peak, peak * _TAIL_SHARE ** (2.0 / 3.0))
+    tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
     ended = np.where(np.isfinite(horizon), horizon, tail)
     half = 0.5 ** (2.0 / 3.0)
     half_again = theta + relaxing_time(peak, peak * half)

@@ -9,7 +9,7 @@ left; a demand is given there too, for an absent number would pass for a surviva
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
@@ -36,6 +36,7 @@ __all__ = [
     "hiramatsu_oka_tension",
     "in_range",
     "product_fineness",
+    "ranges_of",
     "ring_crack_force",
     "ring_crack_toughness",
     "size_factor",
@@ -199,16 +200,21 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
     return found
 
 
+def ranges_of(
+    criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})
+) -> Iterator[tuple[str, Array, float, float]]:
+    """What a criterion has a range of: its name, its values, (n,) or (1,), and the two ends of the range."""
+    for name, (low, high) in criterion.ranges.items():
+        value = _ratio(columns) if name == "a/r" else parameters[name] if name in parameters else columns.get(name)
+        if value is not None:
+            yield name, np.atleast_1d(np.asarray(value, dtype=float)), low, high
+
+
 def in_range(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Flags:
     """Which of n rows lie inside the range of the criterion."""
     inside = np.ones(np.shape(np.atleast_1d(columns[criterion.needs[0]])), dtype=bool)
-    for name, (low, high) in criterion.ranges.items():
-        if name == "a/r":
-            value: Values = _ratio(columns)
-        else:
-            value = parameters[name] if name in parameters else columns.get(name)
-        if value is not None:
-            inside &= (np.asarray(value) >= low) & (np.asarray(value) <= high)
+    for _, value, low, high in ranges_of(criterion, columns, parameters):
+        inside &= (value >= low) & (value <= high)
     return inside
 
 

@@ -30,10 +30,11 @@ __all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "ray
 
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
 _TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
-#: phase speeds over c0 between which the lowest root is looked for, and the steps of the search
+#: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at nu = 0.5 (0.55) to
+#: above the bar's, and the steps of the search; halvings that leave nothing of a step: a double has 52 bits
 _SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
 _HALVINGS: Final = 52
-#: most that the surface factor may amplify a record inside the band
+#: most that the surface factor may amplify a record, and its noise, inside the band
 _MOST_GAIN: Final = 3.0
 
 

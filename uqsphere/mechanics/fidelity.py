@@ -22,10 +22,9 @@ PRIOR = (0.45, 0.0)
 PRIOR_WEIGHT = 4.0
 #: errors oscillate through zero: what is below this share of their root mean square counts as that
 LEAST = 0.05
-#: how far the law is put above the largest error it was fitted to
+#: how far the law is put above the largest error it was fitted to, and how far mu and theta may lie outside of the rows
+#: that it was fitted to: a quarter (docs/theory.md, section 5)
 MARGIN = 1.25
-#: how far mu and theta may lie outside of the rows that the law was fitted to
-REACH = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +113,6 @@ def fit_error_law(
         coefficients.append((float(found[0] - found @ centre + above), float(found[1]), float(found[2])))
     return (
         tuple(coefficients),
-        (float(mass_number.min()) / REACH, float(mass_number.max()) * REACH),
-        (float(pulse_number.min()) / REACH, float(pulse_number.max()) * REACH),
+        (float(mass_number.min()) / MARGIN, float(mass_number.max()) * MARGIN),
+        (float(pulse_number.min()) / MARGIN, float(pulse_number.max()) * MARGIN),
     )

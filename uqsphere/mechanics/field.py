@@ -36,7 +36,7 @@ __all__ = [
 
 #: the bars by name, in the order of every pair of numbers
 BARS: Final = ("incident", "receiving")
-#: echoes weaker than this are left out of the waves
+#: echoes weaker than this, over the first wave, are left out: far below the rounding of a double
 _FAINT: Final = 1e-18
 
 
@@ -122,7 +122,8 @@ _ROUNDING: Final = 1e-9
 #: share of the pulse's stress that counts as tension, and its most where the record has tension of its own
 _LEVEL: Final = 1e-6
 _MOST_LEVEL: Final = 0.05
-#: instants at each face from which the first tension is sought, and how often the search zooms in
+#: instants at each face from which the first tension is sought; how often the search zooms in and on how many points,
+#: by a factor of 8 each time: 8^12 is more than the digits of a double
 _COARSE: Final = 1500
 _ZOOMS: Final = 12
 _FINE: Final = 33

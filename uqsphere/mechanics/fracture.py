@@ -24,7 +24,8 @@ from uqsphere.mechanics.scene import Scene
 __all__ = ["Fractures", "first_fractures"]
 
 
-#: parts of a step of the integrator that are looked at before a crossing is refined, and halvings that refine it
+#: parts of a step of the integrator that are looked at before a crossing is refined, as many as its series has powers;
+#: halvings that refine it, to 2^-49 of the step
 _PARTS: Final = 16
 _HALVINGS: Final = 45
 _SHARES: Final = np.arange(1, _PARTS + 1) / _PARTS

@@ -32,7 +32,7 @@ __all__ = [
 
 #: a wave is over once it stays below this share of its largest value
 _OVER: Final = 0.01
-#: instants at which a wave is looked at to see when it is over
+#: instants of a round trip at which a wave is looked at to see when it is over
 _LOOKS: Final = 4000
 #: points of a step's Gauss quadrature, exact to degree 15
 _GAUSS: Final = 8

@@ -40,9 +40,9 @@ __all__ = [
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 
-#: parts of a step that are scanned before an event is refined
+#: parts of a step that are scanned before an event is refined, as many as its series has powers
 _SCAN: Final = 16
-#: halvings that leave nothing of a part of a step
+#: halvings that leave nothing of a part of a step: a double has 52 bits
 _HALVINGS: Final = 52
 #: an approach counts as a touch once it exceeds this many tolerances of the largest, as in the integrator
 _TOUCH: Final = 5.0

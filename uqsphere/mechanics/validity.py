@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars
-from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range
+from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
 
@@ -115,6 +115,7 @@ def _yield(scene: Scene) -> Array | None:
     return np.where(found > 0.0, found, np.nan)
 
 
+_NO_SCENE: Final = "not checked: no scene was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 
 
@@ -293,17 +294,17 @@ def check_at_fracture(imbalance: Array, weights: Array) -> Check:
     rule = _AT_FRACTURE
     known = ~np.isnan(imbalance) & (weights > 0.0)
     if not known.any():
-        return _result(rule, np.zeros(3), None, "not checked: no specimen breaks")
+        return _result(rule.name, np.zeros(3), None, "not checked: no specimen breaks")
     measured, mass = imbalance[known], weights[known] / weights[known].sum()
     worst = float(measured.max())
     shares = np.asarray(np.bincount(grades(rule, measured), weights=mass, minlength=4)[1:], dtype=float)
     numbers = {"worst": f"{worst:.3g}", "limit": f"{rule.limit:.3g}"}
     if not shares.any():
-        return _result(rule, shares, worst, rule.fine.format(**numbers))
+        return _result(rule.name, shares, worst, rule.fine.format(**numbers))
     broken = f"{_percent(float(min(shares.sum(), 1.0)))} specimens that break".replace(
         "all specimens", "all the specimens"
     )
-    return _result(rule, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
+    return _result(rule.name, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 
 def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check:
@@ -312,30 +313,30 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check:
         return _without_number(rule, scene, measured, bool(good.any()))
     usable = measured[good & ~np.isnan(measured)]
     if len(usable) == 0:
-        return _result(rule, np.zeros(3), None, "not checked: no scene was computed")
+        return _result(rule.name, np.zeros(3), None, _NO_SCENE)
     worst = float(usable.max() if rule.rising else usable.min())
     shares = np.bincount(grades(rule, usable), minlength=4)[1:] / len(usable)
     broken = float(shares.sum())
     seen = f"{worst:.3g}" if np.isfinite(worst) else "endlessly many"
     numbers = {"worst": seen, "limit": f"{rule.limit:.3g}"}
     if broken == 0.0:
-        return _result(rule, shares, worst, rule.fine.format(**numbers))
-    return _result(rule, shares, worst, f"in {_percent(broken)} scenes {rule.words.format(**numbers)}")
+        return _result(rule.name, shares, worst, rule.fine.format(**numbers))
+    return _result(rule.name, shares, worst, f"in {_percent(broken)} scenes {rule.words.format(**numbers)}")
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:
     """A check that measures nothing: left out, or a jump of the pulse, which concerns every row alike."""
     if rule.name == "one_dimensional_bars" and any_row:
         text = f"the ideal {scene.shape} pulse jumps, sharper than any bar can carry: a real one needs time"
-        return _result(rule, np.array([1.0, 0.0, 0.0]), 0.0, text)
-    return _result(rule, np.zeros(3), None, why)
+        return _result(rule.name, np.array([1.0, 0.0, 0.0]), 0.0, text)
+    return _result(rule.name, np.zeros(3), None, why)
 
 
-def _result(rule: Rule, shares: Array, worst: float | None, text: str) -> Check:
+def _result(name: str, shares: Array, worst: float | None, text: str) -> Check:
     information, warning, failure = (float(share) for share in shares)
     # an endless pulse is infinitely long, and a report holds no infinity
     finite = worst if worst is not None and np.isfinite(worst) else None
-    return Check(check=rule.name, share_information=information, share_warning=warning, share_failure=failure,
+    return Check(check=name, share_information=information, share_warning=warning, share_failure=failure,
                  worst=finite, text=text)  # fmt: skip
 
 
@@ -343,12 +344,12 @@ def _percent(share: float) -> str:
     return "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
 
 
-# --- Whether the criteria that a study uses stay inside the range of their formulas and tables, theory section 9.
+# --- ranges of criteria -------------------------------------------------------------------------------
 # Outside the range of a table the ratio at its edge is used, and outside the range of a formula the formula itself, so
-# that a demand is never absent.  How many samples that concerns is a check like those of `mechanics.validity`.
+# that a demand is never absent.  How many samples that concerns is a check like the others.
 
-#: how the ranges are called, and the column or parameter that each is of
-_WORDS: Final = {"a/r": "a/r", "sphere.nu": "nu", "modulus": "m"}
+#: how the ranges are called, by the column or parameter that each is of
+_WORDS: Final = {"sphere.nu": "nu", "modulus": "m"}
 
 
 def check_ranges(
@@ -364,101 +365,69 @@ def check_ranges(
 
     Each row is judged at its largest force; one that breaks earlier never comes so far.
     """
-    demands = scene.demands if demands is None else demands
-    plain: dict[str, tuple[str, Mapping[str, float]]] = {
+    known: dict[str, tuple[str, Mapping[str, float]]] = {
         entry.quantity: (name, {})
         for name, entry in CRITERIA.items()
         # the range of the contact pressure is that of Hertz, which has a check of its own
-        if entry.quantity is not None and entry.ranges and name != "contact_pressure"
+        if entry.quantity is not None and name != "contact_pressure"
     }
-    known: dict[str, tuple[str, Mapping[str, float]]] = {**plain, **dict(demands)}
+    known |= dict(scene.demands if demands is None else demands)
     good = answered(answers.status)
-    found = [
-        _check_criterion_ranges(name, CRITERIA[known[name][0]], known[name][1], scene, answers, good)
-        for name in dict.fromkeys(quantities)
-        if name in known and CRITERIA[known[name][0]].ranges
-    ]
-    return [*found, *([_product(scene, answers, good)] if "t10" in quantities else [])]
+    columns = {name: np.asarray(values)[good] for name, values in {**scene.columns, **answers.values}.items()}
+    found = []
+    for name in dict.fromkeys(quantities):
+        if name in known and CRITERIA[known[name][0]].ranges:
+            found.append(_check_range(name, CRITERIA[known[name][0]], known[name][1], columns))
+    return [*found, *([_check_product(columns)] if "t10" in quantities else [])]
 
 
-def _product(scene: Scene, answers: Answers, good: Flags) -> Check:
-    """The fineness against the energies and sizes that its A and b are fitted to."""
-    energy, size = answers.values["specific_energy"], 2.0 * scene.columns["sphere.radius"]
-    allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
-    if not good.any():
-        return _none("range_of_t10")
-    outside = [(energy < ENERGIES[0]) | (energy > ENERGIES[1]), (size < DIAMETERS[0]) | (size > DIAMETERS[1])]
-    share = float(((outside[0] | outside[1]) & good).sum() / good.sum())
-    lowest, highest = float(energy[good].min()), float(energy[good].max())
-    worst = lowest if ENERGIES[0] / lowest > highest / ENERGIES[1] else highest
-    if share == 0.0:
-        text = f"t10 is used where A and b are measured ({allowed})"
-    else:
-        spans = (f"{lowest / 3600.0:.3g} to {highest / 3600.0:.3g} kWh/t",
-                 f"{1e3 * size[good].min():.3g} to {1e3 * size[good].max():.3g} mm")  # fmt: skip
-        left = " and ".join(span for span, which in zip(spans, outside, strict=True) if which[good].any())
-        text = f"in {_which(share)} scenes t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
-    return Check(check="range_of_t10", share_information=0.0, share_warning=share, share_failure=0.0, worst=worst,
-                 text=text)  # fmt: skip
-
-
-def _which(share: float) -> str:
-    return "all" if share == 1.0 else f"{100.0 * share:.3g} % of the"
-
-
-def _none(name: str) -> Check:
-    return Check(check=name, share_information=0.0, share_warning=0.0, share_failure=0.0, worst=None,
-                 text="not checked: no scene was computed")  # fmt: skip
-
-
-def _check_criterion_ranges(
-    quantity: str,
-    criterion: Criterion,
-    parameters: Mapping[str, float],
-    scene: Scene,
-    answers: Answers,
-    good: Flags,
+def _check_range(
+    quantity: str, criterion: Criterion, parameters: Mapping[str, float], columns: Mapping[str, Array]
 ) -> Check:
     name = f"range_of_{quantity}"
-    columns = {**scene.columns, **answers.values}
-    if not good.any():
-        return _none(name)
-    outside = ~in_range(criterion, columns, parameters) & good
-    share = float(outside.sum() / good.sum())
-    parts = [_part(key, bounds, columns, parameters, good) for key, bounds in criterion.ranges.items()]
-    excess = max(parts, key=lambda part: part[0])
+    inside = in_range(criterion, columns, parameters)
+    if len(inside) == 0:
+        return _result(name, np.zeros(3), None, _NO_SCENE)
+    share = float((~inside).sum() / len(inside))
+    parts = [_farthest(*part) for part in ranges_of(criterion, columns, parameters)]
+    worst = max(parts, key=lambda part: part[0])[1]
     if share == 0.0:
         text = f"{criterion.name} is used inside its range ({criterion.range_text})"
     else:
         left = ", ".join(words for beyond, _, words in parts if beyond > 0.0)
+        edge = "at the edge of its table" if "equal forces" in criterion.range_text else "of the formula all the same"
         text = (
-            f"in {_which(share)} scenes {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
-            f"value there is {_meaning(criterion)}"
+            f"in {_percent(share)} scenes {criterion.name} is outside its range ({criterion.range_text}): {left}; its "
+            f"value there is that {edge}"
         )
-    return Check(check=name, share_information=0.0, share_warning=share, share_failure=0.0, worst=excess[1], text=text)
+    return _result(name, np.array([0.0, share, 0.0]), worst, text)
 
 
-def _meaning(criterion: Criterion) -> str:
-    return (
-        "that at the edge of its table"
-        if "equal forces" in criterion.range_text
-        else "that of the formula all the same"
-    )
-
-
-def _part(
-    key: str, bounds: tuple[float, float], columns: Mapping[str, Any], parameters: Mapping[str, float], good: Any
-) -> tuple[float, float, str]:
+def _farthest(key: str, values: Array, low: float, high: float) -> tuple[float, float, str]:
     """How far beyond the bounds over their distance, the value furthest out, and that in words."""
-    if key == "a/r":
-        values = np.asarray(columns["a_max"] / columns["sphere.radius"], dtype=float)[good]
-    elif key in parameters:
-        values = np.array([parameters[key]], dtype=float)
-    else:
-        values = np.asarray(columns[key], dtype=float)[good]
-    low, high = bounds
     least, most = float(values.min()), float(values.max())
     below, above = low - least, most - high
     worst = least if below > max(above, 0.0) else most
     found = f"{least:.3g} to {most:.3g}" if min(below, above) > 0.0 else f"{worst:.3g}"
     return max(below, above) / (high - low), worst, f"{_WORDS.get(key, key)} reaches {found}"
+
+
+def _check_product(columns: Mapping[str, Array]) -> Check:
+    """The fineness against the energies and sizes that its A and b are fitted to."""
+    energy, size = columns["specific_energy"], 2.0 * columns["sphere.radius"]
+    allowed = "0.1 to 2.5 kWh/t, 13 to 63 mm"
+    if len(energy) == 0:
+        return _result("range_of_t10", np.zeros(3), None, _NO_SCENE)
+    outside = [(energy < ENERGIES[0]) | (energy > ENERGIES[1]), (size < DIAMETERS[0]) | (size > DIAMETERS[1])]
+    share = float((outside[0] | outside[1]).sum() / len(energy))
+    lowest, highest = float(energy.min()), float(energy.max())
+    worst = lowest if ENERGIES[0] / lowest > highest / ENERGIES[1] else highest
+    text = f"t10 is used where A and b are measured ({allowed})"
+    if share > 0.0:
+        spans = (f"{lowest / 3600.0:.3g} to {highest / 3600.0:.3g} kWh/t",
+                 f"{1e3 * size.min():.3g} to {1e3 * size.max():.3g} mm")  # fmt: skip
+        left = " and ".join(span for span, which in zip(spans, outside, strict=True) if which.any())
+        text = (
+            f"in {_percent(share)} scenes t10 is outside the range of the drop-weight tests ({allowed}): found {left}"
+        )
+    return _result("range_of_t10", np.array([0.0, share, 0.0]), worst, text)

@@ -46,9 +46,10 @@ from uqsphere.mechanics.integrator.vectors import row as row_of
 
 __all__ = ["march"]
 
-#: longest trial step over the last step: without and with waves that come back
+#: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
+#: reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
-#: steps a row may take at most
+#: steps a row may take at most: one that takes more has status 5
 LIMIT = 1 << 20
 
 

@@ -56,7 +56,7 @@ _BLOCK = 512
 #: steps a row may take, tried in turn, so that memory stays small for the many rows that need few
 _CAPACITIES = (1024, 16_384, 262_144)
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the forces is asked
-#: for; where the record ends in the tail of the force.  Measured: every quantity then keeps the tolerance
+#: for; where the record ends in the tail of the force.  Measured by the sweep: every quantity then keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL = 1.0, 0.05, 0.1
 
 
@@ -425,13 +425,13 @@ March = Callable[[Places, float, Array | None], Scaled]
 #: steps after which the errors of single steps may have added up; the largest approach alone they leave within a
 #: twentieth of the tolerance after up to 18,000 steps (`tests/test_hard_cases.py`)
 _MANY_STEPS: Final = 1_000
-#: change of a time over that of its threshold, both relative, that is no longer smooth: a slope of 1 to 10 is usual, a
-#: threshold that an oscillation just misses moves a time by 1e3 and more (the sweep of 20,000 scenes)
+#: change of a time over that of its threshold, both relative, that is no longer smooth: one below it
+#: moves the answer by less than a hundred tolerances
 _JUMP: Final = 100.0
 #: sharpness of a loss of contact from which on 1e-4 of the tolerance is close enough: the error of the approach moves
 #: the time by tolerance/sharpness, a fiftieth of what is asked
 _CLEAN: Final = 5e-3
-#: smallest share of the tolerance that a row is repeated with, and the smallest tolerance: what doubles carry
+#: smallest share of the tolerance that a row is repeated with, and the smallest tolerance: 450 roundings of a double
 _CLOSEST, _FINEST = 1e-6, 1e-13
 #: a hundred times closer, an answer may change by this many tolerances: what is left is below one
 _REPEATED: Final = 30.0

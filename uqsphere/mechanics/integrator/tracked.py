@@ -24,28 +24,24 @@ PAIR = 2 * LANES
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
 
 # what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its tracker - 1)
-WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = 1, 2, 4, 8, 16
-WANT_ALL = 31
+WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = (1 << k for k in range(5))
+WANT_ALL = WANT_RISE | WANT_DIFFERENCE | WANT_ENERGY | WANT_WIDTH | WANT_CONTACT
 
 # trackers of a lane while its row runs: the first KINDS are the largest values found so far
 (FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE, DEPTH,
- NEAREST, UNLOADINGS) = range(13)  # fmt: skip
-KINDS = 4
+ NEAREST, UNLOADINGS, TRACKS) = range(14)  # fmt: skip
+KINDS = ENERGY + 1
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
 #: flag of a step in which a face may begin or end to yield
 SWITCHES = 2 << KINDS
-TRACKS = 13
 
-# answers of a row, scaled: approach, force difference, energy, times
+# answers of a row, scaled: approach, force difference, energy, times; width and rise with their thresholds a little
+# lower, then a little higher; largest approach of each face that has yielded (0: none), how often one was unloaded
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
  ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH,
- ANSWER_NEAREST) = range(13)  # fmt: skip
-# width and rise with their thresholds a little lower, then a little higher
-ANSWER_WIDTHS, ANSWER_RISES = 13, 15
-# largest approach of each face that has yielded (0: none), and how often one was unloaded from there
-ANSWER_YIELD, ANSWER_UNLOADINGS = 17, 19
-ANSWERS = 20
+ ANSWER_NEAREST, ANSWER_WIDTHS, _, ANSWER_RISES, _, ANSWER_YIELD, _, ANSWER_UNLOADINGS,
+ ANSWERS) = range(21)  # fmt: skip
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
 SCALED = {
     "x_max": (ANSWER_X_MAX, 0),
