@@ -70,9 +70,9 @@ def forged(folder: Path, name: str, data: bytes) -> None:
 def test_a_whole_run_is_called_whole_and_stays_untouched(box: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (box / "run").rglob("*")}
     found = verify_folder(box / "run", chunks=4, model=f"{box / 'model.py'}:f")
-    assert (found["verdict"], found["faults"], found["results"]) == ("whole", [], "the same")
-    assert len(found["repeated"]) == 4
-    assert all(entry["same"] for entry in found["repeated"])
+    assert (found.verdict, found.faults, found.results) == ("whole", [], "the same")
+    assert len(found.repeated) == 4
+    assert all(entry.same for entry in found.repeated)
     assert {path: path.stat().st_mtime_ns for path in (box / "run").rglob("*")} == before
     assert "whole" in verify_text(found)
 
@@ -80,7 +80,7 @@ def test_a_whole_run_is_called_whole_and_stays_untouched(box: Path) -> None:
 def test_the_chunks_are_drawn_by_the_seed(box: Path) -> None:
     def chosen(seed: int) -> list[str]:
         found = verify_folder(box / "run", chunks=2, seed=seed, model=f"{box / 'model.py'}:f")
-        return sorted(entry["chunk"] for entry in found["repeated"])
+        return sorted(entry.chunk for entry in found.repeated)
 
     assert chosen(1) == chosen(1)
     assert len({tuple(chosen(seed)) for seed in range(4)}) > 1
@@ -91,15 +91,15 @@ def test_what_an_evaluation_cost_is_no_evaluation(box: Path) -> None:
     stored = {path.name.rpartition("_")[0] for path in (box / "run" / "evaluations").glob("*.npy")}
     assert "cost" in stored
     found = verify_folder(box / "run", chunks=len(stored), model=f"{box / 'model.py'}:f")
-    assert (found["verdict"], found["faults"]) == ("whole", [])
-    assert {entry["chunk"] for entry in found["repeated"]} == stored - {"cost"}
+    assert (found.verdict, found.faults) == ("whole", [])
+    assert {entry.chunk for entry in found.repeated} == stored - {"cost"}
 
 
 def test_no_code_is_run_without_a_model(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uqsphere.model.load_black_box", None)
     found = verify_folder(box / "run")
-    assert (found["verdict"], found["repeated"], found["results"]) == ("whole", [], "the same")
-    assert any("--model" in note for note in found["notes"])
+    assert (found.verdict, found.repeated, found.results) == ("whole", [], "the same")
+    assert any("--model" in note for note in found.notes)
 
 
 def test_another_model_is_not_run(box: Path) -> None:
@@ -110,15 +110,15 @@ def test_another_model_is_not_run(box: Path) -> None:
 
 def test_a_scene_is_evaluated_again(finished: Path) -> None:
     found = verify_folder(finished, chunks=2, seed=1)
-    assert (found["verdict"], found["results"]) == ("whole", "the same")
-    assert len(found["repeated"]) == 2
+    assert (found.verdict, found.results) == ("whole", "the same")
+    assert len(found.repeated) == 2
 
 
 def test_every_evaluation_of_a_scene_is_evaluated_again(finished: Path) -> None:
     found = verify_folder(finished, chunks=1000)
-    assert (found["verdict"], found["results"], found["notes"]) == ("whole", "the same", [])
+    assert (found.verdict, found.results, found.notes) == ("whole", "the same", [])
     stored = {path.name.rpartition("_")[0] for path in (finished / "evaluations").glob("*.npy")}
-    assert {entry["chunk"] for entry in found["repeated"]} == stored
+    assert {entry.chunk for entry in found.repeated} == stored
     assert any(chunk.startswith("pilot.") for chunk in stored)
 
 
@@ -130,7 +130,7 @@ def test_a_changed_flag_is_found(finished: Path, tmp_path: Path) -> None:
     np.save(path, table)
     key = path.name.rpartition("_")[0]
     path.rename(path.with_name(f"{key}_{hashlib.sha256(path.read_bytes()).hexdigest()[:16]}.npy"))
-    (fault,) = verify_folder(folder, chunks=1000)["faults"]
+    (fault,) = verify_folder(folder, chunks=1000).faults
     assert f"{key} come out differently" in fault
 
 
@@ -147,7 +147,7 @@ def test_the_report_enters_its_own_files(box: Path) -> None:
     sums = read_sums(box / "run")
     assert sums is not None
     assert {"report.html", "figures/distribution-y.svg"} <= set(sums)
-    assert verify_folder(box / "run")["verdict"] == "whole"
+    assert verify_folder(box / "run").verdict == "whole"
 
 
 # --- damaged --------------------------------------------------------------------------------------
@@ -162,14 +162,14 @@ def test_a_changed_byte_is_found(box: Path, name: str) -> None:
     data[len(data) // 2] ^= 1
     path.write_bytes(bytes(data))
     found = verify_folder(box / "run")
-    assert found["verdict"] == "damaged"
-    assert f"{name} has been changed since it was written" in found["faults"]
+    assert found.verdict == "damaged"
+    assert f"{name} has been changed since it was written" in found.faults
 
 
 @pytest.mark.parametrize("name", ["samples.json", "tables/limits.csv"])
 def test_a_missing_file_is_found(box: Path, name: str) -> None:
     (box / "run" / name).unlink()
-    assert f"{name} is missing" in verify_folder(box / "run")["faults"]
+    assert f"{name} is missing" in verify_folder(box / "run").faults
 
 
 def test_a_damaged_chunk_is_named_and_a_missing_one_too(box: Path) -> None:
@@ -177,9 +177,9 @@ def test_a_damaged_chunk_is_named_and_a_missing_one_too(box: Path) -> None:
     data = paths[0].read_bytes()
     paths[0].write_bytes(data[:-1])
     found = verify_folder(box / "run")
-    assert [fault for fault in found["faults"] if paths[0].name in fault]
+    assert [fault for fault in found.faults if paths[0].name in fault]
     paths[0].unlink()
-    (fault,) = verify_folder(box / "run")["faults"]
+    (fault,) = verify_folder(box / "run").faults
     assert paths[0].name.rpartition("_")[0] in fault
     assert "missing" in fault
 
@@ -194,9 +194,9 @@ def test_evaluations_that_were_changed_with_their_checksum_are_found(box: Path) 
     path.rename(path.with_name(f"{key}_{hashlib.sha256(data).hexdigest()[:16]}.npy"))
     count = len(list((box / "run" / "evaluations").iterdir()))
     model = f"{box / 'model.py'}:f"
-    assert verify_folder(box / "run", chunks=0, model=model)["verdict"] == "damaged"  # by the results
+    assert verify_folder(box / "run", chunks=0, model=model).verdict == "damaged"  # by the results
     found = verify_folder(box / "run", chunks=count, model=model)
-    assert any(f"{key} come out differently" in fault for fault in found["faults"])
+    assert any(f"{key} come out differently" in fault for fault in found.faults)
 
 
 @pytest.mark.parametrize("name", ["results.json", "study.toml", "tables/limits.csv", "samples.npy"])
@@ -213,7 +213,7 @@ def test_a_forgery_with_a_fitting_checksum_is_found(box: Path, name: str) -> Non
         data = path.read_bytes().replace(before, after, 1)
         assert data != path.read_bytes()
     forged(box / "run", name, data)
-    assert verify_folder(box / "run")["verdict"] == "damaged"
+    assert verify_folder(box / "run").verdict == "damaged"
 
 
 def test_a_checksum_outside_the_folder_is_refused(box: Path) -> None:
@@ -221,7 +221,7 @@ def test_a_checksum_outside_the_folder_is_refused(box: Path) -> None:
     secret.write_text("x")
     sums = box / "run" / "SHA256SUMS"
     sums.write_text(sums.read_text() + f"{'0' * 64}  ../secret\n")
-    (fault,) = verify_folder(box / "run")["faults"]
+    (fault,) = verify_folder(box / "run").faults
     assert "SHA256SUMS is damaged" in fault
 
 
@@ -244,7 +244,7 @@ def test_a_run_that_has_not_finished(box: Path) -> None:
     (box / "run" / "results.json").unlink()
     (box / "run" / "SHA256SUMS").unlink()
     found = verify_folder(box / "run")
-    assert (found["verdict"], found["faults"]) == ("unfinished", [])
+    assert (found.verdict, found.faults) == ("unfinished", [])
     with pytest.raises(FolderError, match="not a result folder"):
         verify_folder(box)
 
@@ -252,8 +252,8 @@ def test_a_run_that_has_not_finished(box: Path) -> None:
 def test_a_run_of_another_version_is_not_evaluated_again(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uqsphere, "__version__", "999")
     found = verify_folder(box / "run", model=f"{box / 'model.py'}:f")
-    assert (found["verdict"], found["repeated"]) == ("whole", [])
-    assert any("made by uqsphere" in note for note in found["notes"])
+    assert (found.verdict, found.repeated) == ("whole", [])
+    assert any("made by uqsphere" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("key", "who"), [("stopped_by_time", "time budget"), ("interrupted", "user")])
@@ -262,8 +262,8 @@ def test_a_run_that_was_stopped_is_no_damage(box: Path, key: str, who: str) -> N
     forged(box / "run", "manifest.json", json.dumps(manifest).encode())
     sorted((box / "run" / "evaluations").glob("sampling*"))[-1].unlink()
     found = verify_folder(box / "run")
-    assert found["verdict"] == "whole"
-    assert any(f"{who} stopped this run" in note for note in found["notes"])
+    assert found.verdict == "whole"
+    assert any(f"{who} stopped this run" in note for note in found.notes)
 
 
 # --- the stored study -----------------------------------------------------------------------------
@@ -323,11 +323,11 @@ def test_data_in_a_folder_of_its_own_is_kept_and_verified(box: Path) -> None:
     (home / "my data" / "Prüfung 1.csv").unlink()
     assert "my data/Prüfung 1.csv" in (run / "SHA256SUMS").read_text("utf-8")
     found = verify_folder(run, model=model)
-    assert (found["verdict"], found["faults"]) == ("whole", [])
+    assert (found.verdict, found.faults) == ("whole", [])
     (run / "my data").rename(home / "elsewhere")
     (run / "my data").symlink_to(home / "elsewhere")
     assert kept_data(text, run) == {}
-    assert verify_folder(run, model=model)["verdict"] == "damaged"
+    assert verify_folder(run, model=model).verdict == "damaged"
     (home / "my data" / "Prüfung 1.csv").write_bytes((home / "elsewhere" / "Prüfung 1.csv").read_bytes())
     with pytest.raises(FolderError, match="link"):
         uqsphere.run(uqsphere.load_study(home / "box.toml"), out=run, model=model)

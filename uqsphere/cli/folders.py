@@ -93,10 +93,10 @@ def command_verify(chosen: argparse.Namespace) -> int:
     with _believed(chosen.folder):
         found = verify_folder(chosen.folder, chunks=chosen.chunks, seed=chosen.seed, model=chosen.model)
     if chosen.json:
-        print_document(found)
+        print_document(found.document())
     else:
         print(verify_text(found))
-    if found["verdict"] == DAMAGED:
+    if found.verdict == DAMAGED:
         raise FolderError(f"{chosen.folder} is damaged")
     return 0
 
