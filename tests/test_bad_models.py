@@ -26,9 +26,9 @@ from uqsphere.results import MeasureEntry, Results
 from uqsphere.runner.campaign import NO_NUMBER, Cost, cost_of, out_of_reach
 from uqsphere.runner.questions.indices import lost_designs
 from uqsphere.study import Study, load_study
+from uqsphere.uq.control import expansion_indices
 from uqsphere.uq.estimate import from_replicates
 from uqsphere.uq.indices import Blocks
-from uqsphere.uq.surrogate import expansion_indices
 
 Rows = dict[str, np.ndarray[Any, np.dtype[np.float64]]]
 

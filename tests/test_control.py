@@ -11,8 +11,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from uqsphere.uq.control import best_ratio, control, describe_controlled, predicted_cost, probability
+from uqsphere.uq.control import best_ratio, describe_controlled, predicted_cost, probability
 from uqsphere.uq.describe import describe
+from uqsphere.uq.estimate import corrected
 from uqsphere.uq.points import sobol_points
 
 Array = npt.NDArray[np.float64]
@@ -91,34 +92,6 @@ def test_intervals_are_narrower_than_without(
     assert widths["plain"] > least * widths["controlled"]
 
 
-def test_a_useless_control_changes_little() -> None:
-    rng = np.random.default_rng(3)
-    dear = rng.normal(size=(4000, 16))
-    cheap, many = rng.normal(size=(2, 4000, 16))
-    found = [control(*rows) for rows in zip(dear, cheap, many, strict=True)]
-    true_error = np.std([f.value for f in found])
-    # alpha is learned from 16 replicates: that costs sqrt((R - 2)/(R - 3)) and no more
-    assert true_error < 1.1 * 0.25
-    assert np.sqrt(np.mean([f.std_error**2 for f in found])) == pytest.approx(true_error, rel=0.08)
-    assert np.mean([f.plain_error**2 for f in found]) == pytest.approx(1 / 16, rel=0.08)
-
-
-def test_a_perfect_control_leaves_the_error_of_the_many_points() -> None:
-    dear, cheap, many = sample(1)
-    shift = 3.0 + 2.0 * cheap
-    found = control(shift.mean(axis=1), cheap.mean(axis=1), many.mean(axis=1))
-    assert found.value == pytest.approx(3.0 + 2.0 * many.mean(), abs=4.0 * found.std_error)
-    assert found.alpha == pytest.approx(2.0, rel=0.2)
-    assert found.std_error < 0.5 * found.plain_error
-    assert dear.shape == cheap.shape
-
-
-def test_a_control_that_does_not_vary_leaves_the_plain_answer() -> None:
-    dear = np.array([1.0, 2.0, 4.0, 3.0])
-    found = control(dear, np.ones(4), np.ones(4))
-    assert (found.value, found.alpha, found.std_error) == (2.5, 0.0, found.plain_error)
-
-
 def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
     # shares that the points hit exactly leave nothing to see: the error is that of one row and of the cells
     same = np.full(16, 0.25) + 1e-9 * np.arange(16)
@@ -127,28 +100,20 @@ def test_models_that_agree_on_every_row_may_still_disagree_on_one() -> None:
     assert found.std_error >= 1.0 / (16 * N)
 
 
-def test_a_bound_on_alpha_is_kept_and_its_error_is_right() -> None:
-    rng = np.random.default_rng(8)
-    dear, many = rng.normal(size=(4000, 16)), np.zeros((4000, 16))
-    found = [control(y, y + 0.1 * rng.normal(size=16), m, (0.0, 0.5)) for y, m in zip(dear, many, strict=True)]
-    assert {f.alpha for f in found} == {0.5}
-    assert np.std([f.value for f in found]) == pytest.approx(np.hypot(0.5, 0.05) / 4.0, rel=0.06)
-    assert np.sqrt(np.mean([f.std_error**2 for f in found])) == pytest.approx(np.hypot(0.5, 0.05) / 4.0, rel=0.06)
-
-
-def test_a_control_that_is_smooth_and_unrelated_does_not_spoil_quantiles() -> None:
-    rng = np.random.default_rng(9)
-    dear = rng.normal(size=(16, 256))
-    many = ndtri((np.arange(2048) + 0.5) / 2048)[rng.permuted(np.tile(np.arange(2048), (16, 1)), axis=1)]
-    controlled = describe_controlled(dear, many[:, ::8][:, :256], many, quantiles=(0.5, 0.95), method="x").quantiles
-    plain = describe(dear, quantiles=(0.5, 0.95)).quantiles
-    for p in (0.5, 0.95):
-        assert controlled[p].half_width < 1.5 * plain[p].half_width
-
-
-def test_too_few_replicates_are_refused() -> None:
+def test_the_error_of_a_corrected_answer_is_that_of_the_difference() -> None:
+    """Unrelated models add their errors, a perfect one leaves that of the many points."""
+    rng = np.random.default_rng(3)
+    rows, gaps = rng.normal(size=(2, 4000, 16))
+    found = [corrected(*pair) for pair in zip(rows, gaps, strict=True)]
+    true_error = np.std([value for value, _ in found])
+    assert true_error == pytest.approx(math.sqrt(2.0) / 4.0, rel=0.05)
+    assert np.sqrt(np.mean([error**2 for _, error in found])) == pytest.approx(true_error, rel=0.08)
+    _, cheap, many = sample(1)
+    value, error = corrected(3.0 + cheap.mean(axis=1), cheap.mean(axis=1) - many.mean(axis=1))
+    assert value == pytest.approx(3.0 + many.mean(), rel=1e-12)
+    assert error == pytest.approx(float(np.std(many.mean(axis=1), ddof=1)) / 4.0)
     with pytest.raises(ValueError, match="four replicates"):
-        control(np.ones(3), np.ones(3), np.ones(3))
+        corrected(np.ones(3), np.ones(3))
 
 
 def test_a_change_of_units_changes_nothing_else() -> None:

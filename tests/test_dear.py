@@ -22,23 +22,20 @@ from uqsphere.report.phrases import without_failed
 from uqsphere.report.terminal import summary_of
 from uqsphere.results import Results
 from uqsphere.runner import evaluate as work
-from uqsphere.runner import price as pricing
+from uqsphere.runner import expensive as pricing
 from uqsphere.runner.campaign import Cost, cost_of, indices_missed
-from uqsphere.runner.dear_answers import Answers
-from uqsphere.runner.dear_end import Dear, blocks_of_runs
-from uqsphere.runner.dear_kept import keep_answers, keep_indices
 from uqsphere.runner.evaluate import Ledger, Work
+from uqsphere.runner.expensive import Expensive, Surrogates, keep_answers, keep_indices
 from uqsphere.runner.forecast import CHEAP, choose_way, plan_run, plan_text
 from uqsphere.runner.limits import LimitAnswer
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
+from uqsphere.runner.surrogate_answers import Answers, blocks_of_runs
 from uqsphere.study import Study
-from uqsphere.uq.augmented import indices_of, left_out, trust, with_residuals
-from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.expansion import fit_chaos, germ_points, predict
 from uqsphere.uq.points import sobol_points
+from uqsphere.uq.response import cross_fit, index_shares
 from uqsphere.uq.sample import Sample
 
 MODELS = {model.name: model for model in coverage_models()}
@@ -60,6 +57,8 @@ budget = { time = "2 h" }
 accuracy = { mean = 0.005, quantile = 0.05, sobol = 0.01, probability = 0.1 }
 """
 TRUTH = MODELS["ishigami"]
+#: a response without error, of a straight line
+EXACT = cross_fit(np.linspace(-1.0, 1.0, 16)[:, None], np.linspace(0.0, 1.0, 16), ("uniform",))[0]
 
 
 class Counted:
@@ -127,12 +126,12 @@ def test_no_first_index_lies_above_the_total_one(ask, monkeypatch: pytest.Monkey
     """Each is widened by its own error, and may be off by a little more than that."""
 
     def apart(one: Any, seed: int) -> dict[str, Any]:
-        found = trusted_indices(one, seed)
+        found = index_shares(one, seed)
         first, total = found["first"][1], found["total"][1]
         found["first"][1] = replace(first, value=total.high + 0.002, low=total.high + 0.001, high=total.high + 0.003)
         return found
 
-    monkeypatch.setattr("uqsphere.runner.dear_answers.trusted_indices", apart)
+    monkeypatch.setattr("uqsphere.runner.surrogate_answers.index_shares", apart)
     indices = ask(Counted(ishigami)).results.document()["sensitivity"]["y"]
     for name in ("x1", "x2", "x3"):
         assert indices["first"][name]["low"] <= indices["total"][name]["high"]
@@ -145,8 +144,8 @@ def test_the_larger_design_of_many_inputs_has_fewer_points(ask, monkeypatch: pyt
         sizes.append(more["count"])
         return work.draw(*args, **more)
 
-    monkeypatch.setattr("uqsphere.runner.dear_answers.draw", noted)
-    monkeypatch.setattr("uqsphere.runner.dear_answers.HELD", 16 * 3 * 9000)
+    monkeypatch.setattr("uqsphere.runner.surrogate_answers.draw", noted)
+    monkeypatch.setattr("uqsphere.runner.surrogate_answers.HELD", 16 * 3 * 9000)
     ask(Counted(ishigami), "analysis.accuracy.mean=1e-7", "analysis.budget.evaluations=64")
     assert set(sizes) == {4096, 8192}
 
@@ -166,7 +165,7 @@ def test_the_account_names_every_quantity_and_keeps_seconds_out_of_the_results(a
     found = ask(Counted(ishigami))
     kinds = {row["error_kind"] for row in found.results.document()["speed_error"]}
     assert {"largest half-width of an index", "half-width of the mean over the standard deviation"} <= kinds
-    assert any("unseen runs" in kind for kind in kinds)
+    assert any("runs left out" in kind for kind in kinds)
     assert len(found.manifest.speed_error_seconds) == len(found.results.document()["speed_error"])
     assert found.manifest.plan.cost_seconds_per_evaluation == 10.0
     assert "seconds" not in json.dumps(found.results.document()["plan"])
@@ -316,9 +315,9 @@ def test_a_small_probability_of_a_surrogate_is_kept_only_where_it_is_better_know
     def kept(one: LimitAnswer, other: LimitAnswer) -> Sampled:
         nothing = np.zeros((2, 1, 1))
         sample = Sample.at("x", nothing, nothing).with_answers("y", nothing)
-        sampled = Sampled(sample=sample, descriptions={}, limits={"high": one}, missed=[],
-                          stopped="", history=[], seconds=[])  # fmt: skip
-        dear = Dear(why="", surrogate=False, found=Answers(limits={"high": other}), believed=("y",))
+        sampled = Sampled(sample=sample, descriptions={}, limits={"high": one}, missed=[], stopped="")  # fmt: skip
+        question = Surrogates(work=work, found=Answers(limits={"high": other}), responses={"y": EXACT})
+        dear = Expensive(why="", surrogate=False, question=question)
         return keep_answers(work, sampled, dear)
 
     # below 1 % the methods for rare events may take over, and widths are not held against the accuracy on the way
@@ -340,7 +339,7 @@ def test_indices_of_a_surrogate_are_kept_where_sampled_ones_are_wider_than_asked
                            missed=told)  # fmt: skip
 
     sampled, own = indices(half, late), indices(0.01, True)
-    dear = Dear(why="", surrogate=False, sensitivity={"y": own})
+    dear = Expensive(why="", surrogate=False, question=Any, sensitivity={"y": own})
     found = keep_indices({"y": sampled, "z": sampled}, dear)
     assert found == {"y": own if kept else sampled, "z": sampled}
 
@@ -475,7 +474,7 @@ def test_what_is_drawn_and_stored_is_no_cost_of_the_model(ask, monkeypatch: pyte
     found = ask(Counted(ishigami), "analysis.budget.evaluations=20000")
     assert found.manifest.plan.cost_seconds_per_evaluation < found.manifest.seconds["pilot"] / 32.0
     plan = found.manifest.plan
-    dear = plan["cost_seconds_per_evaluation"] > plan["crossover_seconds_per_evaluation"]
+    dear = plan.cost_seconds_per_evaluation > plan.crossover_seconds_per_evaluation
     assert found.results.plan.way == ("surrogate" if dear else "sampling")
 
 
@@ -586,7 +585,7 @@ def test_a_design_point_that_the_model_contradicts_leaves_the_shares_known_befor
         return dict(ask(Counted(plane), out=out).results.document()["limits"]["high"])
 
     with monkeypatch.context() as without:
-        without.setattr("uqsphere.runner.dear_end.with_surrogate_design", lambda work, limits, *_: limits)
+        without.setattr("uqsphere.runner.expensive.with_surrogate_design", lambda work, limits, *_: limits)
         before = run("before")
     for name in ("CONFIRMED", "CLOSE"):
         monkeypatch.setattr(f"uqsphere.runner.questions.probabilities.{name}", -1.0)
@@ -654,7 +653,7 @@ def test_a_cost_that_is_none_is_refused(study_from: Callable[..., Study], value:
 
 
 def test_the_cost_of_the_impact_model_is_not_asked(study_from: Callable[..., Study]) -> None:
-    with pytest.raises(StudyError, match=r"analysis\.cost.*black boxes"):
+    with pytest.raises(StudyError, match=r"analysis\.cost.*black box"):
         study_from("analysis.cost='10 s'")
 
 
@@ -697,61 +696,6 @@ def test_what_a_missed_accuracy_would_take() -> None:
 
 
 # --- the statistics -------------------------------------------------------------------------------------------
-
-
-def fitted(name: str, n: int, seed: int = 3) -> Any:
-    from scipy.special import ndtri
-
-    model = MODELS[name]
-    u = sobol_points(dimension=model.dimension, count=n, seed=seed, task="dear", replicate=0)
-    points = germ_points(np.asarray(ndtri(u)), model.germs)
-    return model, points, model.function(u)
-
-
-def test_what_is_left_out_is_what_a_fit_without_it_says() -> None:
-    from dataclasses import replace
-
-    from uqsphere.uq.expansion import fit_again
-
-    model, points, outputs = fitted("g-function", 64)
-    chaos = fit_chaos(points, outputs, model.germs, plain=True)
-    told = left_out(chaos, points, outputs)
-    for k in (0, 17, 63):
-        keep = np.arange(64) != k
-        again = fit_again(replace(chaos), points[keep], outputs[keep])
-        assert told[k] == pytest.approx(float(predict(again, points[k : k + 1])[0]), rel=1e-9)
-
-
-def test_runs_that_contradict_a_claim_weaken_the_next() -> None:
-    model, points, outputs = fitted("ishigami", 128)
-    before = fit_chaos(points[:32], outputs[:32], model.germs)
-    chaos = fit_chaos(points, outputs, model.germs)
-    alone, checked = trust(chaos, points, outputs), trust(chaos, points, outputs, before)
-    assert checked.seen_by_none is not None
-    assert checked.error > 10.0 * alone.error
-    assert checked.scatter > alone.scatter
-    wide, narrow = indices_of(checked)["first"][0], indices_of(alone)["first"][0]
-    assert wide.half_width > narrow.half_width
-
-
-def test_residuals_give_a_surrogate_the_spread_of_the_model() -> None:
-    model, points, outputs = fitted("kinked", 64)
-    flat = trust(fit_chaos(points[:4], outputs[:4] * 0.0 + outputs.mean(), model.germs), points, outputs)
-    assert not flat.usable
-    values, reach = with_residuals(flat, np.zeros(4096), np.random.default_rng(1))
-    assert reach.min() > 0.0
-    assert set(np.round(values, 9)) <= set(np.round(flat.residuals, 9))
-
-
-def test_where_residuals_are_larger_the_law_may_be_off_by_as_much_more() -> None:
-    model, points, outputs = fitted("kinked", 64)
-    rough = trust(fit_chaos(points, outputs, model.germs), points, outputs)
-    levels = np.linspace(0.0, 1.0, 64)
-    upper = replace(rough, levels=levels, residuals=np.where(levels > 0.75, 0.3, 0.1), scatter=0.1)
-    _, (low, high) = with_residuals(upper, np.array([0.1, 0.95]), np.random.default_rng(1))
-    mean = 0.75 * 0.01 + 0.25 * 0.09
-    # above, all of what the runs there say; below, where they say less, half of it and half of what all of them say
-    assert high**2 / low**2 == pytest.approx((0.09 / mean) / (0.5 * (0.01 / mean + 1.0)))
 
 
 def test_intervals_of_the_surrogate_way_cover() -> None:

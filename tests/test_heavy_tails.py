@@ -29,7 +29,7 @@ from uqsphere.uq.heavy_tails import (
 )
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.released import stretched
+from uqsphere.uq.response import stretched
 
 
 def tail(law_order: float, growth: float, doubt: float) -> HeavyTail:

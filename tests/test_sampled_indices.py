@@ -14,11 +14,11 @@ import uqsphere
 from tests.campaigns.coverage import coverage_models
 from uqsphere.errors import StudyError
 from uqsphere.study import Study
+from uqsphere.uq.control import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
 from uqsphere.uq.estimate import student
 from uqsphere.uq.expansion import fit_chaos, germ_points
 from uqsphere.uq.indices import Blocks, Surrogate, sampled_indices, uniform_halves
 from uqsphere.uq.points import sobol_points
-from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate, expansion_indices, mean_expansion
 
 MODELS = {model.name: model for model in coverage_models()}
 ISHIGAMI = """
@@ -94,7 +94,7 @@ def test_expansions_alone_have_no_pairs(results) -> None:
     assert entry["groups"]["first"]["both"]["value"] is None
 
 
-def test_an_expansion_that_doubts_its_tails_serves_sampling_and_not_alone(study_from, tmp_path: Path) -> None:
+def test_an_expansion_that_doubts_its_tails_answers_nothing_alone(study_from, tmp_path: Path) -> None:
     """Samples unseen show 2 % of the variance unexplained, the fits themselves fear three quarters: tails of a step."""
     text = """
 seed = 1
@@ -124,8 +124,9 @@ accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.2 }
     assert beside["surrogate"]["error"] < 0.05
     z, w = np.polynomial.hermite_e.hermegauss(100)
     share = float(w @ np.tanh(1.5 * z) ** 2 / w.sum())
+    # a handful of points in the tails carries what it is off by: the rows answer alone
     assert near(beside["first"]["x1"], share / (share + 0.25))
-    assert "controlled by a surrogate" in beside["first"]["x1"]["method"]
+    assert "controlled by a surrogate" not in beside["first"]["x1"]["method"]
 
 
 @pytest.mark.parametrize(

@@ -21,14 +21,12 @@ import numpy as np
 from tests.campaigns import table, tell
 from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import REPLICATES
-from uqsphere.uq.augmented import Trusted, trust
-from uqsphere.uq.augmented_indices import trusted_indices
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import Estimate, from_replicates
 from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points
 from uqsphere.uq.indices import Blocks, SampledIndices, sampled_indices, uniform_halves
 from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.released import Believed, believed, held
+from uqsphere.uq.response import Answered, Response, answered, cross_fit, extended, index_shares, joined
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: quantiles and the numbers of the borehole: converged to the digits shown, by `reference` with 2^20 points each of 16
@@ -439,10 +437,10 @@ def surrogate_rows(
     """
     from scipy.special import ndtri
 
-    from uqsphere.uq.expansion import chaos_indices, fit_again, fit_chaos, germ_points, judge, validation_error
+    from uqsphere.uq.control import mean_expansion
+    from uqsphere.uq.expansion import chaos_indices, fit_again, germ_points, judge, validation_error
     from uqsphere.uq.expansion.shares import error_with_tails
     from uqsphere.uq.points import sobol_points
-    from uqsphere.uq.surrogate import mean_expansion
 
     tally = Tally()
     for model in coverage_models() if models is None else models:
@@ -482,7 +480,7 @@ def _controlled(model: CoverageModel, chaos: Chaos, seed: int) -> SampledIndices
     """Indices of a design of its own, the expansion as control variate."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.surrogate import chaos_outputs, chaos_surrogate
+    from uqsphere.uq.control import chaos_outputs, chaos_surrogate
 
     blocks = Blocks(inputs_count=model.dimension)
     outputs, others = [], []
@@ -579,17 +577,16 @@ def _large(model: CoverageModel, seed: int) -> Array:
     return germ_points(np.asarray(ndtri(np.concatenate(points))), model.germs)
 
 
-def _believed(trusted: Trusted, large: Array, seed: int, above: float) -> tuple[Believed, Estimate]:
+def _believed(response: Response, large: Array, seed: int, above: float) -> tuple[Answered, Estimate]:
     """What the surrogate says of the law, and the probability of lying above a threshold."""
-    found = believed(
-        trusted, large, (REPLICATES, POINTS), random_generator(seed=seed, task="dear: residuals"), QUANTILES
-    )
+    generator = random_generator(seed=seed, task="dear: residuals")
+    found = answered(response, large, (REPLICATES, POINTS), generator, QUANTILES)
     within = found.values if found.within is None else found.within
     middle, down, up, inner = (
         from_replicates((values > above).mean(axis=1), WAY, POINTS * REPLICATES)
         for values in (found.values, found.values - found.reach, found.values + found.reach, within)
     )
-    return found, held(middle, down, up, inner, len(trusted.residuals))
+    return found, extended(joined(middle, down, up, response.count), middle, inner)
 
 
 def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estimate, float]]:
@@ -598,30 +595,25 @@ def _answers(model: CoverageModel, found: Description) -> list[tuple[str, Estima
 
 
 def _repeat(model: CoverageModel, sizes: Sequence[int], large: Array, seed: int) -> list[Hit]:
-    """What one design, enlarged from half the smallest size on, answers at each size."""
+    """What one design, enlarged, answers at each size."""
     from scipy.special import ndtri
 
     uniforms = sobol_points(dimension=model.dimension, count=max(sizes), seed=seed, task="dear", replicate=0)
     points = germ_points(np.asarray(ndtri(uniforms)), model.germs)
     outputs = model.function(uniforms)
     hits: list[Hit] = []
-    before: Chaos | None = None
-    for n in (sizes[0] // 2, *sizes):
-        chaos = fit_chaos(points[:n], outputs[:n], model.germs)
-        trusted = trust(chaos, points[:n], outputs[:n], before)
-        before = chaos
-        if n not in sizes:
-            continue
-        if not trusted.usable:
+    for n in sizes:
+        response = cross_fit(points[:n], outputs[:n], model.germs)[0]
+        if not response.usable:
             found = describe(outputs[:n].reshape(REPLICATES, -1), quantiles=QUANTILES)
             answers = [a for a in _answers(model, found) if a[1].value is not None]
             hits += [coverage_hit(kind, REFUSED, model.name, "y", n, e, truth) for kind, e, truth in answers]
             continue
-        told, probability = _believed(trusted, large, seed, model.quantiles[max(QUANTILES)])
+        told, probability = _believed(response, large, seed, model.quantiles[max(QUANTILES)])
         exceeded = ("probability", probability, 1.0 - max(QUANTILES))
         for kind, estimate, truth in [*_answers(model, told.description), exceeded]:
             hits.append(coverage_hit(kind, WAY, model.name, "y", n, estimate, truth))
-        indices = told.indices(trusted_indices(trusted, seed))
+        indices = told.shares(index_shares(response, seed))
         for order, truths in (("first", model.first), ("total", model.total)):
             for j, (estimate, truth) in enumerate(zip(indices[order], truths, strict=True)):
                 hits.append(coverage_hit(f"{order} index", WAY, model.name, f"x{j + 1}", n, estimate, truth))

@@ -232,7 +232,7 @@ def _black_box(needed: bool, resolved: Resolved, model: str | None) -> BlackBox 
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
     import numpy as np
 
-    from uqsphere.runner.price import COST
+    from uqsphere.runner.expensive import COST
 
     whole = [key for key in keys if key != COST and not PART_END.search(key)]
     order = np.random.default_rng(seed).permutation(len(whole))

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.errors import UsageError
-from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, trusted_from
+from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, response_from
 from uqsphere.given.table import Data, Document, combinations
 from uqsphere.given.ties import TiedPair, left_open, rank_correlations, tied, ties_of, with_ties
 from uqsphere.uq.estimate import Estimate, absent
@@ -360,18 +360,18 @@ def _expansion(
     generator = random_generator(seed=seed, task=f"analyse expansion {name}")
     rows = generator.permutation(len(y))[:_MOST_FITTED]
     scores: Array | None = None
-    trusted, reason = None, _hopeless(y, laws, len(rows))
+    response, reason = None, _hopeless(y, laws, len(rows))
     if laws.inputs is not None and not reason:
         scores = law_scores(laws.inputs.laws, data.x[rows][:, list(laws.columns)])
         try:
-            trusted = trusted_from(scores, y[rows], germs_of(laws.inputs.laws))
-            reason = "" if trusted.usable else trusted.reason
+            response = response_from(scores, y[rows], germs_of(laws.inputs.laws))
+            reason = "" if response.usable else response.reason
         except ValueError as error:
             reason = str(error)
-    if laws.inputs is None or trusted is None or scores is None or reason:
-        return None, {"usable": False, "error": trusted and min(trusted.error, 1.0), "reason": reason}
+    if laws.inputs is None or response is None or scores is None or reason:
+        return None, {"usable": False, "error": response and response.error, "reason": reason}
     opened = left_open(laws.inputs, laws.others, ties, data.inputs, scores, len(data.x), generator)
-    answers = given_answers(trusted, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
+    answers = given_answers(response, laws.inputs, opened, quantiles=_QUANTILES, seed=seed, task=name)
     found = {
         order: {
             label: {"whole": a.whole.as_dict(), "surrogate": a.surrogate.as_dict(), "left_open": a.left_open}
@@ -381,7 +381,7 @@ def _expansion(
     }
     notes = _notes(data, laws.inputs, ties, scores) if laws.inputs.dependent else []
     kind = "dependent" if laws.inputs.dependent else "sobol"
-    return found, {"usable": True, "error": trusted.error, "reason": trusted.reason, "notes": notes, "kind": kind}
+    return found, {"usable": True, "error": response.error, "reason": response.reason, "notes": notes, "kind": kind}
 
 
 def _hopeless(y: Array, laws: _Laws, rows: int) -> str:

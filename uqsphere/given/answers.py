@@ -1,10 +1,9 @@
 """Answers from runs that were made already: a surrogate fitted to them, and what they leave open of the inputs' laws.
 
-Two errors stand apart.  What the surrogate lacks beside the model is held as for a dear model (`augmented`), whose runs
-were designed: nothing there needs more than that the runs follow the laws, predictions leave their own run out, and a
-fit to the first half is checked by the other half, which it has not seen.  What the runs leave open of the laws, their
-family and their dependence, is found by asking the surrogate again under other laws that the runs allow, at the same
-Sobol' points, so that the difference is that of the laws.
+Two errors stand apart.  What the surrogate lacks beside the model is held by runs that it was not fitted to, as for an
+expensive model (`response`): nothing there needs more than that the runs follow the laws.  What the runs leave open of
+the laws, their family and their dependence, is found by asking the surrogate again under other laws that the runs
+allow, at the same Sobol' points, so that the difference is that of the laws.
 """
 
 from __future__ import annotations
@@ -19,16 +18,14 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.uq.archimedean import Archimedean
-from uqsphere.uq.augmented import METHOD, Trusted, index_estimate, indices_of, trust
-from uqsphere.uq.augmented_indices import with_reach
 from uqsphere.uq.elliptical import Elliptical
 from uqsphere.uq.estimate import Estimate, absent
-from uqsphere.uq.expansion import Chaos, fit_chaos, germ_points, predict
+from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import Blocks
 from uqsphere.uq.joint import Joint, independent_scores
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.released import believed
+from uqsphere.uq.response import METHOD, Response, answered, cross_fit, index_shares, share_of_noise
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 
 __all__ = [
@@ -41,9 +38,9 @@ __all__ = [
     "least_runs",
     "odd_pairs",
     "reach",
+    "response_from",
     "score_table",
     "spanned",
-    "trusted_from",
 ]
 
 # --- How far an answer reaches under other laws than the fitted ones, from the steps that it takes to each of them.
@@ -211,15 +208,12 @@ def score_table(law: Law, others: Sequence[Law]) -> Array:
     return np.array([_scores(other.cdf(x), other.sf(x)) for other in others])
 
 
-def trusted_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Trusted:
+def response_from(scores: Array, outputs: Array, germs: Sequence[str]) -> Response:
     """A surrogate of outputs (n,) at independent rows of normal scores (n, d), in any order that tells nothing.
 
     Raises ValueError where none can be fitted.
     """
-    points = germ_points(scores, germs)
-    half = len(outputs) // 2
-    before = fit_chaos(points[:half], outputs[:half], germs)
-    return trust(fit_chaos(points, outputs, germs), points, outputs, before)
+    return cross_fit(germ_points(scores, germs), outputs, germs)[0]
 
 
 def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
@@ -250,7 +244,7 @@ def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
 
 
 def given_answers(
-    trusted: Trusted,
+    response: Response,
     inputs: Joint,
     left_open: LeftOpen | None,
     *,
@@ -264,28 +258,28 @@ def given_answers(
     inputs there are "shapley", "first" and "total" (Kucherenko's) in place of Sobol' indices.
     """
     dependent = inputs.dependent
-    moved = _moved(trusted.chaos, inputs, left_open, seed)
+    moved = _moved(response, inputs, left_open, seed)
     under = () if left_open is None else left_open.inputs
     copulas = [tuple((group.members, group.copula.name) for group in one.groups) for one in under]
-    answers = {"statistics": _statistics(trusted, inputs, moved, copulas, quantiles, seed, task)}
-    if trusted.chaos.constant:
+    answers = {"statistics": _statistics(response, inputs, moved, copulas, quantiles, seed, task)}
+    if response.constant:
         nothing = absent("the output does not vary with the inputs, or the expansion is a constant", METHOD,
-                         len(trusted.residuals))  # fmt: skip
+                         response.count)  # fmt: skip
         rows = ("shapley", "first", "total") if dependent else ("first", "total")
         none = Answer(surrogate=nothing, left_open=0.0, whole=nothing)
         return answers | {row: dict.fromkeys(inputs.names, none) for row in rows}
-    shares = _shared(trusted, inputs, left_open, seed, task) if dependent else _indices(trusted, inputs, moved)
+    shares = _shared(response, inputs, left_open, seed, task) if dependent else _indices(response, inputs, moved)
     return answers | shares
 
 
-def _moved(chaos: Chaos, inputs: Joint, left_open: LeftOpen | None, seed: int) -> list[Array]:
+def _moved(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: int) -> list[Array]:
     """The surrogate (n, columns) under the laws as fitted, first, and under every other, at the same points.
 
     Of independent inputs the columns are those of `Blocks`, of dependent ones there is one.
     """
     if left_open is None:
         return []
-    d, values = len(inputs.names), _surrogate(chaos, left_open)
+    d, values = len(inputs.names), _surrogate(response, left_open)
     points, blocks = _drawn(2 * d, _POINTS, 0, "pairs", seed), Blocks(inputs_count=d)
     halves = points[:, :d], points[:, d:]
     tied = inputs.dependent
@@ -299,23 +293,23 @@ def _moved(chaos: Chaos, inputs: Joint, left_open: LeftOpen | None, seed: int) -
     return found
 
 
-def _surrogate(chaos: Chaos, left_open: LeftOpen | None) -> Callable[[Array, int | None], Array]:
+def _surrogate(response: Response, left_open: LeftOpen | None) -> Callable[[Array, int | None], Array]:
     """The surrogate of dependent normal scores (n, d): of the fitted laws, or between the runs (-1), or of others."""
 
     def values(scores: Array, which: int | None) -> Array:
         points = np.clip(scores, -_FURTHEST, _FURTHEST)
         if which is None or left_open is None:
-            return np.asarray(predict(chaos, germ_points(points, chaos.germs)))
+            return response.at(germ_points(points, response.germs))
         if which >= 0:
             tables = left_open.tables[which]
             points = np.column_stack([np.interp(z, table, _GRID) for z, table in zip(points.T, tables, strict=True)])
-        return _going_on(chaos, germ_points(points, chaos.germs),
-                         germ_points(np.stack([left_open.low, left_open.high]), chaos.germs))  # fmt: skip
+        return _going_on(response, germ_points(points, response.germs),
+                         germ_points(np.stack([left_open.low, left_open.high]), response.germs))  # fmt: skip
 
     return values
 
 
-def _going_on(chaos: Chaos, points: Array, ends: Array) -> Array:
+def _going_on(response: Response, points: Array, ends: Array) -> Array:
     """The surrogate at germ points (n, d), mirrored where they lie beyond ends (2, d).
 
     A step e beyond an end b it is 2 S(b) - S(b - e): it goes on with the slope that it has between the runs, and is
@@ -323,10 +317,10 @@ def _going_on(chaos: Chaos, points: Array, ends: Array) -> Array:
     """
     inside = np.clip(points, ends[0], ends[1])
     beyond = np.clip(points - inside, -0.5 * (ends[1] - ends[0]), 0.5 * (ends[1] - ends[0]))
-    values = np.asarray(predict(chaos, inside))
+    values = response.at(inside)
     rows = np.flatnonzero(beyond.any(axis=1))
     if rows.size:
-        values[rows] = 2.0 * values[rows] - predict(chaos, inside[rows] - beyond[rows])
+        values[rows] = 2.0 * values[rows] - response.at(inside[rows] - beyond[rows])
     return values
 
 
@@ -378,7 +372,7 @@ def _answer(
 
 
 def _statistics(
-    trusted: Trusted,
+    response: Response,
     inputs: Joint,
     moved: Sequence[Array],
     copulas: Sequence[Hashable],
@@ -390,8 +384,8 @@ def _statistics(
     large = np.concatenate([_drawn(d, _LARGE, replicate, "large", seed) for replicate in range(_REPLICATES)])
     scores = np.clip(inputs.scores(large), -_FURTHEST, _FURTHEST)
     generator = random_generator(seed=seed, task=f"given: residuals {task}")
-    points, shape = germ_points(scores, trusted.chaos.germs), (_REPLICATES, _LARGE)
-    middle = believed(trusted, points, shape, generator, quantiles).description
+    points, shape = germ_points(scores, response.germs), (_REPLICATES, _LARGE)
+    middle = answered(response, points, shape, generator, quantiles).description
 
     def told_by(outputs: Array) -> list[float]:
         y = outputs[:, [0, -1]] if outputs.shape[1] > 1 else outputs
@@ -414,11 +408,11 @@ def _statistics(
     return found
 
 
-def _indices(trusted: Trusted, inputs: Joint, moved: Sequence[Array]) -> Answers:
+def _indices(response: Response, inputs: Joint, moved: Sequence[Array]) -> Answers:
     """Sobol' indices of independent inputs."""
     d = len(inputs.names)
     rows = [_pick_freeze(outputs, d) for outputs in moved]
-    found = with_reach(trusted, indices_of(trusted))
+    found = index_shares(response)
     return {
         order: {
             name: _answer(estimate, [row[k][j] for row in rows[1:]], float(rows[0][k][j]) if rows else 0.0,
@@ -437,10 +431,10 @@ def _pick_freeze(outputs: Array, d: int) -> Array:
     return np.array([np.mean(b * (mixed - a), axis=0), 0.5 * np.mean((a - mixed) ** 2, axis=0)]) / variance
 
 
-def _shared(trusted: Trusted, inputs: Joint, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
+def _shared(response: Response, inputs: Joint, left_open: LeftOpen | None, seed: int, task: str) -> Answers:
     """Shapley effects, and Kucherenko's first and total indices, of inputs that depend on each other."""
-    d, n = len(inputs.names), len(trusted.residuals)
-    values = _surrogate(trusted.chaos, left_open)
+    d = len(inputs.names)
+    values = _surrogate(response, left_open)
     design = subset_design(d, exact=d <= min(8, MOST_EXACT))
     name = f"given: subsets {task}"
     count = BLOCK * (min(max(_SHARED_ROWS // design.rows, _SHARED[0]), _SHARED[1]) // BLOCK)
@@ -465,7 +459,7 @@ def _shared(trusted: Trusted, inputs: Joint, left_open: LeftOpen | None, seed: i
     for order, estimates in found.items():
         answer[order] = {}
         for j, (label, estimate) in enumerate(zip(inputs.names, estimates, strict=True)):
-            told = index_estimate(estimate, trusted.error, n, sampled=estimate.half_width)
+            told = share_of_noise(response, estimate)
             moved = [e for row in rows if (e := row[order][j].value) is not None]
             way = "squares" if order == "first" else "shares"
             answer[order][label] = _answer(told, moved, own[order][j].value or 0.0, (-1.0, 2.0), way=way)

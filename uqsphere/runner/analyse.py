@@ -7,17 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from uqsphere.quantities import format_estimate
-from uqsphere.runner.dear import answer_dear
-from uqsphere.runner.dear_end import Dear
-from uqsphere.runner.dear_kept import keep_answers, keep_indices, keep_margins
-from uqsphere.runner.dear_tails import settle_heavy
 from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish
 from uqsphere.runner.finished import Run
 from uqsphere.runner.multifidelity import propose
-from uqsphere.runner.price import price
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.margins import find_margins, judge_answers
@@ -39,59 +35,58 @@ def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = Non
     ledger.evaluations.update(pilot.evaluations)
     priced = price(work)
     ledger.close("pilot")
-    whole, dear, found = work, None, None
+    whole, expensive, found = work, None, None
     if priced.way.surrogate:
         work = priced.bounded(work)
-        dear = answer_dear(work, priced)
+        expensive = answer_expensive(work, priced)
         ledger.close("surrogate")
-        found = _by_surrogate(work, pilot, dear)
+        found = _by_surrogate(work, pilot, expensive)
     if found is None:
-        found = _by_sampling(work, pilot, dear, notice)
+        found = _by_sampling(work, pilot, expensive, notice)
         if notice is not None and store.damaged:
             notice(f"damaged chunks were found and evaluated again: {', '.join(store.damaged)}")
-    return finish(whole, store, priced, dear, found)
+    return finish(whole, store, priced, expensive, found)
 
 
-def _by_surrogate(work: Work, pilot: Pilot, dear: Dear) -> Findings | None:
+def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
     """What the surrogate way found, as every run writes it; None where the model has to be sampled."""
-    if dear.sampled is None:
+    if one.sampled is None:
         return None
-    sampled, sensitivity = settle_heavy(work, dear.sampled, dear.sensitivity, dear.believed, dear.tails)
     tolerance = find_tolerance(work)
     work.ledger.close("tolerance intervals")
     return Findings(
         pilot=pilot,
-        sampled=sampled,
-        sensitivity=sensitivity,
-        margins=dear.margins,
+        sampled=one.sampled,
+        sensitivity=one.sensitivity,
+        margins=one.margins,
         tolerance=tolerance,
         history=work.ledger.rows,
-        stops={"sampling": dear.stopped, "sensitivity": dear.stopped},
+        stops={"sampling": one.sampled.stopped, "sensitivity": one.sampled.stopped},
     )
 
 
-def _by_sampling(work: Work, pilot: Pilot, dear: Dear | None, notice: Callable[[str], None] | None) -> Findings:
+def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callable[[str], None] | None) -> Findings:
     """Everything by sampling the model; surrogates that did not answer all still answer what they know better."""
     ledger, proposed = work.ledger, propose(pilot)
     sampled = sample_distributions(work, more_to_come=bool(work.scene_names), control=proposed)
     ledger.close("sampling")
     sampled = refine_limits(work, sampled)
-    if dear is not None:
-        sampled = keep_answers(work, sampled, dear)
+    if one is not None:
+        sampled = keep_answers(work, sampled, one)
     ledger.close("rare events")
     _tell_verdicts(sampled, notice)
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
     margins = find_margins(work, sampled)
-    if dear is not None:
-        margins = keep_margins(work, margins, dear)
+    if one is not None:
+        margins = keep_margins(work, margins, one)
     margins = judge_answers(work, margins)
     ledger.close("margins")
     fracture = find_fracture(work, sampled, margins)
     ledger.close("fracture")
     shared = share_variance(work, sampled, proposed.plan)
-    if dear is not None:
-        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, dear))
+    if one is not None:
+        shared = replace(shared, sensitivity=keep_indices(shared.sensitivity, one))
     ledger.close("sensitivity")
     drivers = find_drivers(work, sampled, shared)
     ledger.close("drivers")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from uqsphere.results import PlanEntry
 from uqsphere.results.entries import PricesEntry
@@ -11,25 +10,22 @@ from uqsphere.runner.account import account, further_rows
 from uqsphere.runner.courses import save_courses
 from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
+from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run
-from uqsphere.runner.price import Priced
 from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
 from uqsphere.store import Store
 
-if TYPE_CHECKING:
-    from uqsphere.runner.dear_end import Dear
-
 __all__ = ["finish"]
 
 
-def finish(work: Work, store: Store, priced: Priced, dear: Dear | None, found: Findings) -> Run:
+def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way = priced.way
-    taken = "surrogate" if dear is not None and dear.surrogate else "sampling"
+    taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
         way=taken,
-        why=way.why if dear is None else dear.why,
+        why=way.why if expensive is None else expensive.why,
         sampling_evaluations=way.sampling,
         surrogate_evaluations=way.runs,
         parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),

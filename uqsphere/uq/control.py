@@ -1,50 +1,42 @@
-"""Control variates: a cheap model on many points sharpens what a dear one says on few.
+"""A cheap model at many points, corrected by the real one at few of them, in independent replicates.
 
-The dear model is known on R replicates of n points; the cheap one on the same points and on m > n points that
-continue each replicate's sequence.  Any answer T of the replicates, a mean, a share or a standard deviation, is
-corrected by what the cheap model says that n points lack beside m:
+The model is known on R replicates of n points; the cheap one on the same points and on m > n points that continue each
+replicate's sequence, or exactly.  Any answer T of the replicates, a mean, a share or a standard deviation, is
 
-    T = T_dear(n) - alpha (T_cheap(n) - T_cheap(m))
+    T = T_cheap(m) + (T_model(n) - T_cheap(n))
 
-alpha and the interval come from the R replicates: on quasi-random points neither follows from the correlation
-of the rows (F. J. Hickernell, C. Lemieux, A. B. Owen, Statistical Science 20, 2005, 1).
+the estimate of `uqsphere.uq.response` with rows of its own for the correction: the cheap model has seen none of them.
+Its replicates scatter independently, and Student's interval rests on that (on quasi-random points it does not follow
+from the correlation of the rows: F. J. Hickernell, C. Lemieux, A. B. Owen, Statistical Science 20, 2005, 1).  The
+slope is one: a fitted one is wild when a single row lies on the other side of a threshold.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.describe import Description
-from uqsphere.uq.estimate import Estimate, absent, share, student
+from uqsphere.uq.estimate import Estimate, absent, corrected, share, student
+from uqsphere.uq.expansion import Chaos, germ_points, predict
+from uqsphere.uq.indices import Blocks, Surrogate
 
 __all__ = [
-    "Controlled",
     "best_ratio",
-    "control",
+    "chaos_outputs",
+    "chaos_surrogate",
     "controlled_indices",
     "describe_controlled",
+    "expansion_indices",
+    "mean_expansion",
     "predicted_cost",
     "probability",
 ]
-
-#: alpha of a share below a threshold: the models agree on a row or not, and more or less than that is noise, which
-#: would make the distribution function fall and rise
-SHARE_ALPHA = (0.0, 1.5)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Controlled:
-    """A corrected answer, its standard error, the coefficient alpha, and the standard error without correction."""
-
-    value: float
-    std_error: float
-    alpha: float
-    plain_error: float
 
 
 def predicted_cost(correlation: float, cost: float) -> float:
@@ -71,77 +63,18 @@ def best_ratio(correlation: float, cost: float) -> float:
     return math.sqrt(square / (cost * (1.0 - square)))
 
 
-def control(
-    dear: Array, cheap: Array, cheap_many: Array, bounds: tuple[float, float] = (-math.inf, math.inf)
-) -> Controlled:
-    """Correct the answers of replicates.
-
-    The value is where the regression of `dear` on the difference of the two cheap answers, whose expectation is
-    zero, meets zero; its error is that of this intercept, with R - 2 degrees of freedom.  So the noise of alpha
-    itself is counted (S. S. Lavenberg, P. D. Welch, Management Science 27, 1981, 322).
-
-    Parameters
-    ----------
-    dear, cheap : (R,) arrays
-        Answers of the replicates from n points.
-    cheap_many : (R,) array
-        Answers of the replicates from m points.
-    bounds : least and largest alpha; one beyond is put there, and the error is that of an alpha given beforehand
-
-    Raises
-    ------
-    ValueError
-        For fewer than four replicates.
-
-    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
-    >>> found = control(1.0 + noise, 2.0 + noise, np.full(5, 2.0))
-    >>> round(found.value, 12), round(found.alpha, 12)
-    (1.0, 1.0)
-    """
-    replicates = len(dear)
-    if replicates < 4:
-        raise ValueError(f"a control variate needs at least four replicates, found {replicates}")
-    plain = float(np.std(dear, ddof=1)) / math.sqrt(replicates)
-    gap = cheap - cheap_many
-    centred = gap - gap.mean()
-    spread = float(centred @ centred)
-    if not spread > 0.0:
-        return Controlled(value=float(dear.mean()), std_error=plain, alpha=0.0, plain_error=plain)
-    alpha = float(centred @ dear) / spread
-    if not bounds[0] <= alpha <= bounds[1]:
-        alpha = min(max(alpha, bounds[0]), bounds[1])
-        rest = dear - alpha * gap
-        error = float(np.std(rest, ddof=1)) / math.sqrt(replicates)
-        return Controlled(value=float(rest.mean()), std_error=error, alpha=alpha, plain_error=plain)
-    value = float(dear.mean()) - alpha * float(gap.mean())
-    rest = dear - dear.mean() - alpha * centred
-    variance = float(rest @ rest) / (replicates - 2) * (1.0 / replicates + float(gap.mean()) ** 2 / spread)
-    return Controlled(value=value, std_error=math.sqrt(variance), alpha=alpha, plain_error=plain)
-
-
-def _factor(replicates: int) -> float:
-    """Student's quantile with R - 2 degrees of freedom."""
-    return student(replicates - 1)
-
-
-def _estimate(found: Controlled, replicates: int, method: str, evaluations: int, least: float = -math.inf) -> Estimate:
-    half = _factor(replicates) * found.std_error
-    if not (math.isfinite(found.value) and math.isfinite(half)):
+def _estimate(value: float, error: float, replicates: int, method: str, evaluations: int,
+              least: float = -math.inf) -> Estimate:  # fmt: skip
+    half = student(replicates) * error
+    if not (math.isfinite(value) and math.isfinite(half)):
         return absent("the answer is beyond floating point", method, evaluations)
-    return Estimate(
-        value=found.value,
-        low=max(least, found.value - half),
-        high=found.value + half,
-        std_error=found.std_error,
-        method=method,
-        evaluations=evaluations,
-    )
+    return Estimate(value=value, low=max(least, value - half), high=value + half, std_error=error, method=method,
+                    evaluations=evaluations)  # fmt: skip
 
 
-def _floor(alpha: float, n: int, m: int, replicates: int) -> float:
-    """Least standard error of a share: the cells of the points, and one row in which the models may disagree."""
-    root = math.sqrt(replicates)
-    return math.hypot(0.5 * alpha / m / root, 0.5 * (1.0 - alpha) / n / root, 1.0 / (n * replicates))
+def _floor(n: int, m: int, replicates: int) -> float:
+    """Least standard error of a share: the cells of the many points, and one row in which the models may disagree."""
+    return math.hypot(0.5 / m / math.sqrt(replicates), 1.0 / (n * replicates))
 
 
 def probability(
@@ -152,13 +85,12 @@ def probability(
     `sizes` are n and m; `counted` if rows either exceed or do not, so that resolution limits the error.  The
     interval is symmetric in logits, as that of `uqsphere.uq.limit_state`.
     """
-    found = control(dear, cheap, cheap_many, SHARE_ALPHA if counted else (-math.inf, math.inf))
+    p, error = corrected(dear, cheap - cheap_many)
     replicates, (n, m) = len(dear), sizes
-    p = found.value
     if not 0.0 < p < 1.0:
         return None
-    error = math.hypot(found.std_error, _floor(found.alpha, n, m, replicates)) if counted else found.std_error
-    half = min(_factor(replicates) * error / (p * (1.0 - p)), 600.0)
+    error = math.hypot(error, _floor(n, m, replicates)) if counted else error
+    half = min(student(replicates) * error / (p * (1.0 - p)), 600.0)
     return Estimate(
         value=p,
         low=p * math.exp(-half) / (1.0 - p + p * math.exp(-half)),
@@ -187,21 +119,16 @@ def describe_controlled(
     """
     replicates = len(dear)
     total = dear.size
-    mean = control(dear.mean(axis=1), cheap.mean(axis=1), cheap_many.mean(axis=1))
+    mean, error = corrected(dear.mean(axis=1), cheap.mean(axis=1) - cheap_many.mean(axis=1))
     # about one centre for all replicates, so that their means are not taken for scatter of the quantity
-    squares = [((rows - mean.value) ** 2).mean(axis=1) for rows in (dear, cheap, cheap_many)]
-    variance = control(*squares)
-    scale = math.sqrt(variance.value) if variance.value > 0.0 else float(dear.std())
-    spread = Controlled(
-        value=scale,
-        std_error=0.5 * variance.std_error / scale if scale > 0.0 else 0.0,
-        alpha=variance.alpha,
-        plain_error=0.5 * variance.plain_error / scale if scale > 0.0 else 0.0,
-    )
+    squares = [((rows - mean) ** 2).mean(axis=1) for rows in (dear, cheap, cheap_many)]
+    variance, spread = corrected(squares[0], squares[1] - squares[2])
+    scale = math.sqrt(variance) if variance > 0.0 else float(dear.std())
+    loose = 0.5 * spread / scale if scale > 0.0 else 0.0
     pools = [np.sort(rows, axis=None) for rows in (dear, cheap, cheap_many)]
     return Description(
-        mean=_estimate(mean, replicates, method, total),
-        sd=_estimate(spread, replicates, method, total, least=0.0),
+        mean=_estimate(mean, error, replicates, method, total),
+        sd=_estimate(scale, loose, replicates, method, total, least=0.0),
         quantiles={p: _quantile(p, (dear, cheap, cheap_many), pools, method) for p in quantiles},
         censored_share=share(np.zeros(dear.shape, dtype=bool), "share of the samples"),
         scale=scale,
@@ -212,8 +139,8 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
     """A quantile off the controlled distribution function, its interval after Woodruff (1952).
 
     The cheap model is shifted so that its own quantile from the n points falls on that of the dear one.  There the
-    replicates give alpha and the standard error of the probability; with that alpha the three pooled samples make
-    one distribution function, which is read off at p and at the two ends of the probability.
+    replicates give the standard error of the probability; the three pooled samples make one distribution function,
+    which is read off at p and at the two ends of the probability.
     """
     dear, cheap, many = rows
     (replicates, n), m = dear.shape, many.shape[1]
@@ -222,13 +149,10 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
     at, own = (float(pool[min(int(p * pool.size), pool.size - 1)]) for pool in pools[:2])
     pools = [pools[0], pools[1] + (at - own), pools[2] + (at - own)]
     shares = [(dear <= at).mean(axis=1), (cheap <= own).mean(axis=1), (many <= own).mean(axis=1)]
-    found = control(shares[0], shares[1], shares[2], SHARE_ALPHA)
-    error = math.hypot(found.std_error, _floor(found.alpha, n, m, replicates))
-    half = _factor(replicates) * error
+    _, error = corrected(shares[0], shares[1] - shares[2])
+    half = student(replicates) * math.hypot(error, _floor(n, m, replicates))
     values = np.concatenate(pools)
-    weights = np.repeat(
-        [1.0 / pools[0].size, -found.alpha / pools[1].size, found.alpha / pools[2].size], [len(x) for x in pools]
-    )
+    weights = np.repeat([1.0 / pools[0].size, -1.0 / pools[1].size, 1.0 / pools[2].size], [len(x) for x in pools])
     order = np.argsort(values, kind="stable")
     values, mass = values[order], np.cumsum(weights[order])
     # the function may fall here and there: between its upper and its lower hull it is taken in the middle
@@ -245,7 +169,7 @@ def _quantile(p: float, rows: tuple[Array, Array, Array], pools: list[Array], me
         value=value,
         low=min(low, value),
         high=max(high, value),
-        std_error=0.5 * (high - low) / _factor(replicates),
+        std_error=0.5 * (high - low) / student(replicates),
         method=method,
         evaluations=dear.size,
     )
@@ -282,8 +206,73 @@ def controlled_indices(dear: Array, cheap: Array, cheap_many: Array, *, method: 
         return {"first": nothing, "total": list(nothing)}
     return {
         order: [
-            _estimate(control(one[k, :, j], two[k, :, j], three[k, :, j]), replicates, method, dear.size)
+            _estimate(*corrected(one[k, :, j], two[k, :, j] - three[k, :, j]), replicates, method, dear.size)
             for j in range(d)
         ]
         for k, order in enumerate(("first", "total"))
     }
+
+
+# --- an expansion as the cheap model, whose indices are known exactly ------------------------------
+
+
+def expansion_indices(coefficients: Array, multi_indices: npt.NDArray[np.int64], blocks: Blocks) -> dict[str, Array]:
+    """Indices of an expansion in products of orthonormal polynomials, exactly: what a `Surrogate` is known by.
+
+    Parameters
+    ----------
+    coefficients : (P,) array
+    multi_indices : (P, d) array
+        Degrees of each product; the constant has none.
+    blocks : Blocks
+
+    >>> degrees = np.array([[0, 0], [1, 0], [1, 1]])
+    >>> found = expansion_indices(np.array([5.0, 3.0, 1.0]), degrees, Blocks(inputs_count=2, second=True))
+    >>> found["first"].tolist(), found["total"].tolist(), found["second"].tolist()
+    ([0.9, 0.0], [1.0, 0.1], [0.1])
+    """
+    active = multi_indices > 0
+    count = active.sum(axis=1)
+    varying = np.where(count > 0, coefficients, 0.0)
+    # by a power of two, which rounds nothing: the squares of 1e300 are beyond floating point
+    shares = np.ldexp(varying, -np.frexp(np.abs(varying).max())[1]) ** 2
+    shares = shares / shares.sum()
+    rows, columns = np.triu_indices(blocks.inputs_count, 1) if blocks.second else (np.array([], int),) * 2
+    inside = [active[:, list(group)].sum(axis=1) for group in blocks.groups]
+    return {
+        "first": np.asarray(shares @ (active & (count == 1)[:, None])),
+        "total": np.asarray(shares @ active),
+        "second": np.asarray(shares @ (active[:, rows] & active[:, columns] & (count == 2)[:, None])),
+        "group_first": np.array([shares[k == count].sum() for k in inside]),
+        "group_total": np.array([shares[k > 0].sum() for k in inside]),
+    }
+
+
+def mean_expansion(fits: Sequence[Chaos]) -> Chaos:
+    """The mean of plain expansions in the same germs: their terms together, each with its mean coefficient.
+
+    Raises ValueError for an expansion of a transformed output or in two pieces: its indices are not known exactly.
+    """
+    if not all(fit.plain for fit in fits):
+        raise ValueError("a control variate takes expansions of the output itself, in one piece: fit them with plain")
+    degrees = np.concatenate([fit.multi_indices for fit in fits])
+    values = np.concatenate([fit.coefficients for fit in fits]) / len(fits)
+    terms, place = np.unique(degrees, axis=0, return_inverse=True)
+    coefficients = np.zeros(len(terms))
+    np.add.at(coefficients, place.reshape(-1), values)
+    # the constant first, as in every expansion: np.unique sorts it there
+    piece = replace(fits[0].pieces[0], coefficients=coefficients, multi_indices=terms)
+    return replace(fits[0], pieces=(piece,), samples=sum(f.samples for f in fits))
+
+
+def chaos_outputs(chaos: Chaos, blocks: Blocks, halves: Sequence[Array]) -> Array:
+    """Values (N, blocks.count) of an expansion on the blocks of halves of independent standard normals, (N, d) each."""
+    points = blocks.mix(*(germ_points(half, chaos.germs) for half in halves))
+    return predict(chaos, points.reshape(-1, blocks.inputs_count)).reshape(-1, blocks.count)
+
+
+def chaos_surrogate(chaos: Chaos, blocks: Blocks, outputs: Array) -> Surrogate | None:
+    """An expansion with its `chaos_outputs` (R, N, blocks.count) as a surrogate; None where it is a constant."""
+    if not chaos.coefficients[chaos.multi_indices.any(axis=1)].any():
+        return None
+    return Surrogate(outputs=outputs, indices=expansion_indices(chaos.coefficients, chaos.multi_indices, blocks))

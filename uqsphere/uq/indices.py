@@ -20,7 +20,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
+from uqsphere.uq.estimate import Estimate, absent, corrected, from_replicates, student
 from uqsphere.uq.points import sobol_points
 
 __all__ = [
@@ -35,7 +35,6 @@ __all__ = [
     "Surrogate",
     "block_mean",
     "choice_text",
-    "corrected",
     "index_estimates",
     "jansen_total",
     "ordered",
@@ -390,31 +389,6 @@ class Surrogate:
     indices: Mapping[str, Array]
 
 
-def corrected(rows: Array, gaps: Array) -> tuple[float, float, float]:
-    """Where the regression of answers (R,) on the surrogate's errors (R,) meets no error, the standard error there, and
-    the slope.
-
-    The standard error is the jackknife's, each replicate left out in turn.  That of ordinary regression supposes that
-    what is left scatters alike everywhere; but a replicate that holds a rare sample is off in both, and on skewed
-    outputs such intervals held the truth in 88 % of the cases.  R - 2 degrees of freedom.
-
-    >>> noise = np.array([0.3, -0.2, 0.1, -0.4, 0.2])
-    >>> value, error, slope = corrected(1.0 + 2.0 * noise, noise)
-    >>> round(value, 12), error < 1e-12, round(slope, 12)
-    (1.0, True, 2.0)
-    """
-    count, mean = len(rows), float(gaps.mean())
-    centred = gaps - mean
-    spread = float(centred @ centred)
-    if not spread > 0.0:
-        return float(rows.mean()), float(np.std(rows, ddof=1)) / math.sqrt(count), 0.0
-    slope = float(centred @ rows) / spread
-    rest = rows - rows.mean() - slope * centred
-    leverage = np.minimum(1.0 / count + centred**2 / spread, 1.0 - 1e-9)
-    left_out = (1.0 / count - mean * centred / spread) * rest / (1.0 - leverage)
-    return float(rows.mean()) - slope * mean, math.sqrt(float(left_out @ left_out)), slope
-
-
 @dataclass(frozen=True, kw_only=True)
 class SampledIndices:
     """Indices of one output.
@@ -443,7 +417,7 @@ def sampled_indices(outputs: Array, blocks: Blocks, surrogate: Surrogate | None 
     width of an interval: to take the narrower of two intervals would choose those that are narrow by chance.
 
     With a `surrogate` every index is corrected by what the same points make of the surrogate's, whose truth is known
-    (`uqsphere.uq.indices.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
+    (`uqsphere.uq.estimate.corrected`): the answer stays that of the model, whatever the surrogate leaves out, as long
     as it was fitted to other points.  It needs four replicates.
 
     Parameters, absent answers and ValueError as of `index_estimates`.
@@ -497,30 +471,27 @@ def _controlled(
 ) -> dict[str, list[Estimate]]:
     """Estimates by order with the surrogate's answers, and what they should have been (m,), as control variate."""
     others = _answers(known, *chosen)
-    found = {
-        order: [corrected(rows[:, j], others[order][0][:, j] - truths[order][j]) for j in range(rows.shape[1])]
-        for order, (rows, _) in answers.items()
-    }
-    slopes = {order: np.array([slope for _, _, slope in line]) for order, line in found.items()}
-    carriers = _carriers(y, known, chosen, slopes)
+    carriers = _carriers(y, known, chosen)
     return {
         order: [
-            _estimate(*found[order][j][:2], rows[:, j], method, float(carriers[order][j]), y.evaluations)
+            _estimate(*corrected(rows[:, j], others[order][0][:, j] - truths[order][j]), rows[:, j], method,
+                      float(carriers[order][j]), y.evaluations)
             for j, method in enumerate(methods)
         ]
         for order, (rows, methods) in answers.items()
-    }
+    }  # fmt: skip
 
 
 def _estimate(value: float, error: float, rows: Array, method: str, carriers: float, evaluations: int) -> Estimate:
     """A corrected answer; where few points carry what it may be off by, its standard error is that much less known.
 
-    Degrees of freedom are the R - 2 of the regression and half the number of those points, together as resistances in
-    parallel: with skewed outputs the few that were met speak for those that were not.
+    Degrees of freedom are the R - 1 of the replicates and half the number of those points, together as resistances in
+    parallel: with skewed outputs the few that were met speak for those that were not.  Below two of them Student's law
+    has no variance, and the rows answer alone.
     """
-    if not math.isfinite(error):
-        return absent(_NO_SCATTER, method, evaluations)
-    freedom = max(1.0 / (1.0 / (len(rows) - 2) + 2.0 / carriers), 1.0)
+    freedom = 1.0 / (1.0 / (len(rows) - 1) + 2.0 / carriers)
+    if not math.isfinite(error) or freedom < 2.0:
+        return _estimates(rows[:, None], [method], evaluations)[0]
     # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
     error = max(error, 1e-13) if np.any(rows) else 0.0
     half = student(1.0 + freedom) * error
@@ -528,15 +499,15 @@ def _estimate(value: float, error: float, rows: Array, method: str, carriers: fl
                     method=f"{method}, controlled by a surrogate", evaluations=evaluations)  # fmt: skip
 
 
-def _carriers(y: Outputs, known: Outputs, chosen: _Chosen, slopes: Mapping[str, Array]) -> dict[str, Array]:
+def _carriers(y: Outputs, known: Outputs, chosen: _Chosen) -> dict[str, Array]:
     """How many points of the design carry what each corrected answer may be off by, by Kish's count: (m,) by order."""
-    sums = {order: np.zeros((2, len(slope))) for order, slope in slopes.items()}
+    sums: dict[str, Array] = {}
     for r in range(len(y.a)):
         own, other = (_answers(_each_point(outputs, r), *chosen) for outputs in (y, known))
-        for order, slope in slopes.items():
-            off = own[order][0] - slope * other[order][0]
+        for order, (rows, _) in own.items():
+            off = rows - other[order][0]
             squares = (off - off.mean(axis=0)) ** 2
-            sums[order] += [squares.sum(axis=0), (squares**2).sum(axis=0)]
+            sums[order] = sums.get(order, 0.0) + np.array([squares.sum(axis=0), (squares**2).sum(axis=0)])
     return {
         order: np.where(fourth > 0.0, second**2 / np.where(fourth > 0.0, fourth, 1.0), math.inf)
         for order, (second, fourth) in sums.items()

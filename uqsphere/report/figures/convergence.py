@@ -97,8 +97,6 @@ def _short(kind: str) -> str:
     for word in ("band", "mean", "quantile", "probability", "index"):
         if word in kind:
             return word
-    if "fit before" in kind:
-        return "by the fit before"
     return "unexplained" if "variance" in kind else kind
 
 

@@ -123,26 +123,27 @@ def speed_rows(
 
 
 def shortfalls(
-    work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]
+    work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer], share: float = 1.0
 ) -> dict[Accuracy, float]:
-    """Half-width over what is asked of everything that is not as accurate yet and has a number."""
+    """Half-width over a share of what is asked, of everything that is not as accurate yet and has a number."""
     asked = work.study.analysis.accuracy
     found: dict[Accuracy, float] = {}
     for name, description in descriptions.items():
         if not description.scale > 0.0:
             continue
         if description.mean.value is not None:
-            found[Accuracy(name, "mean")] = description.mean.half_width / asked.mean / description.scale
+            found[Accuracy(name, "mean")] = description.mean.half_width / (share * asked.mean) / description.scale
         for p, e in description.quantiles.items():
             if p not in description.exempt:
-                found[Accuracy(name, "quantile", p)] = e.half_width / asked.quantile / description.scale
+                found[Accuracy(name, "quantile", p)] = e.half_width / (share * asked.quantile) / description.scale
     for name, limit in limits.items():
         if takes_over(work, limit):
             continue
         for which in ("exceedance", "miss"):
             estimate = getattr(limit, which)
-            if estimate.value and limit.accuracy_missed(which, asked.probability):
-                found[Accuracy(f"limits.{name}", which)] = estimate.half_width / estimate.value / asked.probability
+            if estimate.value and limit.accuracy_missed(which, share * asked.probability):
+                ratio = estimate.half_width / estimate.value / (share * asked.probability)
+                found[Accuracy(f"limits.{name}", which)] = ratio
     return {question: ratio for question, ratio in found.items() if ratio > 1.0}
 
 

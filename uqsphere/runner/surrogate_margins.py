@@ -1,4 +1,4 @@
-"""Margins of a dear model, off a surrogate, with the surrogate's error in every interval.
+"""Margins of an expensive model, off a surrogate, with the surrogate's error in every interval.
 
 Where the free scalar is a strength, the surrogate of the study is enough: the demands stay what they are.  Where it is
 an input, the laws of the study do not reach as far as the range that is asked for, and a design of its own is run: the
@@ -21,16 +21,16 @@ from uqsphere.runner.limits import SEEN, state_of
 from uqsphere.runner.questions.curves import asked_probabilities
 from uqsphere.runner.questions.margins import MarginAnswer, unmoved_margins
 from uqsphere.study import Limit
-from uqsphere.uq import augmented
-from uqsphere.uq.augmented import Trusted, joined, trust, with_residuals
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.law import LawError
 from uqsphere.uq.points import random_generator, sobol_points
+from uqsphere.uq.response import METHOD, Response, cross_fit, joined, with_residuals
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import probability
 
-__all__ = ["dear_margins"]
+__all__ = ["surrogate_margins"]
 
 Array = npt.NDArray[np.float64]
 
@@ -49,12 +49,12 @@ _Demands = Callable[[float], tuple[Array, Array]]
 class _Wide:
     """Surrogates over inputs and the free scalar, by quantity, or why there are none."""
 
-    trusted: Mapping[str, Trusted]
+    responses: Mapping[str, Response]
     runs: int
     reason: str = ""
 
 
-def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) -> dict[str, MarginAnswer]:
+def surrogate_margins(work: Work, usable: Mapping[str, Response], affordable: int) -> dict[str, MarginAnswer]:
     """Curves and values of the free scalar for every limit; those that cannot be given say why.
 
     Runs of the model are spent only where the free scalar is no strength, and no more than `affordable` in all.
@@ -69,18 +69,18 @@ def dear_margins(work: Work, trusted: Mapping[str, Trusted], affordable: int) ->
         if limit.name in unmoved:
             found[limit.name] = unmoved[limit.name]
             continue
-        one = trusted.get(limit.quantity)
-        if one is None or not one.usable:
+        one = usable.get(limit.quantity)
+        if one is None:
             found[limit.name] = _nothing(f"{limit.quantity} has no surrogate, and sampling is beyond the budget")
             continue
         if not axis.moves_rows:
-            found[limit.name] = _answer(work, limit, one, _of_strength(work, limit, one), len(one.residuals))
+            found[limit.name] = _answer(work, limit, one, _of_strength(work, limit, one), one.count)
             continue
         wide = _over_scalar(work, affordable) if wide is None else wide
-        if limit.quantity not in wide.trusted:
+        if limit.quantity not in wide.responses:
             found[limit.name] = _nothing(wide.reason)
             continue
-        one = wide.trusted[limit.quantity]
+        one = wide.responses[limit.quantity]
         if not one.usable:
             found[limit.name] = _nothing(f"the surrogate over {axis.path} and the inputs is {one.reason}")
             continue
@@ -92,31 +92,29 @@ def _nothing(reason: str) -> MarginAnswer:
     return MarginAnswer(values={}, curve=[], missed=[reason])
 
 
-def _of_strength(work: Work, limit: Limit, one: Trusted) -> _Demands:
+def _of_strength(work: Work, limit: Limit, one: Response) -> _Demands:
     """Demands in proportion, as if the strength were what the study says."""
-    from uqsphere.uq.expansion import germ_points, predict
-
     d = len(work.scene_names)
-    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
-    values = predict(one.chaos, germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs))
-    rng = random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}")
+    large = draw(work.drawn, seed=work.study.seed, task="surrogate.margins", start=0, count=POINTS)
+    values = one.at(germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs))
+    rng = random_generator(seed=work.study.seed, task=f"surrogate.margins.{limit.name}")
     centre, reach = with_residuals(one, values.reshape(large.scores.shape[:2]), rng)
     factor = axis_of(work).demand_factor
     return lambda value: (centre * factor(limit, value), reach * factor(limit, value))
 
 
-def _of_scalar(work: Work, limit: Limit, one: Trusted) -> _Demands:
+def _of_scalar(work: Work, limit: Limit, one: Response) -> _Demands:
     """Demands of the surrogate over the free scalar: the same normal scores and residuals' numbers at every value."""
-    from uqsphere.uq.expansion import germ_points, predict
-
     d = len(work.scene_names)
-    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
+    large = draw(work.drawn, seed=work.study.seed, task="surrogate.margins", start=0, count=POINTS)
     points = germ_points(large.scores[:, :, :d].reshape(-1, d), work.germs)
 
     def demands(value: float) -> tuple[Array, Array]:
         rows = np.column_stack([points, np.full(len(points), axis_of(work).germ(value))])
-        values = predict(one.chaos, rows).reshape(large.scores.shape[:2])
-        return with_residuals(one, values, random_generator(seed=work.study.seed, task=f"dear.margins.{limit.name}"))
+        values = one.at(rows).reshape(large.scores.shape[:2])
+        return with_residuals(
+            one, values, random_generator(seed=work.study.seed, task=f"surrogate.margins.{limit.name}")
+        )
 
     return demands
 
@@ -125,8 +123,6 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     """Runs over inputs and free scalar together, and the surrogates of all quantities fitted to them."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.expansion import fit_outputs, germ_points
-
     study = work.study
     axis = axis_of(work)
     d, name = len(work.scene_names), axis.path
@@ -134,33 +130,30 @@ def _over_scalar(work: Work, affordable: int) -> _Wide:
     count = 2 ** int(math.log2(count)) if count >= LEAST_RUNS else 0
     if not count:
         reason = f"not searched for: a design over {name} takes {LEAST_RUNS} to {MOST_RUNS} more evaluations"
-        return _Wide(trusted={}, runs=0, reason=reason)
-    uniforms = sobol_points(dimension=d + 1, count=count, seed=study.seed, task="dear.margins.runs", replicate=0)
+        return _Wide(responses={}, runs=0, reason=reason)
+    uniforms = sobol_points(dimension=d + 1, count=count, seed=study.seed, task="surrogate.margins.runs", replicate=0)
     normals = np.asarray(ndtri(uniforms[:, :d]))
     values = axis.value(uniforms[:, d])
     random = name in study.random
     try:
         rows = np.array([_row(work, row, float(value)) for row, value in zip(normals, values, strict=True)])
     except LawError as error:
-        return _Wide(trusted={}, runs=0, reason=f"{name} cannot be moved over the whole range: {error}")
+        return _Wide(responses={}, runs=0, reason=f"{name} cannot be moved over the whole range: {error}")
     names = work.scene_names if random else (*work.scene_names, name)
     rows = rows if random else np.column_stack([rows, values])
     try:
         run = evaluate_points(replace(work, spare=True), "margins-surrogate", names, rows)
     except OutOfBudget:
-        return _Wide(trusted={}, runs=0, reason="no curve could be computed: the time was over, or the run was stopped")
+        return _Wide(
+            responses={}, runs=0, reason="no curve could be computed: the time was over, or the run was stopped"
+        )
     if run.status.any():
         lost = int(np.count_nonzero(run.status))
-        return _Wide(trusted={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")
+        return _Wide(responses={}, runs=count, reason=f"{lost} of the {count} runs over {name} have no answer")
     germs = (*work.germs, "uniform")
     points = np.column_stack([germ_points(normals, germs[:d]), [axis.germ(float(value)) for value in values]])
-    half = count // 2
-    before = fit_outputs(points[:half], run.values[:half], germs)
-    fits = fit_outputs(points, run.values, germs)
-    found = {
-        quantity: trust(fits[k], points, run.values[:, k], before[k]) for k, quantity in enumerate(work.quantities)
-    }
-    return _Wide(trusted=found, runs=count)
+    fitted = cross_fit(points, run.values, germs)
+    return _Wide(responses=dict(zip(work.quantities, fitted, strict=True)), runs=count)
 
 
 def _row(work: Work, normals: Array, value: float) -> Array:
@@ -172,10 +165,10 @@ def _row(work: Work, normals: Array, value: float) -> Array:
     return np.asarray(moved.drawn.physical(scores)[0, :d])
 
 
-def _answer(work: Work, limit: Limit, one: Trusted, demands: _Demands, runs: int) -> MarginAnswer:
+def _answer(work: Work, limit: Limit, one: Response, demands: _Demands, runs: int) -> MarginAnswer:
     """The curve of a limit and its values, from the law of the demands and from both its bounds."""
     assert work.study.margins is not None
-    large = draw(work.drawn, seed=work.study.seed, task="dear.margins", start=0, count=POINTS)
+    large = draw(work.drawn, seed=work.study.seed, task="surrogate.margins", start=0, count=POINTS)
     targets = asked_probabilities(work, limit)
     known: dict[float, Array] = {}
 
@@ -219,10 +212,10 @@ def _about(grid: Array, value: float) -> list[float]:
 
 def _value(p: float, middle: Estimate, down: Estimate, up: Estimate, runs: int) -> Estimate:
     if middle.value is None:
-        return replace(middle, method=augmented.METHOD, evaluations=runs)
+        return replace(middle, method=METHOD, evaluations=runs)
     if min(p, 1.0 - p) * runs < SEEN:
         reason = f"too far out for a surrogate of {runs} runs: none of them would be expected to show it"
-        return absent(reason, augmented.METHOD, runs)
+        return absent(reason, METHOD, runs)
     return joined(middle, down, up, runs)
 
 

@@ -1,0 +1,566 @@
+"""Expensive models: one design, enlarged by the campaign, whose runs fit a response and correct it.
+
+What an evaluation costs is given, or timed once and kept with the run.  A surrogate speaks for a quantity while it
+leaves little of runs that it was not fitted to.  A quantity that is too rough for one is sampled: by the usual way
+where the budget has room for it, else by the runs that were made.  The others keep what their surrogates say.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.model import BlackBox
+from uqsphere.results import SpeedRow
+from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of, indices_missed, speed_rows_of
+from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, none_answered
+from uqsphere.runner.forecast import Way, choose_way
+from uqsphere.runner.limits import LimitAnswer, limits_missed
+from uqsphere.runner.questions.distributions import METHOD, Sampled, find_missed, shortfalls
+from uqsphere.runner.questions.indices import CHAOS, Sensitivity, dependent_names
+from uqsphere.runner.questions.margins import MarginAnswer
+from uqsphere.runner.questions.probabilities import Demand, Learned, learn_limits, reserve, with_surrogate_design
+from uqsphere.runner.schedule import FIRST_SAMPLE, REPLICATES, SURROGATE
+from uqsphere.runner.surrogate_answers import (
+    Answers,
+    answers_of,
+    answers_of_runs,
+    blocks_of_runs,
+    settle_heavy,
+    tails_of,
+    widest,
+)
+from uqsphere.runner.surrogate_margins import surrogate_margins
+from uqsphere.uq import response
+from uqsphere.uq.describe import Description
+from uqsphere.uq.estimate import Estimate, Why, absent
+from uqsphere.uq.expansion import germ_points
+from uqsphere.uq.indices import WORTHLESS
+from uqsphere.uq.response import Response, cross_fit, group_shares, pair_shares, spread_of
+from uqsphere.uq.sample import Sample
+
+__all__ = ["COST", "Expensive", "Priced", "answer_expensive", "keep_answers", "keep_indices", "keep_margins", "price"]
+
+#: runs that are timed by themselves
+FEW: Final = 8
+#: the chunk that holds what an evaluation costs [s]: a time, which never comes out the same
+COST: Final = "cost"
+TASK: Final = "surrogate"
+#: how the error of a surrogate is called in the speed-error table
+UNEXPLAINED: Final = "share of the variance left unexplained (runs left out)"
+
+
+# --- what an evaluation costs -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priced:
+    """The way a study is answered, what an evaluation costs [s], None if nobody asked, and the runs that were timed."""
+
+    way: Way
+    cost: float | None
+    design: Sample | None = None
+
+    def bounded(self, work: Work) -> Work:
+        """The work with no more evaluations than the time budget has room for at this cost."""
+        budget = replace(work.study.analysis.budget, evaluations=self.way.affordable)
+        return replace(work, study=replace(work.study, analysis=replace(work.study.analysis, budget=budget)))
+
+
+def enlarge(work: Work, design: Sample | None, count: int) -> Sample:
+    """One scrambled Sobol' design (one replicate) with `count` runs altogether; those that are there are kept."""
+    start = 0 if design is None else design.count
+    if start >= count and design is not None:
+        return design
+    points = draw(work.drawn, seed=work.study.seed, task=TASK, start=start, count=count - start, replicates=1)
+    sample = evaluate_sample(work, f"{TASK}.{start}", points)
+    return sample if design is None else design.join(sample)
+
+
+class _Watch:
+    """A black box with a clock: what is drawn and stored around it is no cost of the model."""
+
+    def __init__(self, box: BlackBox) -> None:
+        self.box = box
+        self.seconds = 0.0
+
+    def __call__(self, inputs: dict[str, Array]) -> Mapping[str, Any]:
+        started = time.perf_counter()
+        found = self.box(inputs)
+        self.seconds += time.perf_counter() - started
+        return found
+
+
+def _timed(work: Work, design: Sample | None, count: int) -> tuple[Sample, float | None]:
+    """The design with `count` runs, and seconds of each new one; None where they were stored already."""
+    reused = work.ledger.reused
+    new = count - (0 if design is None else design.count)
+    before, watch = work.engine.seconds, None
+    if work.black_box is not None and work.engine.here:
+        watch = _Watch(work.black_box)
+    larger = enlarge(work if watch is None else replace(work, black_box=watch), design, count)
+    # elsewhere the engine has the seconds of the calls, which an expensive model is known by just as well
+    spent = watch.seconds if watch is not None and work.engine.here else work.engine.seconds - before
+    return larger, None if work.ledger.reused > reused else spent / new
+
+
+def price(work: Work) -> Priced:
+    """The way to take; a black box whose cost decides and is not given is timed on its first runs, once.
+
+    What is timed is stored with the run, so that a run that is resumed takes the way that it began.  The smaller of
+    two times counts, since the first call of a model may load and compile.
+    """
+    study = work.study
+    budget = study.analysis.budget
+    way = choose_way(study, seconds=work.seconds)
+    undecided = study.black_box and study.random and "auto" in study.analysis.methods
+    if not undecided or study.analysis.cost is not None or budget.evaluations < SURROGATE.first:
+        return Priced(way=way, cost=study.analysis.cost)
+    kept = work.store.load(COST) if work.store is not None else None
+    design, first = _timed(work, None, FEW)
+    if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
+        cost = float(kept[0])
+        if SURROGATE.first * cost <= work.seconds:
+            design = enlarge(work, design, SURROGATE.first)
+    else:
+        cost = first if first is not None else math.inf
+        if first is None or SURROGATE.first * first <= work.seconds:
+            design, second = _timed(work, design, SURROGATE.first)
+            cost = min(cost, math.inf if second is None else second)
+        if not math.isfinite(cost):
+            # an earlier run was cut off between its runs and their time
+            cost = _timed(replace(work, store=None, spare=True), None, FEW)[1] or 0.0
+        if work.store is not None:
+            work.store.save(COST, np.array([cost]))
+    way = choose_way(study, cost, work.seconds)
+    return Priced(way=way, cost=cost, design=design)
+
+
+# --- the question -----------------------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class Surrogates:
+    """All that is asked of an expensive model, answered by surrogates of its runs: a question of the campaign."""
+
+    work: Work
+    design: Sample | None = None
+    responses: dict[str, Response] = field(default_factory=dict)
+    found: Answers = field(default_factory=Answers)
+    begun: bool = False
+
+    @property
+    def size(self) -> int:
+        """Runs."""
+        return 0 if self.design is None else self.design.count
+
+    @property
+    def judged(self) -> int:
+        """Runs from which on a course tells what more would do."""
+        return SURROGATE.judged // 2
+
+    @property
+    def usable(self) -> dict[str, Response]:
+        """The surrogates that may speak for the model."""
+        return {quantity: one for quantity, one in self.responses.items() if one.usable}
+
+    @property
+    def rough(self) -> tuple[str, ...]:
+        """The quantities without one."""
+        return tuple(quantity for quantity in self.work.quantities if quantity not in self.usable)
+
+    def advance(self, room: float) -> bool:
+        """The design doubled and all fitted again; in whole blocks, and no more than leaves room for rare events."""
+        have = self.size
+        affordable = min(int(have + room) - reserve(self.work, self.found.limits, int(have + room)), SURROGATE.most)
+        count = self._next(affordable)
+        if self.begun and count <= have:
+            return False
+        self.design = enlarge(self.work, self.design, max(count, have))
+        self.begun = True
+        if self.design.failed.all():
+            raise none_answered(self.work)
+        self.answer()
+        return True
+
+    def _next(self, affordable: int) -> int:
+        """The size of the next stage: twice as much, or all that is affordable in whole blocks."""
+        have = self.size
+        if not self.begun and affordable >= SURROGATE.first:
+            return SURROGATE.first
+        if not self.begun:
+            return 2 * (affordable // 2)
+        if 2 * have <= affordable:
+            return 2 * have
+        last = REPLICATES * (affordable // REPLICATES)
+        return last if last >= 1.25 * have else have
+
+    def answer(self) -> None:
+        """Fit the runs, and answer with what may be used."""
+        assert self.design is not None
+        work, d = self.work, len(self.work.scene_names)
+        whole = ~self.design.failed[0]
+        self.responses = {}
+        enough = self.size >= SURROGATE.first and int(whole.sum()) >= SURROGATE.first // 2
+        if enough and (whole.all() or work.study.analysis.on_failure == "drop"):
+            points = germ_points(self.design.scores[0, :, :d], work.germs)[whole]
+            fitted = cross_fit(points, self.design.answers[0][whole], work.germs)
+            self.responses = dict(zip(work.quantities, fitted, strict=True))
+        self.found = answers_of(work, self.size, self.usable)
+
+    def lacking(self) -> dict[Accuracy, float]:
+        """What surrogates leave of the variance over what they may, and what their answers lack."""
+        rough = {
+            Accuracy(quantity, "surrogate"): self.responses[quantity].error / response.MOST
+            if quantity in self.responses
+            else math.inf
+            for quantity in self.rough
+        }
+        return rough | self.found.lacking
+
+    def errors(self) -> list[SpeedRow]:
+        """Rows of the speed-error table."""
+        rows: list[SpeedRow] = []
+        for quantity, one in self.responses.items():
+            rows += speed_rows_of(CHAOS, quantity, self.size, one.error, UNEXPLAINED)
+        return rows + self.found.errors(self.size)
+
+    def refusal(self) -> str:
+        """Why surrogates are not used, or an empty text."""
+        if not self.rough:
+            return ""
+        if not self.responses:
+            return "no surrogate was fitted, since runs are too few or some have no answer"
+        told = [f"{quantity}: {self.responses[quantity].reason}" for quantity in self.rough]
+        which = "the surrogate is" if len(told) == 1 else "surrogates are"
+        return f"{which} too rough ({'; '.join(told)})"
+
+    def demands(self) -> dict[str, tuple[Demand, float, float]]:
+        """By quantity its surrogate at normal scores, the scatter of its residuals, and its standard deviation."""
+        germs = self.work.germs
+
+        def demand(one: Response) -> Demand:
+            return lambda normals: one.at(germ_points(normals, germs))
+
+        return {
+            quantity: (demand(one), math.sqrt(one.error) * spread_of(one.outputs), spread_of(one.outputs))
+            for quantity, one in self.usable.items()
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expensive:
+    """What the way of surrogates found; without `sampled` where the model has to be sampled instead, and `why`."""
+
+    why: str
+    surrogate: bool
+    question: Surrogates
+    sampled: Sampled | None = None
+    sensitivity: dict[str, Sensitivity] = field(default_factory=dict)
+    margins: dict[str, MarginAnswer] = field(default_factory=dict)
+
+
+def answer_expensive(work: Work, priced: Priced) -> Expensive:
+    """Answer a study through surrogates; `work` is bounded by what is affordable.
+
+    Raises
+    ------
+    TooManyFailures
+        By the study's failure policy.
+    OutOfBudget
+        When the time is over, or the run interrupted, before the first surrogates.
+    UsageError
+        For a budget below the smallest design.
+    """
+    affordable = priced.way.affordable
+    if affordable < SURROGATE.least and priced.design is None:
+        raise UsageError(
+            f"the budget has room for {affordable} evaluations, and the smallest design takes "
+            f"{SURROGATE.least}: raise analysis.budget"
+        )
+    question = Surrogates(work=work, design=priced.design)
+    course = campaign(work, question)
+    if question.design is None:
+        raise OutOfBudget
+    end = _End(question=question, course=course, priced=priced)
+    room = affordable - work.ledger.total
+    if course.stopped == "time":
+        return end.conclude()
+    if question.rough and room >= FIRST_SAMPLE:
+        return end.to_be_sampled(f"{question.refusal()}: the model is sampled")
+    if course.stopped != "accuracy" and room >= priced.way.sampling:
+        return end.to_be_sampled(
+            "a surrogate does not reach the accuracies, and sampling is forecast to: the model is sampled"
+        )
+    return end.conclude()
+
+
+# --- the end ----------------------------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class _End:
+    """Where the design ended: its surrogates, what they answer, the course of their errors."""
+
+    question: Surrogates
+    course: Course
+    priced: Priced
+
+    @property
+    def work(self) -> Work:
+        return self.question.work
+
+    @property
+    def design(self) -> Sample:
+        assert self.question.design is not None
+        return self.question.design
+
+    def to_be_sampled(self, why: str) -> Expensive:
+        """That the model is sampled, with what surrogates say of the quantities that have one."""
+        tails = tails_of(self.work, self.design, self.question.usable)
+        plain = {quantity: one for quantity, one in self.question.responses.items() if tails[quantity] is None}
+        question = replace(self.question, responses=plain)
+        sensitivity = {quantity: self._sensitivity(quantity) for quantity in question.usable}
+        return Expensive(why=why, surrogate=False, question=question, sensitivity=sensitivity)
+
+    def conclude(self) -> Expensive:
+        """Everything the run answers: by surrogates, and what is too rough for one by the runs themselves."""
+        work, affordable = self.work, self.priced.way.affordable
+        alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+        before = self.question.found.limits | alone.limits
+        limits, learned = before, Learned(limits={})
+        if self.course.stopped != "time":
+            learned = learn_limits(work, limits)
+            limits = with_surrogate_design(work, learned.limits, self.question.demands(), affordable)
+        margins = surrogate_margins(work, self.question.usable, affordable)
+        if self.question.rough and self.course.stopped != "time":
+            self._with_all_runs()
+            alone = answers_of_runs(work, blocks_of_runs(self.design), self.question.rough)
+            after = self.question.found.limits | alone.limits
+            limits |= {n: _sharpened(limits[n], before[n], one) for n, one in after.items() if one is not before[n]}
+        work.tell(alone.errors(self.design.count, METHOD))
+        found = self.question.found
+        answers = found.descriptions | alone.descriptions
+        descriptions = {quantity: answers[quantity] for quantity in work.quantities}
+        limits = {limit.name: limits[limit.name] for limit in work.study.limits}
+        lacking = [*find_missed(work, descriptions, {}), *limits_missed(work, limits)]
+        missed = [_refused(quantity, self.question.responses.get(quantity)) for quantity in self.question.rough]
+        sampled = Sampled(
+            sample=blocks_of_runs(self.design),
+            descriptions=descriptions,
+            limits=limits,
+            missed=missed + self._priced(lacking, learned.calls, alone.lacking),
+            stopped=self.course.stopped,
+        )
+        sensitivity = {quantity: self._sensitivity(quantity) for quantity in work.quantities}
+        tails = tails_of(work, self.design, self.question.usable)
+        sampled, sensitivity = settle_heavy(work, sampled, sensitivity, found.descriptions, tails)
+        return Expensive(why=self._why(), surrogate=bool(found.descriptions), question=self.question,
+                         sampled=sampled, sensitivity=sensitivity, margins=margins)  # fmt: skip
+
+    def _with_all_runs(self) -> None:
+        """Runs that no surrogate can use still sharpen what sampling says: as far as the budget goes."""
+        work, count = self.work, self.design.count
+        most = count + self.priced.way.affordable - work.ledger.total
+        try:
+            design = enlarge(work, self.design, max(count, REPLICATES * (most // REPLICATES)))
+            self.course.stopped = "evaluations"
+        except OutOfBudget:
+            self.course.stopped = "time"
+            return
+        larger = replace(self.question, design=design)
+        if self.question.found.lacking and design.count > count:
+            larger.answer()
+            if larger.usable.keys() >= self.question.usable.keys():
+                work.tell(larger.errors())
+                self.question = larger
+                return
+        self.question.design = design
+
+    def _why(self) -> str:
+        rough, told = self.question.rough, self.question.found.descriptions
+        if not rough:
+            return self.priced.way.why
+        why = f"{self.question.refusal()}: the {self.design.count} runs are sampled"
+        return f"{why}; surrogates answer {', '.join(told)}" if told else why
+
+    def _priced(
+        self, missed: list[Missed], learned: Mapping[str, int], alone: Mapping[Accuracy, float]
+    ) -> list[Missed]:
+        """The same with what each accuracy is forecast to take; `learned`: calls of active learning by limit."""
+        calls = {f"limits.{name}": count for name, count in learned.items()}
+        return [
+            replace(one, cost=Cost(f" (after {calls[one.subject]} calls of active learning)"))
+            if one.subject in calls
+            else replace(one, cost=self._cost(one.accuracy, alone.get(one.accuracy)))
+            for one in missed
+        ]
+
+    def _cost(self, accuracy: Accuracy, alone: float | None = None) -> Cost:
+        """What an accuracy is forecast to take: by the runs alone, by its own course, or by sampling."""
+        cost = self.course.cost(accuracy) if alone is None else cost_of([(self.design.count, alone)])
+        sampling = self.priced.way.sampling
+        return cost if cost.text else Cost(f" (sampling is forecast to take {sampling:,} evaluations)", sampling)
+
+    def _sensitivity(self, quantity: str) -> Sensitivity:
+        work, one = self.work, self.question.responses.get(quantity)
+        found = self.question.found.indices.get(quantity)
+        names, asked = work.scene_names, work.study.analysis.accuracy.sobol
+        about: dict[str, Any] = {"kind": None, "error": None, "evaluations": 0}
+        if one is not None:
+            about = {"kind": CHAOS, "error": one.error, "evaluations": one.count, "usable": one.usable,
+                     "reason": one.reason, "degree": one.degree, "terms": one.terms}  # fmt: skip
+        if one is None or found is None:
+            return self._without_indices(quantity, about)
+        width = widest(found) or 0.0
+        missed = []
+        if width > asked:
+            missed = [indices_missed(quantity, width, asked, cost=self._cost(Accuracy(quantity, "indices")))]
+        given = {order: [_believable(e) for e in row] for order, row in found.items()}
+        return Sensitivity(
+            first=dict(zip(names, given["first"], strict=True)),
+            total=dict(zip(names, given["total"], strict=True)),
+            surrogate=about,
+            sampled={},
+            expanded=dict(given),
+            agree=None,
+            text="Indices are those of the surrogate; their intervals hold what it leaves of the variance.",
+            missed=missed,
+            estimators="Off the coefficients of the surrogate, or by sampling it where its output was transformed.",
+            **_sets(work, one, ""),
+        )
+
+    def _without_indices(self, quantity: str, about: dict[str, Any]) -> Sensitivity:
+        work, sampling = self.work, self.priced.way.sampling
+        tied = dependent_names(work)
+        reason = (
+            f"{', '.join(tied)} depend on each other: Shapley effects take their place, and are sampled"
+            if tied
+            else "no surrogate may be used, and sampled indices are beyond the budget"
+        )
+        rows = dict.fromkeys(work.scene_names, absent(reason, response.METHOD, work.ledger.total))
+        cost = Cost(f" ({sampling:,} evaluations)", sampling)
+        missed = [indices_missed(quantity, None, work.study.analysis.accuracy.sobol, f": {reason}", cost)]
+        return Sensitivity(first=rows, total=dict(rows), surrogate=about, sampled={}, expanded={}, agree=None,
+                           text=f"No index is given: {reason}.", missed=missed,
+                           **_sets(work, None, reason))  # fmt: skip
+
+
+def _sets(work: Work, one: Response | None, reason: str) -> dict[str, Any]:
+    """Indices of pairs and groups where the study asks for them, off the surrogate; absent where there is none."""
+    names, analysis, seed = work.scene_names, work.study.analysis, work.study.seed
+    pairs = [(i, j) for i in range(len(names)) for j in range(i + 1, len(names))] if analysis.second_order else []
+    labels = [f"{names[i]}|{names[j]}" for i, j in pairs]
+    groups = [[names.index(name) for name in members] for members in analysis.groups.values()]
+    if one is None:
+        nothing = absent(reason, response.METHOD, 0)
+        return {"second": dict.fromkeys(labels, nothing), "group_first": dict.fromkeys(analysis.groups, nothing),
+                "group_total": dict.fromkeys(analysis.groups, nothing)}  # fmt: skip
+    first, total = group_shares(one, groups, seed) if groups else ([], [])
+    return {
+        "second": dict(zip(labels, pair_shares(one, pairs, seed) if pairs else [], strict=True)),
+        "group_first": dict(zip(analysis.groups, first, strict=True)),
+        "group_total": dict(zip(analysis.groups, total, strict=True)),
+    }
+
+
+def _believable(estimate: Estimate) -> Estimate:
+    if estimate.value is None or estimate.half_width <= WORTHLESS:
+        return estimate
+    return absent("the interval spans the whole range", estimate.method, estimate.evaluations, Why.NOT_KNOWN)
+
+
+def _sharpened(answer: LimitAnswer, before: LimitAnswer, more: LimitAnswer) -> LimitAnswer:
+    """A limit by more runs, with the checks and the probability that active learning gave it beside those `before`."""
+    if answer.miss is not before.miss:
+        return replace(answer, margin=more.margin)
+    if answer.design is not None:
+        return replace(answer.with_probabilities(more.exceedance, more.miss), margin=more.margin)
+    return replace(more, checks=answer.checks, design_reason=answer.design_reason)
+
+
+def _refused(quantity: str, one: Response | None) -> Missed:
+    reason = "no surrogate was fitted" if one is None else one.reason
+    said = f"{quantity}: {reason}; the answers are those of the runs alone, and there are no indices"
+    return Missed(subject=quantity, kind="surrogate", said=said)
+
+
+# --- beside sampling: an answer of a surrogate in place of a sampled one that is known less -------------------
+
+
+def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
+    """Sampled distributions and limits, with those of surrogates where sampling fell short and they did less."""
+    descriptions, limits, usable = dict(sampled.descriptions), dict(sampled.limits), one.question.usable
+    for name, described in one.question.found.descriptions.items():
+        lacks = _lack(work, {name: descriptions[name]}, {})
+        if name in usable and 1.0 < lacks > _lack(work, {name: described}, {}):
+            descriptions[name] = described
+    for name, limit in one.question.found.limits.items():
+        lacks = _lack(work, {}, {name: limits[name]})
+        if limit.quantity in usable and 1.0 < lacks > _lack(work, {}, {name: limit}):
+            limits[name] = replace(
+                limits[name].with_probabilities(limit.exceedance, limit.miss),
+                margin=limit.margin,
+                checks=(*limits[name].checks, "the probability is that of the surrogate"),
+            )
+    limits = with_surrogate_design(work, limits, one.question.demands(), work.study.analysis.budget.evaluations)
+    kept = {name for name, given in descriptions.items() if given is not sampled.descriptions[name]}
+    kept |= {f"limits.{name}" for name, given in limits.items() if given.miss is not sampled.limits[name].miss}
+    costs = {missed.accuracy: missed.cost for missed in sampled.missed}
+    lacking = [m for m in [*find_missed(work, descriptions, {}), *limits_missed(work, limits)] if m.subject in kept]
+    return replace(
+        sampled,
+        descriptions=descriptions,
+        limits=limits,
+        missed=[missed for missed in sampled.missed if missed.subject not in kept]
+        + [replace(missed, cost=costs.get(missed.accuracy, missed.cost)) for missed in lacking],
+    )
+
+
+def keep_margins(work: Work, found: Mapping[str, MarginAnswer], one: Expensive) -> dict[str, MarginAnswer]:
+    """Margins, with those of surrogates where sampling drew no curve, as far as the budget goes."""
+    without = {one.name: one.quantity for one in work.study.limits if one.name in found and not found[one.name].curve}
+    usable = {quantity: r for quantity, r in one.question.usable.items() if quantity in without.values()}
+    if not usable:
+        return dict(found)
+    answers = surrogate_margins(work, usable, work.study.analysis.budget.evaluations)
+    return {**found, **{name: answers[name] for name in without if answers[name].curve}}
+
+
+def keep_indices(found: Mapping[str, Sensitivity], one: Expensive) -> dict[str, Sensitivity]:
+    """Indices, with those of surrogates where sampled ones are wider than asked and than theirs."""
+    answers = dict(found)
+    for quantity, own in one.sensitivity.items():
+        if answers[quantity].missed and _width(own) < _width(answers[quantity]):
+            answers[quantity] = own
+    return answers
+
+
+def _width(given: Sensitivity) -> float:
+    rows = {"first": list(given.first.values()), "total": list(given.total.values())}
+    gone = any(e.value is None for row in rows.values() for e in row)
+    return math.inf if gone else widest(rows) or 0.0
+
+
+def _lack(work: Work, descriptions: dict[str, Description], limits: dict[str, LimitAnswer]) -> float:
+    """The worst half-width over what is asked; infinite where something asked for is absent."""
+    if any(one.mean.value is None or one.sd.value is None for one in descriptions.values()):
+        return math.inf
+    asked = work.study.analysis.accuracy.probability
+    # small ones too, which `shortfalls` leaves to the methods for rare events
+    wide = [_lack_of(one, which, asked) for one in limits.values() for which in ("exceedance", "miss")]
+    return max([*wide, *shortfalls(work, descriptions, {}).values()], default=0.0)
+
+
+def _lack_of(limit: LimitAnswer, which: str, asked: float) -> float:
+    if not limit.accuracy_missed(which, asked):
+        return 0.0
+    estimate: Estimate = getattr(limit, which)
+    return estimate.half_width / estimate.value / asked if estimate.value else math.inf
