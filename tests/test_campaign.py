@@ -122,6 +122,6 @@ def test_what_is_out_of_reach_is_given_up_once_all_that_is_left_is(work: Callabl
 
 
 def test_a_campaign_that_is_cut_off_keeps_what_is_there(work: Callable[..., Work]) -> None:
-    question = Falling(work(10**6), {"a": 0.5}, late=8_000)
+    question = Falling(work(10**6), {"a": 0.9}, late=8_000)
     assert campaign(question.work, question).stopped == "time"
     assert question.stages == [1_000, 2_000, 4_000, 8_000]
