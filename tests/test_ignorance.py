@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -144,8 +145,8 @@ def results_of(folder: Path, *, load: str, strength: str, more: str = "", tests:
         (folder / f"{name}.csv").write_text(f"x\n{lines}\n", encoding="utf-8")
     path = folder / "study.toml"
     path.write_text(STUDY.format(load=load, strength=strength, more=more), encoding="utf-8")
-    found = run(load_study(path), out=folder / "out", model=lambda x: {"stress": x["load"]})
-    return dict(found.results)
+    run(load_study(path), out=folder / "out", model=lambda x: {"stress": x["load"]})
+    return dict(json.loads((folder / "out" / "results.json").read_text(encoding="utf-8")))
 
 
 def fitted_to(name: str) -> str:

@@ -62,16 +62,17 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
         raise UsageError(f"found {len(names)} columns, at most {_MOST_COLUMNS} are analysed at a time")
     header, rows = _lines(path)
     places = [_place(path, header, name) for name in names]
-    if len(rows) < 5:
-        found = "1 row" if len(rows) == 1 else f"{len(rows)} rows"
-        raise UsageError(f"{path}: found {found}, at least 5 are needed")
-    values = np.array([[_number(row[k] if k < len(row) else "") for k in places] for _, row in rows])
+    cells = [[_number(row[k] if k < len(row) else "") for k in places] for _, row in rows]
+    values = np.array(cells).reshape(len(rows), len(names))
     odd = np.argwhere(~np.isfinite(values))
     if odd.size:
         at, column = odd[0]
         line, row = rows[at]
         cell = row[places[column]] if places[column] < len(row) else ""
         raise UsageError(f"{path}:{line}: column {names[column]!r}: found {cell[:40]!r}, where a finite number is due")
+    if len(rows) < 5:
+        found = "1 row" if len(rows) == 1 else f"{len(rows)} rows"
+        raise UsageError(f"{path}: found {found}, at least 5 are needed")
     d = len(inputs)
     return Data(inputs=tuple(inputs), outputs=tuple(outputs), x=values[:, :d], y=values[:, d:])
 

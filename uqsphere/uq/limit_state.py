@@ -219,7 +219,7 @@ def _estimate(state: LimitState, breaking: bool) -> Estimate:
 def exceedance(state: LimitState) -> Estimate:
     """Probability that the demand exceeds the strength.
 
-    >>> from uqsphere.uq.laws import make_law
+    >>> from uqsphere.uq.law import make_law
     >>> law = make_law("uniform", {}, 0.0, 1.0)
     >>> demands = np.full((4, 8), 0.25)
     >>> exceedance(LimitState(demands=demands, strength=law)).value
