@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,26 +16,6 @@ __all__ = ["FAMILIES"]
 
 
 # --- uniform and loguniform ----------------------------------------------------------------------------
-
-
-def _uniform_cdf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.clip(y, 0.0, 1.0)
-
-
-def _uniform_sf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.clip(1.0 - y, 0.0, 1.0)
-
-
-def _uniform_ppf(p: Array, shapes: tuple[float, ...]) -> Array:
-    return np.asarray(p)
-
-
-def _uniform_isf(q: Array, shapes: tuple[float, ...]) -> Array:
-    return np.asarray(1.0 - q)
-
-
-def _uniform_pdf(y: Array, shapes: tuple[float, ...]) -> Array:
-    return np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0)
 
 
 def _uniform_bounds(ordered: Array) -> tuple[Array, Array]:
@@ -92,11 +73,11 @@ UNIFORM: Final = Family(
     bounded=True,
     canonical=lambda given, lower, upper: {},
     resolve=lambda own, lower, upper: (lower, upper - lower, ()),
-    cdf=_uniform_cdf,
-    sf=_uniform_sf,
-    ppf=_uniform_ppf,
-    isf=_uniform_isf,
-    pdf=_uniform_pdf,
+    cdf=lambda y, shapes: np.clip(y, 0.0, 1.0),
+    sf=lambda y, shapes: np.clip(1.0 - y, 0.0, 1.0),
+    ppf=lambda p, shapes: p,
+    isf=lambda q, shapes: 1.0 - q,
+    pdf=lambda y, shapes: np.where((y >= 0.0) & (y <= 1.0), 1.0, 0.0),
     mean=lambda shapes: 0.5,
     sd=lambda shapes: math.sqrt(1.0 / 12.0),
     fit=lambda data, lower, upper: {},
@@ -110,26 +91,16 @@ def _loguniform_keys(given: dict[str, float], lower: float, upper: float) -> dic
     return {}
 
 
-LOGUNIFORM: Final = Family(
+LOGUNIFORM: Final = replace(
+    UNIFORM,
     name="loguniform",
-    spanned=True,
     label="loguniform",
-    alternatives=((),),
-    dimensional=frozenset({"lower", "upper"}),
-    bounded=True,
     canonical=_loguniform_keys,
     resolve=lambda own, lower, upper: (math.log(lower), math.log(upper / lower), ()),
-    cdf=_uniform_cdf,
-    sf=_uniform_sf,
-    ppf=_uniform_ppf,
-    isf=_uniform_isf,
-    pdf=_uniform_pdf,
-    mean=lambda shapes: 0.5,
-    sd=lambda shapes: math.sqrt(1.0 / 12.0),
     logarithmic=True,
     whole_mean=lambda own, lower, upper: (upper - lower) / math.log(upper / lower),
-    fit=lambda data, lower, upper: {},
     positive=True,
+    tried=None,
 )
 
 

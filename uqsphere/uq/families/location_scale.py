@@ -38,6 +38,14 @@ def _normal_ppf(p: Array, shapes: tuple[float, ...]) -> Array:
     return np.asarray(ndtri(p))
 
 
+def _normal_sf(y: Array, shapes: tuple[float, ...]) -> Array:
+    return _normal_cdf(-y, shapes)
+
+
+def _normal_isf(q: Array, shapes: tuple[float, ...]) -> Array:
+    return -_normal_ppf(q, shapes)
+
+
 def _normal_pdf(y: Array, shapes: tuple[float, ...]) -> Array:
     return np.exp(-0.5 * y * y) / math.sqrt(2.0 * math.pi)
 
@@ -114,9 +122,9 @@ NORMAL: Final = Family(
     canonical=lambda given, lower, upper: {"mean": given["mean"], "sd": given["sd"]},
     resolve=lambda own, lower, upper: (own["mean"], own["sd"], ()),
     cdf=_normal_cdf,
-    sf=lambda y, shapes: _normal_cdf(-y, shapes),
+    sf=_normal_sf,
     ppf=_normal_ppf,
-    isf=lambda q, shapes: -_normal_ppf(q, shapes),
+    isf=_normal_isf,
     pdf=_normal_pdf,
     mean=lambda shapes: 0.0,
     sd=lambda shapes: 1.0,
@@ -154,9 +162,9 @@ LOGNORMAL: Final = Family(
     canonical=_lognormal_keys,
     resolve=lambda own, lower, upper: (own["log_mean"], own["log_sd"], ()),
     cdf=_normal_cdf,
-    sf=lambda y, shapes: _normal_cdf(-y, shapes),
+    sf=_normal_sf,
     ppf=_normal_ppf,
-    isf=lambda q, shapes: -_normal_ppf(q, shapes),
+    isf=_normal_isf,
     pdf=_normal_pdf,
     mean=lambda shapes: 0.0,
     sd=lambda shapes: 1.0,
