@@ -84,8 +84,8 @@ def test_values_of_a_study_cover(crushed: Study) -> None:
     for one in found:
         assert one.runs == 6
         assert one.evaluations < 4000
-        assert one.half_width < 0.005
-        assert one.error < 0.002
+        assert one.half_width < 0.008
+        assert one.error < 0.004
 
 
 def test_a_straight_value_agrees(crushed: Study) -> None:

@@ -197,13 +197,8 @@ def test_a_run_has_it_everywhere(tmp_path: Path) -> None:
 def test_what_cannot_be_ordered_by_energy_says_so(study: Study, rows: AxisRows) -> None:
     assert "not known in full" in energy_curve(None, study.limits[0], "specific_energy", (0.5,)).reason
     k = rows.work.quantities.index("specific_energy")
-    turned = {
-        value: (
-            points,
-            replace(sample, values=sample.values * np.where(np.arange(sample.values.shape[2]) == k, -1.0, 1.0)),
-        )
-        for value, (points, sample) in rows.rows.items()
-    }
+    sign = np.where(np.arange(len(rows.work.quantities)) == k, -1.0, 1.0)
+    turned = {value: replace(sample, answers=sample.answers * sign) for value, sample in rows.rows.items()}
     assert "zero" in energy_curve(replace(rows, rows=turned), study.limits[1], "specific_energy", (0.5,)).reason
 
 

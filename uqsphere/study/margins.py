@@ -19,7 +19,8 @@ from uqsphere.uq.law import LawError
 __all__ = ["check_moved_mean", "read_margins"]
 
 
-#: scalars that set the specific energy, over which curves can be had beside the free scalar
+#: what curves can be had over beside the free scalar, and the scalars that go with it
+IMPOSED: Final = "specific_energy"
 SETS_ENERGY: Final = (SPEED, ENERGY)
 
 
@@ -77,7 +78,9 @@ def _check_against(table: MarginsTable, black_box: bool, findings: Findings) -> 
     place: Place = ("margins", "against")
     if table.against is None:
         return
-    if black_box:
+    if table.against != IMPOSED:
+        findings.add(place, f"found {shown(table.against)}, only {shown(IMPOSED)} is allowed")
+    elif black_box:
         findings.add(place, "a black box has no specific energy: leave against out")
     elif table.solve not in SETS_ENERGY:
         why = f"the energy is set by the speed: it goes with solve = {one_of(list(SETS_ENERGY))}"

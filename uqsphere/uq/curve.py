@@ -230,8 +230,8 @@ def _shaped(coefficients: list[Array], terms: Degrees) -> tuple[Array, Degrees]:
 
 #: what a row scatters about the response, in standard deviations, and its weights (Gauss and Hermite)
 SCATTER: Final = ((-math.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (math.sqrt(3.0), 1.0 / 6.0))
-#: steps of the curve on either side whose rows a straight line goes through
-REACH: Final = 4.0
+#: steps of the curve on either side whose rows a straight line goes through: that which leaves the smallest error
+REACHES: Final = (4.0, 2.0, 1.0)
 #: squared bias of a line over that of its difference from one of half the reach, whose bias is a quarter
 BIAS: Final = (4.0 / 3.0) ** 2
 
@@ -277,22 +277,35 @@ class Curve:
         if self.places is None:
             missed = np.array([self._missed(self.fit.predict(x, self._row_products), x).mean(axis=1) for x in values])
             return _spread_by(fitted + missed, least * variance / self.demands.size + one)
+        return self._corrected(np.asarray(values), fitted, variance, least, one)
+
+    def _corrected(self, values: Array, fitted: Array, variance: Array, least: float, one: float) -> Array:
+        """What the response answers (K, R), corrected by the rows near each value, over the smaller side of it."""
+        assert self.places is not None
         mean = fitted.mean(axis=1)
         side = np.maximum(mean * (1.0 - mean), 1e-12)
-        at, places = (np.log(x) if values[0] > 0.0 else np.asarray(x) for x in (values, self.places))
-        reach = REACH * float(at[1] - at[0])
+        at, places = (np.log(x) if values[0] > 0.0 else x for x in (values, self.places))
         missed = self._missed(self.fit.predict(self.places, self._row_products), values[0])
         missed /= np.exp(np.interp(places, at, np.log(side)))
         expected = np.exp(np.interp(places, at, np.log(np.maximum(variance, 1e-300) / side**2)))
-        lines, squares = local_lines(places, missed, at, reach)
-        bent = lines - local_lines(places, missed, at, 0.5 * reach)[0]
-        near = _weights(at, at, reach)
-        excess = bent.mean(axis=1) ** 2 - bent.var(axis=1, ddof=1) / bent.shape[1]
-        hidden = BIAS * np.maximum(near @ excess / near.sum(axis=1), 0.0)
-        # how much more rows scatter than the response expects, over twice the reach: few rows hold none of the rare
-        wide = _weights(at, places.ravel(), 2.0 * reach)
+        step = float(at[1] - at[0])
+        # how much more rows scatter than the response expects, around: few rows hold none of the rare
+        wide = _weights(at, places.ravel(), 2.0 * REACHES[0] * step)
         ratio = np.maximum((wide @ missed.ravel() ** 2) / np.maximum(wide @ expected.ravel(), 1e-300), least)
-        return _spread_by(fitted + side[:, None] * lines, ratio * variance * squares + one, side**2 * hidden)
+        near = _weights(at, at, REACHES[0] * step)
+        near /= near.sum(axis=1, keepdims=True)
+        tables, floors, biases, totals = [], [], [], []
+        for reach in REACHES:
+            lines, squares = local_lines(places, missed, at, reach * step)
+            bent = lines - local_lines(places, missed, at, 0.5 * reach * step)[0]
+            excess = bent.mean(axis=1) ** 2 - bent.var(axis=1, ddof=1) / bent.shape[1]
+            tables.append(fitted + side[:, None] * lines)
+            floors.append(ratio * variance * squares + one)
+            biases.append(side**2 * BIAS * np.maximum(near @ excess, 0.0))
+            own = np.maximum(tables[-1].var(axis=1, ddof=1) / fitted.shape[1], floors[-1])
+            totals.append(near @ ((own + biases[-1]) / side**2))
+        best, every = np.argmin(totals, axis=0), np.arange(values.size)
+        return _spread_by(np.array(tables)[best, every], np.array(floors)[best, every], np.array(biases)[best, every])
 
     def _missed(self, predicted: Array, value: float) -> Array:
         """What the response is off by in every row (R, N)."""
@@ -325,9 +338,11 @@ def local_lines(places: Array, found: Array, at: Array, reach: float) -> tuple[A
         away = (places - place) / reach
         near = np.maximum(0.0, 1.0 - np.abs(away))
         total, first, second = near.sum(axis=1), (near * away).sum(axis=1), (near * away**2).sum(axis=1)
-        spread = total * second - first**2
-        weights = near * (second[:, None] - first[:, None] * away)
-        weights /= np.where(spread > 1e-9 * total**2, spread, np.inf)[:, None]
+        spread = (total * second - first**2)[:, None]
+        line = near * (second[:, None] - first[:, None] * away) / np.where(spread > 0.0, spread, 1.0)
+        # rows of one place alone have no slope
+        mean = near / np.where(total > 0.0, total, 1.0)[:, None]
+        weights = np.where(spread > 1e-9 * total[:, None] ** 2, line, mean)
         levels[j] = (weights * found).sum(axis=1)
         squares[j] = (weights**2).sum() / places.shape[0] ** 2
     return levels, squares
