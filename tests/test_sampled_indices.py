@@ -134,14 +134,14 @@ accuracy = { mean = 0.05, quantile = 0.2, sobol = 0.05, probability = 0.2 }
     [
         ('analysis.groups={a=["x9"]}', "unknown random input"),
         ('analysis.groups={a=["x1","x1"]}', "named twice"),
-        ("analysis.groups={a=[]}", "the group is empty"),
+        ("analysis.groups={a=[]}", "1 or more are due"),
         ("analysis.groups={a=3}", "an array is due"),
         ("analysis.second_order=1", "true or false is due"),
         ("analysis.tolerance_intervals.coverage=1.0", "both excluded"),
         ("analysis.tolerance_intervals.runs=5", "from 22"),
         ("analysis.tolerance_intervals.coverage=0.99999999", "at most"),
         ("analysis.tolerance_intervals.sides=2", "unknown key"),
-        ("inputs.x3=1.0", "does not scatter here"),
+        ("inputs.x3=1.0", "is a fixed number here"),
     ],
 )
 def test_faults_of_the_new_keys_are_told(study_from: Callable[..., Study], override: str, says: str) -> None:

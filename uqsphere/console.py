@@ -7,9 +7,8 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import zip_longest
-from typing import Any
 
 __all__ = [
     "bar",
@@ -41,7 +40,7 @@ def plain(text: str) -> str:
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
-def print_document(content: Any) -> None:
+def print_document(content: object) -> None:
     """Print one JSON document; what would steer a terminal stands there as its code."""
     # a stdout that cannot take every character still gets one whole document
     narrow = (sys.stdout.encoding or "ascii").lower().replace("-", "") != "utf8"
@@ -101,30 +100,31 @@ def _shrunk(
     header: Sequence[str], rows: Sequence[Sequence[str]], widths: list[int], width: int, named: bool
 ) -> list[int]:
     """Widths of columns that fit side by side: headers give way first, then words, then numbers; the widest first."""
-    every = range(len(widths))
-    names = [k for k in every if not any(_NUMBER.match(row[k]) for row in rows) and not (named and k == 0)]
-    words = [max(map(len, header[k].split()), default=0) for k in every]
+    every = list(range(len(widths)))
+    names = [k for k in every[int(named) :] if not any(_NUMBER.match(row[k]) for row in rows)]
+    words = [max(map(len, title.split()), default=0) for title in header]
     content = [max([words[k], *(len(row[k]) for row in rows)]) for k in every]
-    for columns, least in (
-        (every, content),
-        (names, [min(c, _NAME) for c in content]),
-        (names, [min(c, _LEAST) for c in content] if named else content),
-        # a number is not parted, unless nothing else is left
-        (
-            every[1:] if named else every,
-            [
-                min(c, max([_LEAST, *(len(w) for row in rows for w in row[k].split() if _NUMBER.match(w))]))
-                for k, c in enumerate(content)
-            ],
-        ),
-        (every, [min(c, _LEAST) for c in content]),
-    ):
-        while sum(widths) + 2 * (len(widths) - 1) > width:
-            widest = max((k for k in columns if widths[k] > least[k]), key=lambda k: widths[k], default=None)
-            if widest is None:
-                break
-            widths[widest] -= 1
+    numbers = [min(content[k], _longest_number(row[k] for row in rows)) for k in every]
+    least = [min(c, _LEAST) for c in content]
+    steps = [(every, content), (names, [min(c, _NAME) for c in content]), (names, least if named else content)]
+    # a number is not parted, unless nothing else is left
+    for columns, floor in (*steps, (every[int(named) :], numbers), (every, least)):
+        _give_way(widths, columns, floor, width - 2 * (len(widths) - 1))
     return widths
+
+
+def _give_way(widths: list[int], columns: Sequence[int], floor: Sequence[int], room: int) -> None:
+    """Make some columns narrower, the widest first and none below its floor, until all fit into the room."""
+    while sum(widths) > room:
+        wide = [k for k in columns if widths[k] > floor[k]]
+        if not wide:
+            break
+        widths[max(wide, key=lambda k: widths[k])] -= 1
+
+
+def _longest_number(cells: Iterable[str]) -> int:
+    """Columns of the longest number in some cells, which no column of numbers goes below."""
+    return max([_LEAST, *(len(word) for cell in cells for word in cell.split() if _NUMBER.match(word))])
 
 
 def table(

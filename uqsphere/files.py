@@ -25,6 +25,7 @@ __all__ = [
     "FOLDERS",
     "LARGEST_ARRAY",
     "LARGEST_DOCUMENT",
+    "Json",
     "array_of",
     "chunk_of",
     "digest_of",
@@ -35,6 +36,8 @@ __all__ = [
     "refuse_links",
 ]
 
+#: what a JSON document holds
+Json = Any
 #: bytes of a JSON document, of a stored array, and of anything else
 LARGEST_DOCUMENT: Final = 64 << 20
 LARGEST_ARRAY: Final = 1 << 30
@@ -109,7 +112,7 @@ def _float(text: str) -> float:
     return value
 
 
-def load_document(path: Path) -> Any:
+def load_document(path: Path) -> Json:
     """The content of a JSON file of a result folder: finite numbers, text that can be written again.
 
     Raises

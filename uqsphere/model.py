@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ ANSWERED = frozenset({0, STATUS_UNDECIDED})
 ROUTE_ASKED, ROUTE_FULL, ROUTE_BOTH = 0, 1, 2
 
 
-def is_answered(status: Any) -> npt.NDArray[np.bool_]:
+def is_answered(status: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Whether rows of a status carry numbers.
 
     >>> is_answered([0, 3, 7]).tolist()
@@ -187,7 +187,7 @@ def answer_scene(
     if len(rows) == 0:
         return _no_rows(quantities)
 
-    def scene_at(which: Any) -> Scene:
+    def scene_at(which: slice | npt.NDArray[np.int64]) -> Scene:
         some = rows[which]
         return scene_of(study, {name: some[:, k] for k, name in enumerate(names)}, len(some))
 
@@ -270,7 +270,7 @@ def _no_rows(quantities: Sequence[str]) -> Answered:
     return Answered(values=empty, censored=empty.astype(bool), status=np.zeros(0, dtype=np.int64))
 
 
-def _output(found: Mapping[str, Any], name: str, count: int, due: bool) -> Array:
+def _output(found: Mapping[str, npt.ArrayLike], name: str, count: int, due: bool) -> Array:
     """One output of the model as (count,) numbers; NaN where one that is not due was not returned."""
     if name not in found:
         if not due:

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 import uqsphere
 from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import LARGEST_ARRAY, chunk_of, load_document, read_whole, refuse_links
+from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, load_document, read_whole, refuse_links
 
 __all__ = [
     "CHUNK_NAME",
@@ -49,8 +49,10 @@ _HALF = re.compile(r"\.(?:[\w.-]+\.(?:npy|json|csv|toml|svg|html|pdf)|SHA256SUMS
 #: what a formula begins with, wide forms included
 _FORMULA = "=+-@\t\r\n＝＋－＠"
 _MARK = "study.resolved.json"
+#: a stored array: numbers, or rows of plain numbers with names
+Stored = npt.NDArray[Any]
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
-Extension = Callable[[dict[str, Any], dict[str, Any]], str]
+Extension = Callable[[dict[str, Json], dict[str, Json]], str]
 
 
 def _mode() -> int:
@@ -117,7 +119,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def write_json(path: Path, content: Any) -> None:
+def write_json(path: Path, content: Json) -> None:
     """Write JSON with sorted layout kept as given, one trailing newline, and no NaN or infinity."""
     write_atomically(path, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
@@ -147,7 +149,7 @@ def _cell(value: object) -> object:
     return repr(value) if isinstance(value, float) else value
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path) -> Json:
     """Read a JSON file of a result folder.
 
     Raises
@@ -167,9 +169,9 @@ class Store:
     """
 
     folder: Path
-    lock: Any
+    lock: Json
     damaged: list[str] = field(default_factory=list)
-    mark: dict[str, Any] = field(default_factory=dict)
+    mark: dict[str, Json] = field(default_factory=dict)
     index: dict[str, list[str]] = field(default_factory=dict)
 
     def close(self) -> None:
@@ -196,7 +198,7 @@ class Store:
                         with contextlib.suppress(OSError):
                             path.unlink()
 
-    def load(self, key: str) -> npt.NDArray[Any] | None:
+    def load(self, key: str) -> Stored | None:
         """The stored chunk of a key, or None if there is none that is whole."""
         for name in self.index.get(key, []):
             path = self.folder / "evaluations" / name
@@ -221,7 +223,7 @@ class Store:
         """The keys of stored chunks that begin so."""
         return [key for key in self.index if key.startswith(beginning)]
 
-    def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:
+    def save(self, key: str, values: Stored, *, durable: bool = True) -> None:
         """Store a chunk once, for good; `durable` as in `write_atomically`."""
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)
@@ -270,7 +272,12 @@ def _in_use(folder: Path) -> bool:
 
 
 def _check_owner(
-    folder: Path, study_hash: str, resolved: dict[str, Any], model: str | None, fresh: bool, extension: Extension | None
+    folder: Path,
+    study_hash: str,
+    resolved: dict[str, Json],
+    model: str | None,
+    fresh: bool,
+    extension: Extension | None,
 ) -> bool:
     """Refuse a folder whose evaluations are of no use to this study and this model; whether it is to be extended."""
     with _system_errors(folder):
@@ -282,23 +289,29 @@ def _check_owner(
         return False
     found = read_json(folder / _MARK)
     another = not isinstance(found, dict) or found.get("hash") != study_hash
-    if another and (extension is None or not isinstance(found, dict)):
-        raise FolderError(
-            f"{folder} holds the run of another study: choose another folder with --out, or remove it; a study that "
-            "asks more of the same inputs goes on with --extend"
-        )
-    if another and extension is not None and (why := extension(found, resolved)):
-        raise FolderError(f"{folder} holds a run that this study cannot extend: {why}")
-    if another and found.get("written_by") != uqsphere.__version__:
-        raise FolderError(
-            f"{folder} was written by another version, whose run cannot be extended: choose another --out"
-        )
+    if another:
+        _check_extension(folder, found, resolved, extension)
     if found.get("model_digest") != model and not fresh and _in_use(folder):
         raise FolderError(
             f"{folder} holds evaluations of another model than the one given now, or of an earlier state of it: "
             "run with --fresh to evaluate again, or choose another folder with --out"
         )
     return another
+
+
+def _check_extension(folder: Path, found: Json, resolved: dict[str, Json], extension: Extension | None) -> None:
+    """Refuse the folder of another study unless that may be extended."""
+    if extension is None or not isinstance(found, dict):
+        raise FolderError(
+            f"{folder} holds the run of another study: choose another folder with --out, or remove it; a study that "
+            "asks more of the same inputs goes on with --extend"
+        )
+    if why := extension(found, resolved):
+        raise FolderError(f"{folder} holds a run that this study cannot extend: {why}")
+    if found.get("written_by") != uqsphere.__version__:
+        raise FolderError(
+            f"{folder} was written by another version, whose run cannot be extended: choose another --out"
+        )
 
 
 def _written_by(folder: Path) -> str | None:
@@ -310,7 +323,7 @@ def _written_by(folder: Path) -> str | None:
 
 def open_store(
     folder: Path,
-    resolved: dict[str, Any],
+    resolved: dict[str, Json],
     text: str,
     study_hash: str,
     *,

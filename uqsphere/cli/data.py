@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
 
 from uqsphere.console import print_document, screen_width, table
 from uqsphere.errors import FolderError
@@ -12,6 +11,9 @@ from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.units import UNITS
 
 __all__ = ["command_analyse", "command_list"]
+
+#: what a list holds, an entry a line
+Rows = list[dict[str, object]]
 
 
 def command_analyse(chosen: argparse.Namespace) -> int:
@@ -40,7 +42,7 @@ def command_analyse(chosen: argparse.Namespace) -> int:
     return 0
 
 
-def _materials() -> tuple[list[dict[str, Any]], str]:
+def _materials() -> tuple[Rows, str]:
     from uqsphere.materials import library
 
     content = []
@@ -69,7 +71,7 @@ def _materials() -> tuple[list[dict[str, Any]], str]:
     return content, table(("material", "value", "cov", "source"), rows, screen_width())
 
 
-def _models() -> tuple[list[dict[str, Any]], str]:
+def _models() -> tuple[Rows, str]:
     rows = [
         ("massless", "no mass of the sphere (mu = 0); closed form for a rectangle or step on infinite bars"),
         ("linear", "linear spring of the secant stiffness in place of the Hertz contact"),
@@ -81,9 +83,11 @@ def _models() -> tuple[list[dict[str, Any]], str]:
     )
 
 
-def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
+def _quantity_rows(names: list[str]) -> tuple[Rows, str]:
     entries = [OUTPUTS[name] for name in names]
-    content = [{"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries]
+    content: Rows = [
+        {"name": e.name, "unit": e.unit, "shown_in": e.display or e.unit, "meaning": e.meaning} for e in entries
+    ]
     return content, table(
         ("quantity", "unit", "meaning"),
         [(e.name, e.display or e.unit or "-", e.meaning) for e in entries],
@@ -91,10 +95,10 @@ def _quantity_rows(names: list[str]) -> tuple[list[dict[str, Any]], str]:
     )
 
 
-def _criteria() -> tuple[list[dict[str, Any]], str]:
+def _criteria() -> tuple[Rows, str]:
     from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 
-    content: list[dict[str, Any]] = []
+    content: Rows = []
     rows = []
     for name, entry in CRITERIA.items():
         unit = next(iter(UNITS[entry.dimension]))

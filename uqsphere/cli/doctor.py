@@ -8,9 +8,10 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from uqsphere.console import print_document, screen_width, table
+from uqsphere.files import Json
 
 __all__ = ["command_doctor", "examine"]
 
@@ -31,7 +32,7 @@ def command_doctor(chosen: argparse.Namespace) -> int:
     return 0 if all(entry["ok"] for entry in found["checks"]) else 1
 
 
-def examine() -> dict[str, Any]:
+def examine() -> Json:
     """Versions, the machine, and checks: each with `check`, `ok` and what was found as `text`."""
     from uqsphere.mechanics.integrator.compiled import cache_folder
     from uqsphere.runner.results import versions
@@ -58,11 +59,11 @@ def examine() -> dict[str, Any]:
     }
 
 
-def _entry(check: str, ok: bool, text: str) -> dict[str, Any]:
+def _entry(check: str, ok: bool, text: str) -> Json:
     return {"check": check, "ok": ok, "text": text}
 
 
-def _checked(check: str, look: Callable[[], tuple[bool, str]]) -> dict[str, Any]:
+def _checked(check: str, look: Callable[[], tuple[bool, str]]) -> Json:
     """A check that may fail in any way: that is what it is there to find."""
     try:
         ok, text = look()

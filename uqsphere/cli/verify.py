@@ -20,7 +20,6 @@ from uqsphere.store import CHUNK_NAME, PART_END, Store
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
     from uqsphere.runner.rehearsal import Repeated
-    from uqsphere.study import Study
 
 __all__ = ["DAMAGED", "Verification", "verify_folder", "verify_text"]
 
@@ -157,7 +156,7 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
     from uqsphere.results.tables import tables
     from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.finished import open_run
-    from uqsphere.runner.rehearsal import private_folder, stored_study
+    from uqsphere.runner.rehearsal import private_folder, rehearse, stored_study
 
     folder = found.folder
     run = open_run(folder)
@@ -182,22 +181,19 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
                 "nothing was evaluated again: this is a black box, and its model was not given with --model"
             )
             chunks = 0
-        _rehearse(found, run, study, _draw(found.keys, chunks, seed), again, box)
+        store = Store(folder=folder, lock=None)
+        store.look()
+        rehearsal, missing = rehearse(store, study, _draw(found.keys, chunks, seed), again, box)
+        found.repeated = list(rehearsal.repeated)
+        unused = len(set(found.keys) - rehearsal.used)
+        _compare(found, run, study.model.tolerance, missing, unused, again)
 
 
-def _rehearse(
-    found: Verification, run: Run, study: Study, chosen: frozenset[str], again: Path, box: BlackBox | None
-) -> None:
-    """Make the run once more in the folder `again`, with the chosen chunks evaluated anew, and compare."""
-    from uqsphere.runner.rehearsal import rehearse
-
-    store = Store(folder=found.folder, lock=None)
-    store.look()
-    rehearsal, missing = rehearse(store, study, chosen, again, box)
-    found.repeated = list(rehearsal.repeated)
+def _compare(found: Verification, run: Run, tolerance: float, missing: str | None, unused: int, again: Path) -> None:
+    """Whether the run made once more in the folder `again` says the same; `missing` is what it lacked to get there."""
     same_place = _same_place(run, found.notes)
     for entry in found.repeated:
-        _judge(entry, same_place, study.model.tolerance, found)
+        _judge(entry, same_place, tolerance, found)
     manifest = run.manifest
     if missing and (manifest.stopped_by_time or manifest.interrupted):
         who = "the time budget" if manifest.stopped_by_time else "the user"
@@ -206,7 +202,6 @@ def _rehearse(
         found.faults.append(f"the evaluations {missing} are missing: run the study again")
     elif same_place:
         _compare_files(found, again)
-    unused = len(set(found.keys) - rehearsal.used)
     if unused and not missing:
         found.notes.append(f"{unused} stored chunks are not used by the results")
 

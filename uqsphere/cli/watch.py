@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
-from typing import Any
 
 from uqsphere.console import plain, say, stderr_width
 from uqsphere.study import Study
@@ -129,7 +128,7 @@ class Progress:
         texts = [f"{name.removeprefix('limits.')} {worst[name]:.2g}" for name in named[:most]]
         return f"error over what was asked: {', '.join(texts)}" + (", …" if len(named) > most else "")
 
-    def reached(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def reached(self, rows: Sequence[Mapping[str, str | float]]) -> None:
         """Take the errors of a stage: rows with `quantity`, `error` and `error_kind`."""
         for row in rows:
             kind = str(row["error_kind"])
@@ -167,7 +166,7 @@ class Patience:
         self.notice = notice
         self.say = say
         self.interrupted = False
-        self._before: Any = None
+        self._before: signal._HANDLER = None
 
     def asked(self) -> bool:
         """Whether somebody wants to see what is there."""

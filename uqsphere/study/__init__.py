@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from uqsphere.study.axis import ENERGY, Axis
 from uqsphere.study.document import Accuracy, Analysis, Budget, Dependence, Gauge, ModelChoice
+from uqsphere.study.faults import Raw
 from uqsphere.study.resolve import load_study
 from uqsphere.study.study import EndImpedance, Family, Limit, Margins, Source, Study
 
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 
-def json_schema() -> dict[str, Any]:
+def json_schema() -> dict[str, Raw]:
     """JSON schema of a study file (draft 2020-12) for editors: scene and black box, with units and meanings."""
     from uqsphere.study.reference import build_schema
 

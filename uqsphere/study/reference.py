@@ -102,8 +102,13 @@ def _plain(node: Raw) -> Raw:
     found = _without_null({key: _plain(value) for key, value in node.items() if key not in _DROPPED} | named)
     if "default" in found and (node.get("due") or not _worth_telling(found["default"])):
         del found["default"]
+    return found | _required(node)
+
+
+def _required(node: Node) -> Node:
+    """The keys of a table that must be given."""
     needed = [name for name, part in node.get("properties", {}).items() if part.get("due")]
-    return found | ({"required": needed} if needed else {})
+    return {"required": needed} if needed else {}
 
 
 def _without_null(node: Node) -> Node:

@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from uqsphere.files import Json
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.study.axis import Axis
 from uqsphere.study.document import Accuracy, Analysis, Dependence, Gauge, ModelChoice
@@ -28,10 +29,6 @@ __all__ = [
     "Study",
     "tie_of",
 ]
-
-
-#: plain values, as a JSON document has them
-Json = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +172,7 @@ class Study:
         """Every number of the scene (or black-box input), the random ones at their nominal mean; SI."""
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
-    def resolved(self) -> Json:
+    def resolved(self) -> dict[str, Json]:
         """The study as plain JSON values: SI, every default explicit, no infinities."""
         laws = self.laws()
         return {
@@ -208,13 +205,13 @@ def tie_of(group: Dependence) -> Tie:
     return Tie(of=group.of, spearman=group.spearman, kendall=group.kendall, copula=group.copula, dof=group.dof)
 
 
-def _dependence_json(group: Dependence) -> Json:
+def _dependence_json(group: Dependence) -> dict[str, Json]:
     """What was given, and nothing else: a key that is new must not change the hash of a study without it."""
     table = {"of": list(group.of), "copula": group.copula, "spearman": group.spearman, "kendall": group.kendall}
     return {key: value for key, value in {**table, "dof": group.dof}.items() if value is not None}
 
 
-def _margins_json(margins: Margins) -> Json:
+def _margins_json(margins: Margins) -> dict[str, Json]:
     """What was asked, and nothing else, as with dependence."""
     axis = margins.axis
     own = {"solve": axis.path, "between": (axis.low, axis.high)}
@@ -222,7 +219,7 @@ def _margins_json(margins: Margins) -> Json:
     return {key: value for key, value in table.items() if value not in (None, False)}
 
 
-def _analysis_json(analysis: Analysis) -> Json:
+def _analysis_json(analysis: Analysis) -> dict[str, Json]:
     """The request; keys that came later only where they are given, so that they change no other study's hash."""
     table = _lists(asdict(analysis))
     if analysis.accuracy.curve == Accuracy.curve:
@@ -235,7 +232,7 @@ def _bound(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _law_json(law: Law, given: Mapping[str, float]) -> Json:
+def _law_json(law: Law, given: Mapping[str, float]) -> dict[str, Json]:
     return {
         "dist": law.family.name,
         "parameters": dict(law.parameters),
@@ -247,7 +244,7 @@ def _law_json(law: Law, given: Mapping[str, float]) -> Json:
     }
 
 
-def _limit_json(limit: Limit) -> Json:
+def _limit_json(limit: Limit) -> dict[str, Json]:
     def fixed(value: Law | float) -> float | str:
         return "random" if isinstance(value, Law) else value
 
@@ -262,7 +259,7 @@ def _limit_json(limit: Limit) -> Json:
     }
 
 
-def _lists(table: Json) -> Json:
+def _lists(table: dict[str, Json]) -> dict[str, Json]:
     """The same with lists for tuples, at every depth, as JSON has them."""
 
     def plain(value: object) -> object:
