@@ -8,7 +8,8 @@ BEFORE and AFTER are commits, folders with the package in them, or a folder that
 tree unless given.  Commits are checked out beside the repository and run with this interpreter and its packages.  Every
 study of `studies/` and of `tests/campaigns/studies/` is run at a smoke budget with each number of threads, and every
 number and key of results.json and tables/*.csv is compared.  Versions, times and texts are not; `--words` compares
-identifiers too (strings without a space).  A stored folder brings its own copies of the studies.
+identifiers too (strings without a space), `--within` asks instead whether each answer lies in the other's interval, for
+changes that are meant to move numbers.  A stored folder brings its own copies of the studies.
 
 Exit codes: 0 the same, 1 not the same (differences by study and path), 2 not run.
 """
@@ -20,10 +21,12 @@ import contextlib
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -246,12 +249,41 @@ def _numbers(*values: Any) -> bool:
     return all(isinstance(value, (int, float)) for value in values)
 
 
-def compare(before: Path, after: Path, names: list[str], words: bool) -> int:
+def estimates(document: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every estimate with an interval, by its path."""
+    if isinstance(document, dict):
+        if isinstance(document.get("low"), float) and isinstance(document.get("high"), float):
+            yield path, document
+        for key, value in document.items():
+            yield from estimates(value, f"{path}.{key}" if path else str(key))
+
+
+def apart(before: dict[str, Any], after: dict[str, Any]) -> tuple[list[str], int]:
+    """Estimates of two runs neither of which lies in the other's interval, and how many were compared."""
+    ours, found = dict(estimates(before)), []
+    pairs = [(path, ours[path], other) for path, other in estimates(after) if path in ours]
+    for path, one, other in pairs:
+        inside = one["low"] <= other["value"] <= one["high"] or other["low"] <= one["value"] <= other["high"]
+        if not inside:
+            was = f"{one['value']:.6g} ({one['low']:.6g} to {one['high']:.6g})"
+            found.append(f"{path}: {was}, now {other['value']:.6g} "
+                         f"({other['low']:.6g} to {other['high']:.6g})")  # fmt: skip
+    return found, len(pairs)
+
+
+def compare(before: Path, after: Path, names: list[str], words: bool, within: bool) -> int:
     """Print the differences by run; how many runs differ."""
     unlike = 0
     for name in names:
-        found = list(differences(read_run(before / name), read_run(after / name), words=words))
-        print(f"{name}: {'the same' if not found else f'{len(found)} differences'}")
+        one, other = read_run(before / name), read_run(after / name)
+        if within and "failed" not in one | other:
+            found, compared = apart(one["results.json"], other["results.json"])
+            told = f"{len(found)} of {compared} estimates lie apart"
+        else:
+            found = list(differences(one, other, words=words))
+            parts = Counter(re.sub(r"^results\.json\.", "", line).split(".")[0].split("[")[0] for line in found)
+            told = ", ".join(f"{part} {count}" for part, count in parts.items()) or "the same"
+        print(f"{name}: {told}")
         for line in found[:PRINTED]:
             print(f"    {line}")
         if len(found) > PRINTED:
@@ -295,6 +327,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these studies")
     parser.add_argument("--threads", nargs="+", type=int, help="numbers of threads (default 1 2; quick: 1)")
     parser.add_argument("--words", action="store_true", help="compare identifiers too")
+    parser.add_argument("--within", action="store_true", help="whether answers lie in each other's intervals instead")
     parser.add_argument("--save", type=Path, metavar="FOLDER", help="run BEFORE and keep its answers for later")
     parser.add_argument(
         "--round", type=Path, metavar="FILE", help="run BEFORE and keep its rounded answers for the tests"
@@ -334,7 +367,7 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         after = answers(chosen.after, studies, place / "after")
         names = [f"{case.name}-{count}" for count in threads for case in cases]
-        unlike = compare(before, after, names, chosen.words)
+        unlike = compare(before, after, names, chosen.words, chosen.within)
     print("the same numbers" if not unlike else f"{unlike} of {len(names)} runs differ")
     return 1 if unlike else 0
 
