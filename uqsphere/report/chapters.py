@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from uqsphere.report.assumptions import answer_checks, granted_block, turns
 from uqsphere.report.blocks import Block, Chapter
@@ -116,7 +116,6 @@ from uqsphere.report.tables import (
     plan_table,
     quantity_table,
 )
-from uqsphere.results.entries import Est
 
 __all__ = [
     "CHAPTERS",
@@ -170,7 +169,7 @@ def family_heading(contents: Contents, name: str) -> str:
     entry = contents.results.margins[name]
     family = entry.family
     subject = f"Fragility of {limit_name(name)} over {input_name(family.path)}"
-    known = [m.values["0.5"] for m in family.members if m.values.get("0.5", Est()).value is not None]
+    known = [m.values["0.5"] for m in family.members if "0.5" in m.values and m.values["0.5"].value is not None]
     if len(known) < 2:
         return subject
     first, last = (rounded(e, contents.subject(entry.solve)) for e in (known[0], known[-1]))
@@ -250,8 +249,9 @@ def granted_heading(contents: Contents) -> str:
     return _told("What the verdict takes for granted", finding)
 
 
-def checks_heading(checks: Any, subject: str) -> str:
-    """How many of the validity checks are broken."""
+def checks_heading(contents: Contents, subject: str, name: str = "") -> str:
+    """How many of the validity checks are broken: as planned, or at the answer for a limit."""
+    checks = answer_checks(contents.results.margins[name]) if name else contents.results.validity
     broken = [c for c in checks if c.share_failure + c.share_warning > 0.0]
     if not checks:
         return subject
@@ -436,17 +436,14 @@ def computed_chapter(contents: Contents) -> Chapter:
     missed = shortfalls([str(text) for text in contents.results.accuracy.missed], _SUBJECTS)[:200]
     blocks = [
         Block(
-            heading=checks_heading(contents.results.validity, "Validity of the model"),
+            heading=checks_heading(contents, "Validity of the model"),
             table=checks_table(contents) if contents.results.validity else None,
             kind="checks notes",
             files=("tables/validity.csv",),
         ),
         *(
             Block(
-                heading=checks_heading(
-                    answer_checks(contents.results.margins[name]),
-                    f"Validity of the model at the answer for {limit_name(name)}",
-                ),
+                heading=checks_heading(contents, f"Validity of the model at the answer for {limit_name(name)}", name),
                 table=answer_checks_table(contents, name),
                 kind="checks notes",
             )
@@ -629,6 +626,43 @@ def _sides(contents: Contents, name: str) -> Block:
     return Block(heading=f"On which side of {limit_name(name)} the samples lie", finding=finding, picture=picture)
 
 
+def _limit_blocks(contents: Contents, name: str) -> list[Block]:
+    """How the aim of a limit would be missed, and the tests behind its strength."""
+    limits = contents.results.limits
+    way = "keep" if mostly_missed(limits[name]) else "miss"
+    heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
+    blocks = [
+        Block(
+            heading=waterfall_heading(contents, name),
+            finding=waterfall_finding(contents, name),
+            picture=waterfall_figure(contents, name),
+            table=waterfall_table(contents, name),
+            appendix=True,
+        ),
+        _sides(contents, name),
+        Block(
+            heading=heading,
+            finding=design_finding(contents, name) if design_table(contents, name) else "",
+            table=design_table(contents, name),
+        ),
+        Block(
+            heading=f"Inputs where {limit_name(name)} is missed",
+            table=given_failure_table(contents, name),
+            files=("tables/drivers.csv",),
+        ),
+    ]
+    known = fitted_tests(contents, name)
+    if known is not None:
+        twin = next((n for n in limits if _same_tests(contents, n, name)), name)
+        if twin != name:
+            heading = f"The tests behind the strength of {limit_name(name)}"
+            blocks.append(Block(heading=heading, finding=f"The tests and the law are those of {limit_name(twin)}."))
+            return blocks
+        heading, picture = f"The tests behind the strength of {limit_name(name)}", probability_plot(known)
+        blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests_table(known)))
+    return blocks
+
+
 def margins_chapter(contents: Contents) -> Chapter:
     """How far the strength is from the demand, where the margin goes, and how it would be missed."""
     limits, blocks = contents.results.limits, []
@@ -661,37 +695,7 @@ def margins_chapter(contents: Contents) -> Chapter:
     shown = decided(contents)
     blocks += [distribution_block(contents, name) for name in of_limits(contents) if name not in shown]
     for name in limits:
-        way = "keep" if mostly_missed(limits[name]) else "miss"
-        heading = f"The likeliest way to {way} the aim of {limit_name(name)}"
-        blocks += [
-            Block(
-                heading=waterfall_heading(contents, name),
-                finding=waterfall_finding(contents, name),
-                picture=waterfall_figure(contents, name),
-                table=waterfall_table(contents, name),
-                appendix=True,
-            ),
-            _sides(contents, name),
-            Block(
-                heading=heading,
-                finding=design_finding(contents, name) if design_table(contents, name) else "",
-                table=design_table(contents, name),
-            ),
-            Block(
-                heading=f"Inputs where {limit_name(name)} is missed",
-                table=given_failure_table(contents, name),
-                files=("tables/drivers.csv",),
-            ),
-        ]
-        known = fitted_tests(contents, name)
-        if known is not None:
-            twin = next((n for n in limits if _same_tests(contents, n, name)), name)
-            if twin != name:
-                heading = f"The tests behind the strength of {limit_name(name)}"
-                blocks.append(Block(heading=heading, finding=f"The tests and the law are those of {limit_name(twin)}."))
-                continue
-            heading, picture = f"The tests behind the strength of {limit_name(name)}", probability_plot(known)
-            blocks.append(Block(heading=heading, finding=picture.finding, picture=picture, table=tests_table(known)))
+        blocks += _limit_blocks(contents, name)
     return Chapter(anchor="margins", heading="Margins", short="Margins", blocks=tuple(blocks))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
 from uqsphere.results import Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest, read_resolved
@@ -20,8 +21,6 @@ from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law, LawError, make_law
 
 __all__ = ["Contents", "Samples", "law_of", "read_contents"]
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -289,7 +289,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     entry, limit = contents.results.margins[name], contents.results.limits[name]
     if "factors" not in entry.model_fields_set:
         return None
-    subject, quantity = contents.subject(entry.solve), limit.quantity
+    subject = contents.subject(entry.solve)
     rows: list[tuple[str, str]] = []
     factor = reserve(contents, entry, limit)
     if factor is not None:
@@ -310,18 +310,7 @@ def parts_table(contents: Contents, name: str) -> Table | None:
                 _ranged(contents, name, factors.fractiles, of.demand),
             ),
         ]
-    for key, part in entry.lost_to.partial.items():
-        strength = key.endswith(".strength")
-        own = quantity if strength else key
-        fractile = "5 %" if limit.aim == "survive" else "95 %"
-        what = (
-            f"its {fractile} fractile over its value at the likeliest {_likeliest(limit)}"
-            if strength
-            else f"its value at the likeliest {_likeliest(limit)} over its median"
-        )
-        values = (part.characteristic, part.design) if strength else (part.design, part.characteristic)
-        text = f"{part.factor:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
-        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
+    rows += _partial_rows(entry, limit)
     split = entry.split
     for spread, words in (
         (split.scatter, "scatter from specimen to specimen, in the probability already"),
@@ -352,6 +341,24 @@ def parts_table(contents: Contents, name: str) -> Table | None:
     )
     note += _two_medians(limit, factors)
     return Table(caption=caption, header=("", "value"), rows=tuple(rows), note=note) if rows else None
+
+
+def _partial_rows(entry: MarginEntry, limit: LimitEntry) -> list[tuple[str, str]]:
+    """The partial factors at the answer."""
+    rows = []
+    for key, part in entry.lost_to.partial.items():
+        strength = key.endswith(".strength")
+        own = limit.quantity if strength else key
+        fractile = "5 %" if limit.aim == "survive" else "95 %"
+        what = (
+            f"its {fractile} fractile over its value at the likeliest {_likeliest(limit)}"
+            if strength
+            else f"its value at the likeliest {_likeliest(limit)} over its median"
+        )
+        values = (part.characteristic, part.design) if strength else (part.design, part.characteristic)
+        text = f"{part.factor:.3f} ({value_text(values[0], own)} over {value_text(values[1], own)})"
+        rows.append((f"at the answer, partial factor of {input_name(key)}: {what}", text))
+    return rows
 
 
 def _two_medians(limit: LimitEntry, factors: FactorsEntry) -> str:

@@ -13,7 +13,7 @@ import re
 import textwrap
 import unicodedata
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
@@ -21,7 +21,10 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
+
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -55,8 +58,6 @@ __all__ = [
 ]
 
 # --- Paths of an SVG without what nobody sees: digits beyond a hundredth of a point, and corners flatter than that.
-
-Array = npt.NDArray[np.float64]
 
 #: corners that lie nearer to a straight line than this [pt] are left out
 _FLAT: Final = 0.04
@@ -288,7 +289,28 @@ def new_figure(height: float, rows: int = 1, **keywords: Any) -> tuple[Figure, l
     return figure, [row[0] for row in axes]
 
 
-def dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float, square: bool = False, alpha: float = 1.0) -> None:
+def legend_above(axes: Axes, columns: int, handles: Iterable[Artist] | None = None, line: float = 2.0) -> None:
+    """What each mark is, in columns above the drawing; `line` is the length of a mark."""
+    axes.legend(
+        handles=axes.get_legend_handles_labels()[0] if handles is None else handles,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        borderaxespad=0.2,
+        borderpad=0.0,
+        handlelength=line,
+        columnspacing=1.2,
+    )
+
+
+def name_rows(axes: Axes, names: Sequence[str], top: float = -0.5, bottom: float = -0.5) -> None:
+    """Rows with their names in place of an axis, from the top; `top` and `bottom` are the room beyond them."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) + bottom, top)
+    axes.tick_params(axis="y", length=0)
+
+
+def dots(axes: Axes, x: Array, y: Array, *, colour: str, size: float, square: bool = False, alpha: float = 1.0) -> None:
     """Many points as one path of strokes without length: an element of the page in place of one for each.
 
     Parameters

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from uqsphere.quantities import display_unit
@@ -18,6 +17,8 @@ from uqsphere.report.figures.canvas import (
     ORANGE,
     PAPER,
     Picture,
+    legend_above,
+    name_rows,
     new_figure,
     shorten,
     slug,
@@ -53,8 +54,6 @@ __all__ = [
     "moved_rows",
 ]
 
-Array = npt.NDArray[np.float64]
-
 #: rows of the figure of what moved, and of the figure of indices
 _MOST_ROWS: Final = 14
 _MOST_INPUTS: Final = 10
@@ -82,11 +81,6 @@ class Change(Entry):
     verdict: str
     subject: str = Field(exclude=True)
     chance: bool = Field(exclude=True)
-
-
-def _legend(axes: Axes, handles: Sequence[Any]) -> None:
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2,
-                borderpad=0.0, handlelength=1.6)  # fmt: skip
 
 
 def moved_rows(changes: Iterable[Change]) -> list[Change]:
@@ -134,9 +128,7 @@ def moved_picture(changes: Iterable[Change]) -> Picture | None:
                 ha="left" if side > 0 else "right",
                 fontsize=8.5,
             )
-        axes.set_yticks(range(len(rows)), [wrap(f"{row.name}: {row.statistic}", 34) for row in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.6)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(f"{row.name}: {row.statistic}", 34) for row in rows], -0.6)
         axes.margins(x=0.22)
         if wide:
             _percent_ticks(axes)
@@ -145,7 +137,7 @@ def moved_picture(changes: Iterable[Change]) -> Picture | None:
         if any(row.verdict == PERHAPS for row in rows):
             marks.append(Line2D([], [], color=BLUE, marker="o", markerfacecolor=PAPER, linestyle="", label="perhaps"))
         marks.append(Line2D([], [], color=INK, marker="|", label="95 % interval"))
-        _legend(axes, marks)
+        legend_above(axes, 3, marks, 1.6)
     return Picture(name="moved", title="What moved", finding=moved_finding(rows), figure=figure)
 
 
@@ -209,8 +201,15 @@ def density_picture(before: Contents, after: Contents, quantity: str) -> Picture
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(axis_label(quantity))
-        _legend(axes, [Patch(facecolor=BLUE, alpha=0.35, label="before"),
-                       Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
+        legend_above(
+            axes,
+            3,
+            [
+                Patch(facecolor=BLUE, alpha=0.35, label="before"),
+                Line2D([], [], color=ORANGE, linestyle="--", label="after"),
+            ],
+            1.6,
+        )
     return Picture(name=slug("laws", quantity), title=f"Distribution of {symbol(quantity)}, before and after",
                    finding=density_finding(before, after, quantity), figure=figure)  # fmt: skip
 
@@ -251,8 +250,12 @@ def fragility_picture(before: Contents, after: Contents, name: str) -> Picture |
         probability_axis(axes)
         axes.set_xlabel(axis_label(first.solve, shorten(input_name(first.solve), 50)))
         axes.set_ylabel("probability of exceeding the strength")
-        _legend(axes, [Line2D([], [], color=BLUE, label="before"),
-                       Line2D([], [], color=ORANGE, linestyle="--", label="after")])  # fmt: skip
+        legend_above(
+            axes,
+            3,
+            [Line2D([], [], color=BLUE, label="before"), Line2D([], [], color=ORANGE, linestyle="--", label="after")],
+            1.6,
+        )
     return Picture(name=slug("fragility", name), title=f"Fragility of {limit_name(name)}, before and after",
                    finding=fragility_finding(first, second, name), figure=figure)  # fmt: skip
 
@@ -289,15 +292,13 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
                 ends = [index.number if end is None else end for end in (index.low, index.high)]
                 axes.plot(ends, [k + shift] * 2, color=colour, linewidth=1.4, marker="|", markersize=6)
                 axes.plot(index.number, k + shift, marker="o", color=colour, markerfacecolor=face, markersize=6)
-        axes.set_yticks(range(len(names)), [wrap(short_input(n), 26) for n in names])
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(short_input(n), 26) for n in names])
         axes.spines["left"].set_visible(False)
         axes.grid(axis="x")
         axes.set_xlabel(f"{kind} on {symbol(quantity, 24)}, with 95 % interval")
         marks = [Line2D([], [], color=BLUE, marker="o", linestyle="", label="before")]
         marks.append(Line2D([], [], color=ORANGE, marker="o", markerfacecolor=PAPER, linestyle="", label="after"))
-        _legend(axes, marks)
+        legend_above(axes, 3, marks, 1.6)
     return Picture(name=slug("drivers", quantity), title=f"What drives {symbol(quantity)}, before and after",
                    finding=index_finding(tables, names, kind, quantity), figure=figure)  # fmt: skip
 

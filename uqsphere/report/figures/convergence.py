@@ -18,6 +18,7 @@ from uqsphere.report.figures.canvas import (
     RED,
     SKY,
     Picture,
+    legend_above,
     new_figure,
     spread,
     style,
@@ -285,7 +286,7 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
     handles.append(Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 3)), label="what was asked"))
     if below:
         handles.append(Line2D([], [], linestyle="", label=f"not shown: {below} below {_LEAST:g}"))
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
+    legend_above(axes, 2, handles)
 
 
 def progress_finding(contents: Contents) -> str:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.claims import distribution_claim
 from uqsphere.report.contents import Contents, Samples, law_of
-from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, new_figure, slug, style
+from uqsphere.report.figures.canvas import BLUE, INK, PAPER, RED, Picture, legend_above, new_figure, slug, style
 from uqsphere.report.phrases import (
     limit_name,
     listed,
@@ -33,8 +33,6 @@ __all__ = [
     "distribution_figure",
     "overlap_remarks",
 ]
-
-Array = npt.NDArray[np.float64]
 
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
@@ -259,15 +257,7 @@ def _curve_legend(axes: Axes, samples: Samples, strengths: list[_Strength], quan
         alike = [limit_name(s.name, 24) for s in strengths if _alike(s, strength)]
         names = listed(alike) if len(alike) == 1 or len(listed(alike)) <= 26 else f"{len(alike)} limits"
         handles.append(Line2D([], [], color=RED, linestyle="--", label=f"strength of {names}"))
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=1 if max(len(handle.get_label()) for handle in handles) > 34 else 2,
-        borderaxespad=0.2,
-        borderpad=0.0,
-        handlelength=1.8,
-    )
+    legend_above(axes, 1 if max(len(str(handle.get_label())) for handle in handles) > 34 else 2, handles, 1.8)
 
 
 def single_value(contents: Contents, quantity: str) -> str:

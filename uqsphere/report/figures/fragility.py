@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.assumptions import yields_at
 from uqsphere.report.blocks import Block, Table
@@ -25,6 +25,7 @@ from uqsphere.report.figures.canvas import (
     RED,
     SKY,
     Picture,
+    name_rows,
     new_figure,
     shorten,
     slug,
@@ -74,8 +75,6 @@ __all__ = [
     "x_scale",
 ]
 
-Array = npt.NDArray[np.float64]
-
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
 #: factor between largest and smallest margin from which on their axis is logarithmic, and the logarithm where it ends
@@ -102,9 +101,7 @@ def margin_figure(contents: Contents) -> Picture | None:
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         for row, limit in enumerate(limits.values()):
             _margin_bar(axes, row, limit)
-        axes.set_yticks(range(len(limits)), [wrap(name, 20) for name in limits])
-        axes.set_ylim(len(limits) - 0.5, -0.7)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(name, 20) for name in limits], -0.7)
         axes.set_xlabel("strength over demand\n(○ median, bar 5 to 95 %, shaded: aim missed)")
         for text, side, shift in (("exceeded", "right", -4), ("withstood", "left", 4)):
             axes.annotate(text, (1.0, 1.0), xycoords=("data", "axes fraction"), xytext=(shift, 2), ha=side,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.field import BARS, last_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
@@ -56,8 +57,6 @@ __all__ = [
     "write_history",
     "xt_figure",
 ]
-
-Array = npt.NDArray[np.float64]
 
 #: instants of a drawn course
 _POINTS: Final = 1200

@@ -18,6 +18,8 @@ from uqsphere.report.figures.canvas import (
     ORANGE,
     PAPER,
     Picture,
+    legend_above,
+    name_rows,
     new_figure,
     shorten,
     slug,
@@ -73,9 +75,7 @@ def draw_indices(
             top = max(
                 top, _mark(axes, first[name], row - 0.19, BLUE, "o"), _mark(axes, total[name], row + 0.19, ORANGE, "D")
             )
-        axes.set_yticks(range(len(names)), [wrap(labels[name], 24) for name in names])
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(labels[name], 24) for name in names])
         axes.spines["left"].set_visible(False)
         axes.axvline(0.0, color=GREY, linewidth=0.8)
         axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.0, top) * 1.22)
@@ -122,16 +122,7 @@ def _legend(axes: Axes, words: tuple[str, str]) -> None:
         Line2D([], [], color=ORANGE, marker="D", markerfacecolor=PAPER, markeredgecolor=INK, label=words[1]),
         Line2D([], [], color=INK, linewidth=1.0, marker="|", markersize=6, label="95 % interval"),
     ]
-    axes.legend(
-        handles=handles,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=3,
-        borderaxespad=0.2,
-        borderpad=0.0,
-        handlelength=1.8,
-        columnspacing=1.2,
-    )
+    legend_above(axes, 3, handles, 1.8)
 
 
 # --- Indices of pairs of inputs as a heat map, and of groups of inputs: who acts together with whom.

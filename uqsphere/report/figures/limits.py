@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array as Array_arrays
-from uqsphere.arrays import Flags
+from uqsphere.arrays import Array, Flags
 from uqsphere.quantities import display_unit, format_value
 from uqsphere.report.blocks import Table, cell, thousands
 from uqsphere.report.contents import Contents, law_of
@@ -26,6 +25,7 @@ from uqsphere.report.figures.canvas import (
     SKY,
     Picture,
     dots,
+    legend_above,
     new_figure,
     shorten,
     slug,
@@ -80,8 +80,6 @@ __all__ = [
     "surface_finding",
     "tests_table",
 ]
-
-Array = npt.NDArray[np.float64]
 
 #: points that are drawn, and slices in which the demand is described
 _DRAWN: Final = 900
@@ -277,7 +275,7 @@ def _legend(axes: Axes, sides: Sides, quantity: str, whole: bool) -> None:
         ]
     else:
         handles.append(Line2D([], [], color=INK, linestyle="--", label="limit: the strength"))
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, borderpad=0.0)
+    legend_above(axes, 2, handles)
 
 
 def surface_finding(contents: Contents, limit: str) -> str:
@@ -417,7 +415,7 @@ def fracture_table(contents: Contents) -> Table | None:
     )
 
 
-def _beside(contents: Contents) -> dict[str, Array_arrays]:
+def _beside(contents: Contents) -> dict[str, Array]:
     """Curves (K, 4) of the limits within the values of that of fracture by any of them."""
     found, margins = _found(contents), contents.results.margins
     lowest, highest = float(found.curve[0][0]), float(found.curve[-1][0])
@@ -429,7 +427,7 @@ def _beside(contents: Contents) -> dict[str, Array_arrays]:
     return {n: c[(c[:, 0] >= lowest * 0.999) & (c[:, 0] <= highest * 1.001)] for n, c in curves.items()}
 
 
-def _hardly_known(curve: Array_arrays) -> Flags:
+def _hardly_known(curve: Array) -> Flags:
     return np.asarray(curve[:, 3] > _KNOWN * curve[:, 2])
 
 

@@ -17,14 +17,13 @@ from uqsphere.report.figures.canvas import (
     PURPLE,
     RED,
     Picture,
+    legend_above,
     new_figure,
     render,
     style,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from uqsphere.mechanics.pulses import MeasuredPulse
     from uqsphere.records.inverse import Faces, Inverse
     from uqsphere.records.pulse import CutPulse
@@ -46,11 +45,6 @@ def _outline(time: Array, values: Array) -> tuple[Array, Array]:
     first = np.arange(len(pieces)) * block
     at = np.sort(np.stack([first + pieces.argmin(axis=1), first + pieces.argmax(axis=1)], axis=1), axis=1).ravel()
     return time[at], values[at]
-
-
-def _legend(axes: Axes, columns: int) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.1, borderpad=0.0,
-                columnspacing=1.2, handlelength=2.2)  # fmt: skip
 
 
 def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse) -> str:
@@ -83,7 +77,7 @@ def pulse_figure(record: Record, cut: CutPulse, pulse: MeasuredPulse) -> str:
         for place in axes:
             place.axhline(0.0, color=GREY, linewidth=0.6)
             place.grid()
-            _legend(place, 3)
+            legend_above(place, 3)
     finding = f"The pulse reaches {pulse.peak * 1e6:.4g} microstrain and lasts {pulse.duration * 1e6:.4g} µs."
     return render(Picture(name="record", title="Record and pulse", finding=finding, figure=figure))
 
@@ -121,7 +115,7 @@ def forces_figure(faces: Faces, found: Inverse) -> str:
         else:
             axes[1].plot([], [], color=GREEN, label="elastic throughout")
         for place, columns in zip(axes, (3, 3, 2), strict=True):
-            _legend(place, columns)
+            legend_above(place, columns)
         axes[0].set_xlim(0.0, time[-1])
     finding = f"The largest force at B is {float(found.fitted_b.max()) * 1e-3:.4g} kN by the model that fits."
     if end is not None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.field import BARS, field_grid
 from uqsphere.mechanics.history import FieldView, extent
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
@@ -27,6 +27,7 @@ from uqsphere.report.figures.canvas import (
     PAPER,
     RED,
     Picture,
+    legend_above,
     new_figure,
     render,
     style,
@@ -35,6 +36,7 @@ from uqsphere.report.phrases import input_name, value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
 
     from uqsphere.mechanics.history import History
 
@@ -98,7 +100,7 @@ def _legend(axes: Axes) -> None:
         Patch(facecolor=BLUE, alpha=0.30, label="5 to 95 %"),
         Line2D([], [], color=RED, linestyle="--", linewidth=1.2, label="the hardest scene"),
     ]
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, borderpad=0.0)
+    legend_above(axes, 3, handles)
 
 
 def force_band_finding(contents: Contents) -> str:
@@ -170,8 +172,6 @@ def hardest_table(contents: Contents) -> Table | None:
 
 # --- The stress inside the sphere as a picture: a section through its axis at the largest force.
 
-Array = npt.NDArray[np.float64]
-
 #: contours of the largest principal stress over the core tension and of the largest shear over the contact pressure
 _TENSION: Final = (0.0, 0.1, 0.25, 0.5, 0.75, 0.95, 2.0, 5.0)
 _SHEAR: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3)
@@ -197,7 +197,9 @@ def _field(contact_ratio: float, nu: float) -> tuple[Array, Array, Array, Array]
     return tension, shear, radius * np.sin(angle), radius * np.cos(angle)
 
 
-def _half(axes: Axes, points: tuple[Array, Array], values: Array, levels: tuple[float, ...], colours: str) -> Any:
+def _half(
+    axes: Axes, points: tuple[Array, Array], values: Array, levels: tuple[float, ...], colours: str
+) -> ScalarMappable:
     import matplotlib
     from matplotlib.colors import BoundaryNorm
 
@@ -206,6 +208,27 @@ def _half(axes: Axes, points: tuple[Array, Array], values: Array, levels: tuple[
     drawn = axes.contourf(*points, values, levels=levels, colors=shades, extend="max", norm=BoundaryNorm(levels, 256))
     axes.contour(*points, values, levels=levels, colors=[ON_LIGHT], linewidths=0.4)
     return drawn
+
+
+def _draw_halves(
+    axes: Axes, contact_ratio: float, grid: tuple[Array, Array], fields: tuple[Array, Array], core: float
+) -> tuple[ScalarMappable, ScalarMappable]:
+    """Both halves of the sphere with its contacts and the place of the core tension: right and left."""
+    from matplotlib.patches import Arc, Circle
+
+    # what is compressed stays white on dark paper too
+    across, along = grid
+    axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=LIGHT, edgecolor="none", zorder=0.5))
+    right = _half(axes, (across, along), fields[0], _TENSION, "YlOrRd")
+    left = _half(axes, (-across, along), fields[1], _SHEAR, "Blues")
+    axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=GREY, linewidth=1.0))
+    opening = float(np.degrees(np.arcsin(contact_ratio)))
+    for middle in (90.0, 270.0):
+        axes.add_patch(Arc((0.0, 0.0), 2.0, 2.0, theta1=middle - opening, theta2=middle + opening, color=INK,
+                           linewidth=4.0))  # fmt: skip
+    axes.plot([0.0, 0.0], [-1.0, 1.0], color=GREY, linewidth=0.8)
+    axes.plot(0.0, core, marker="o", color=RED, markersize=6.0, markeredgecolor=PAPER, zorder=5)
+    return right, left
 
 
 def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
@@ -222,25 +245,13 @@ def stress_picture(contact_ratio: float, nu: float, pressure: float) -> Picture:
     ValueError
         Outside these ranges.
     """
-    from matplotlib.patches import Arc, Circle
-
     if outside(contact_ratio, nu):
         raise ValueError(f"no picture for a/r = {contact_ratio:g}, nu = {nu:g}: outside the tables of the stress")
     tension, shear, across, along = _field(contact_ratio, nu)
     value, depth = (float(part) for part in core_ratio(contact_ratio, nu))
     with style():
         figure, (axes,) = new_figure(4.7)
-        # what is compressed stays white on dark paper too
-        axes.add_patch(Circle((0.0, 0.0), 1.0, facecolor=LIGHT, edgecolor="none", zorder=0.5))
-        right = _half(axes, (across, along), tension / value, _TENSION, "YlOrRd")
-        left = _half(axes, (-across, along), shear, _SHEAR, "Blues")
-        axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, edgecolor=GREY, linewidth=1.0))
-        opening = float(np.degrees(np.arcsin(contact_ratio)))
-        for middle in (90.0, 270.0):
-            axes.add_patch(Arc((0.0, 0.0), 2.0, 2.0, theta1=middle - opening, theta2=middle + opening, color=INK,
-                               linewidth=4.0))  # fmt: skip
-        axes.plot([0.0, 0.0], [-1.0, 1.0], color=GREY, linewidth=0.8)
-        axes.plot(0.0, 1.0 - depth, marker="o", color=RED, markersize=6.0, markeredgecolor=PAPER, zorder=5)
+        right, left = _draw_halves(axes, contact_ratio, (across, along), (tension / value, shear), 1.0 - depth)
         axes.annotate(
             f"core tension {format_value(value * pressure, 'core_tension', 3)}", (0.0, 1.0 - depth), xytext=(14, -4),
             textcoords="offset points", fontsize=9.0, color=INK,

@@ -7,12 +7,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.blocks import Table
 from uqsphere.report.contents import Contents
-from uqsphere.report.figures.canvas import BLUE, GREY, INK, ORANGE, RED, Picture, new_figure, slug, style, wrap
+from uqsphere.report.figures.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    Picture,
+    legend_above,
+    name_rows,
+    new_figure,
+    slug,
+    style,
+    wrap,
+)
 from uqsphere.report.figures.distributions import axis_label
 from uqsphere.report.phrases import (
     begin,
@@ -35,8 +48,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Swing", "furthest", "swings", "tornado_figure", "tornado_finding", "tornado_table", "waterfall_figure",
            "waterfall_finding", "waterfall_heading", "waterfall_table"]  # fmt: skip
-
-Array = npt.NDArray[np.float64]
 
 #: share of the samples at either end of an input
 TENTH: Final = 0.1
@@ -116,9 +127,7 @@ def tornado_figure(contents: Contents, quantity: str) -> Picture | None:
         for row, s in enumerate(shown):
             _swing_bar(axes, row, s, middle, quantity)
         axes.axvline(middle, color=INK, linewidth=0.9)
-        axes.set_yticks(range(len(shown)), [wrap(short_input(s.name), 24) for s in shown])
-        axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(short_input(s.name), 24) for s in shown], -0.6, -0.4)
         axes.spines["left"].set_visible(False)
         axes.set_xlabel(axis_label(quantity, f"median of {symbol(quantity, 30)}"))
         _end_legend(axes)
@@ -175,8 +184,7 @@ def _end_legend(axes: Axes) -> None:
         Patch(facecolor=BLUE, alpha=0.75, edgecolor=BLUE, label="input in its lowest tenth"),
         Patch(facecolor="none", edgecolor=ORANGE, hatch="///", label="in its highest tenth"),
     ]
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2,
-                borderpad=0.0, handlelength=1.4)  # fmt: skip
+    legend_above(axes, 2, handles, 1.4)
 
 
 def tornado_finding(contents: Contents, quantity: str) -> str:
@@ -283,9 +291,7 @@ def waterfall_figure(contents: Contents, name: str) -> Picture | None:
         axes.axvline(1.0, color=RED, linestyle="--", linewidth=1.2)
         worst = "5 % case" if limit.aim == "survive" else "95 % case"
         words = ["median case", *(_step_name(n) for n, _ in steps), worst]
-        axes.set_yticks(range(len(words)), [wrap(w, 24) for w in words])
-        axes.set_ylim(len(words) - 0.4, -0.9)
-        axes.tick_params(axis="y", length=0)
+        name_rows(axes, [wrap(w, 24) for w in words], -0.9, -0.4)
         axes.spines["left"].set_visible(False)
         axes.set_xlabel("strength over demand (dashed: they are equal)")
     return Picture(
