@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from uqsphere.errors import Problem
@@ -43,8 +44,12 @@ class Misplaced(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """The faults and warnings met so far.  The one thing that grows while a study is read."""
+    """The faults and warnings met so far: the one thing that grows while a study is read.
 
+    `folder` is the study's own, outside of which no file is read.
+    """
+
+    folder: Path = Path()
     faults: list[tuple[Place, str]] = field(default_factory=list)
     spoiled: set[Place] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
@@ -78,7 +77,7 @@ def valid_name(name: str) -> bool:
 
 
 def read_limits(
-    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, folder: Path, scene: Scene
+    tables: Mapping[str, LimitTable], outputs: Sequence[str] | None, findings: Findings, scene: Scene
 ) -> list[LimitReading]:
     """The limits; `outputs` are the names of a black box (None: those of the impact model)."""
     if len(tables) > MOST_LIMITS:
@@ -94,12 +93,12 @@ def read_limits(
             demand = _plain_demand(table, place, outputs, findings)
         else:
             demand = _criterion_demand(table, name, outputs is not None, findings)
-        strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings, folder)
+        strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings)
         if demand is not None:
             demand = _with_modulus_of(strength, demand, name, findings)
         factor = None
         if table.model_factor is not None:
-            factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings, folder)
+            factor = read_number(table.model_factor, (*place, "model_factor"), _FACTOR, findings)
         elif findings.clean((*place, "model_factor")):
             factor = Reading(value=1.0)
         quantity = None if demand is None else demand.quantity
@@ -117,7 +116,6 @@ def _read_strength(
     black_box: bool,
     scene: Scene,
     findings: Findings,
-    folder: Path,
 ) -> Reading | None:
     if table.strength is None:
         return None
@@ -126,11 +124,11 @@ def _read_strength(
         findings.spoiled.add(place)
         return None
     if not black_box and is_sphere_tests(table.strength):
-        return read_sphere_tests(table.strength, place, demand, scene, findings, folder)
+        return read_sphere_tests(table.strength, place, demand, scene, findings)
     entry = lookup(demand.quantity)
     plausible = _STRONG if entry.dimension == "pressure" else (0.0, math.inf)
     due = replace(entry, meaning=f"the strength against {demand.quantity}", plausible=plausible, closed=False)
-    return read_number(table.strength, place, due, findings, folder)
+    return read_number(table.strength, place, due, findings)
 
 
 def _plain_demand(table: LimitTable, place: Place, outputs: Sequence[str] | None, findings: Findings) -> Demand | None:

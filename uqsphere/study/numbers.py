@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Final
 
 from uqsphere.quantities import INPUTS, format_value
@@ -49,13 +48,10 @@ def plain_quantity(name: str) -> Quantity:
     return Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 
-def read_number(raw: object, place: Place, quantity: Quantity, findings: Findings, folder: Path) -> Reading | None:
-    """Value or law of `raw`; None, with the faults noted, where it is neither.
-
-    `folder` is the study's own, outside of which no file is read.
-    """
+def read_number(raw: object, place: Place, quantity: Quantity, findings: Findings) -> Reading | None:
+    """Value or law of `raw`; None, with the faults noted, where it is neither."""
     if isinstance(raw, Mapping):
-        return _read_law(raw, place, quantity, findings, folder)
+        return _read_law(raw, place, quantity, findings)
     value = read_fixed(raw, place, quantity, findings)
     return None if value is None else Reading(value=value)
 
@@ -79,9 +75,7 @@ def _unit_beside(raw: Mapping[str, Raw], quantity: Quantity) -> str:
     return quantity.display
 
 
-def _read_law(
-    raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings: Findings, folder: Path
-) -> Reading | None:
+def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings: Findings) -> Reading | None:
     """The law of a table; None, with the faults noted, where there is none."""
     family = _family(raw, place, findings)
     if family is None:
@@ -100,7 +94,7 @@ def _read_law(
             if table is None:
                 law = make_law(family.name, given, *bounds)
             else:
-                law = _observed_law(table, quantity, bounds, folder)
+                law = _observed_law(table, quantity, bounds, findings)
         except LawError as error:
             raise Misplaced(_with_unit(error.message, quantity, error.key, family), error.key) from None
         if not _sensible_scatter(law, place, raw, findings):
@@ -146,11 +140,11 @@ def _parameters(
 
 
 def _observed_law(
-    table: EmpiricalTable, quantity: Quantity, bounds: tuple[float | None, float | None], folder: Path
+    table: EmpiricalTable, quantity: Quantity, bounds: tuple[float | None, float | None], findings: Findings
 ) -> Law:
     """The law of a column of observations; raises Misplaced and LawError."""
     factor = unit_factor(table.unit, quantity)
-    observed = open_observations(table.file, folder)
+    observed = open_observations(table.file, findings.folder)
     data = observed.numbers(table.column, "column", factor)
     flags = (False,) * len(data) if table.censored is None else observed.flags(table.censored, "censored")
     broken, stopped = (

@@ -63,7 +63,7 @@ def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Study:
     path = Path(path)
     text = read_text(path)
     data = parse_text(text, path)
-    findings = Findings()
+    findings = Findings(folder=path.parent)
     declared = data.get("limits", {})
     declared = list(declared) if isinstance(declared, dict) else []
     overridden = apply_overrides(data, overrides)
@@ -94,21 +94,20 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
     """The study of a table of plain values; None, with every fault noted, where there is none."""
     document = read_table(Document, data, findings)
     black_box = _kind(data, findings)
-    folder = path.parent
     scene, outputs, model = Scene(), None, document.model or ModelChoice()
     if black_box:
         outputs = _read_outputs(document, findings)
-        _read_inputs(document, scene, findings, folder)
+        _read_inputs(document, scene, findings)
     elif black_box is not None:
-        scene = read_scene(document, data, findings, folder)
+        scene = read_scene(document, data, findings)
         check_scene(scene, model, findings)
-    limits = read_limits(document.limits, outputs, findings, folder, scene)
+    limits = read_limits(document.limits, outputs, findings, scene)
     analysis = _read_analysis(document, outputs, limits, findings)
     parts: dict[str, Raw] = {}
     if black_box is not None:
         parts = _read_relations(document, scene, limits, analysis, black_box, findings)
     if black_box is False:
-        parts["receiving_damper"] = read_damper(document.bars, findings, folder)
+        parts["receiving_damper"] = read_damper(document.bars, findings)
         parts["gauges"] = read_gauges(document.gauges, scene, findings)
     if findings.faults:
         return None
@@ -182,7 +181,7 @@ def _kind(data: Mapping[str, Raw], findings: Findings) -> bool | None:
 # --- black boxes ------------------------------------------------------------------------------------
 
 
-def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: Path) -> None:
+def _read_inputs(document: Document, scene: Scene, findings: Findings) -> None:
     tables = document.inputs
     if not tables:
         if findings.clean(("inputs",)):
@@ -196,7 +195,7 @@ def _read_inputs(document: Document, scene: Scene, findings: Findings, folder: P
         if not valid_name(name) or name in RESERVED:
             findings.add(place, f"{shown(name)} cannot be the name of an input: letters, digits, _ and - make one")
             continue
-        reading = read_number(raw, place, plain_quantity(name), findings, folder)
+        reading = read_number(raw, place, plain_quantity(name), findings)
         if reading is not None:
             scene.readings[name] = reading
 

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from uqsphere.materials import KINDS, library
@@ -86,10 +85,10 @@ class Scene:
         return {name: value for name, r in self.readings.items() if isinstance(value := r.value, Law)}
 
 
-def read_scene(document: Document, data: Mapping[str, Raw], findings: Findings, folder: Path) -> Scene:
+def read_scene(document: Document, data: Mapping[str, Raw], findings: Findings) -> Scene:
     """Scene of the tables [sphere], [bars], [striker], [pulse] and [product]; what is missing or faulty is noted."""
     scene = Scene()
-    _read_numbers(document, data, scene, findings, folder)
+    _read_numbers(document, data, scene, findings)
     measured = document.pulse is not None and document.pulse.shape == "measured"
     for section in ("sphere", "bars", "striker"):
         optional = section == "striker" and measured
@@ -99,12 +98,12 @@ def read_scene(document: Document, data: Mapping[str, Raw], findings: Findings, 
     _read_bars(document.bars, scene, findings)
     given = data.get("pulse")
     pulse = document.pulse or PulseTable()
-    _read_pulse(pulse, isinstance(given, Mapping) and "shape" in given, scene, findings, folder)
+    _read_pulse(pulse, isinstance(given, Mapping) and "shape" in given, scene, findings)
     _check_striker(document, scene, findings)
     return scene
 
 
-def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, findings: Findings, folder: Path) -> None:
+def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, findings: Findings) -> None:
     """The numbers that the file gives, in its order: that of the tables, then that of the keys."""
     for section in data:
         table = getattr(document, section) if section in SCENE else None
@@ -113,7 +112,7 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
         for key in data[section]:
             name = f"{section}.{key}"
             if name in INPUTS and getattr(table, key, None) is not None:
-                reading = read_number(getattr(table, key), (section, key), INPUTS[name], findings, folder)
+                reading = read_number(getattr(table, key), (section, key), INPUTS[name], findings)
                 if reading is not None:
                     scene.readings[name] = reading
                     _warn_of_odd(name, reading, findings)
@@ -193,7 +192,7 @@ def _read_bars(bars: BarsTable | None, scene: Scene, findings: Findings) -> None
 # --- the pulse --------------------------------------------------------------------------------------
 
 
-def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Findings, folder: Path) -> None:
+def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Findings) -> None:
     """Shape and numbers of the pulse; `shaped`: the file names the shape."""
     if not findings.clean(("pulse", "shape")) or not findings.clean(("pulse", "preset")):
         return
@@ -210,7 +209,7 @@ def _read_pulse(pulse: PulseTable, shaped: bool, scene: Scene, findings: Finding
     scene.options["pulse.shape"] = shape
     _check_keys(pulse, shape, scene, findings)
     if shape == "measured":
-        scene.record = _read_record(pulse, scene, findings, folder)
+        scene.record = _read_record(pulse, scene, findings)
     elif shape == "two_peak" and pulse.valley is None:
         _fill_valley(scene)
     own = next((key for key in ("E", "density", "diameter") if f"striker.{key}" in scene.readings), None)
@@ -241,7 +240,7 @@ def _check_keys(pulse: PulseTable, shape: str, scene: Scene, findings: Findings)
             _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
 
 
-def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Path) -> MeasuredPulse | None:
+def _read_record(pulse: PulseTable, scene: Scene, findings: Findings) -> MeasuredPulse | None:
     """The pulse of the file that [pulse] names; None, with the faults noted, where there is none.
 
     With ``noise = true`` the modes of its noise become random inputs of `scene`.
@@ -254,7 +253,7 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings, folder: Pa
         return None
     path = None
     with findings.noting(("pulse",)):
-        path = inside_folder(pulse.file, folder)
+        path = inside_folder(pulse.file, findings.folder)
     faulty = not all(findings.clean(("pulse", key)) for key in ("file", *_RECORD[:-2]))
     if path is None or faulty or (pulse.correct_dispersion and bar is None):
         return None
@@ -328,7 +327,7 @@ def _bar(pulse: PulseTable, scene: Scene, findings: Findings) -> tuple[Bar | Non
 # --- what history alone follows: a damper, gauges --------------------------------------------------------
 
 
-def read_damper(bars: BarsTable | None, findings: Findings, folder: Path) -> EndImpedance | None:
+def read_damper(bars: BarsTable | None, findings: Findings) -> EndImpedance | None:
     """The damper of a study, if it has one; what is missing or cannot be is noted."""
     name = None if bars is None else bars.receiving_damper
     if bars is None or name is None:
@@ -342,7 +341,7 @@ def read_damper(bars: BarsTable | None, findings: Findings, folder: Path) -> End
         return None
     columns = []
     with findings.noting(place):
-        table = open_observations(name, folder, key="")
+        table = open_observations(name, findings.folder, key="")
         columns = [table.numbers(column) for column in DAMPER_COLUMNS]
     if not columns:
         return None

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.materials import library
@@ -60,7 +59,7 @@ def is_sphere_tests(raw: object) -> bool:
 
 
 def read_sphere_tests(
-    raw: Mapping[str, Raw], place: Place, demand: Demand, scene: Scene, findings: Findings, folder: Path
+    raw: Mapping[str, Raw], place: Place, demand: Demand, scene: Scene, findings: Findings
 ) -> Reading | None:
     """The law of the strength against a demand; None, with the faults noted, where there is none."""
     table = read_table(SphereTestsTable, raw, findings, place)
@@ -73,7 +72,7 @@ def read_sphere_tests(
         # a sphere without its stiffness has been told of already
         return None
     with findings.noting(place):
-        tests = open_observations(table.file, folder)
+        tests = open_observations(table.file, findings.folder)
         columns = _columns(table, tests)
         stopped = None if table.censored is None else tests.flags(table.censored, "censored")
         try:
