@@ -289,7 +289,7 @@ class Joint:
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
         normals = np.asarray(normals, dtype=float)
-        rows = normals.reshape(-1, normals.shape[-1])
+        rows = normals.reshape(int(np.prod(normals.shape[:-1])), normals.shape[-1])  # d may be 0
         if self._lower is not None:
             rows = rows @ self._lower.T
         if self.groups:
