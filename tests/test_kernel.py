@@ -325,11 +325,12 @@ def test_swapping_identical_bars() -> None:
     """Mirrored, x_1 and x_2 change places and u its sign, if the wave that ran towards A runs towards B."""
     from numba import njit
 
-    from uqsphere.mechanics.integrator.step import LANES, PAIR, TERMS, expand
+    from uqsphere.mechanics.integrator.step import expand
+    from uqsphere.mechanics.integrator.tracked import LANES, NUMBERS, PAIR, TERMS
 
     @njit
-    def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any) -> None:
-        expand(0, h, inverse_mu, push, x, u, root, force, half)
+    def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any, *law: Any) -> None:
+        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law)
 
     rng = np.random.default_rng(15)
     h, inverse_mu = rng.uniform(0.01, 0.1, LANES), rng.uniform(1.0, 100.0, LANES)
@@ -341,7 +342,8 @@ def test_swapping_identical_bars() -> None:
         swap = np.roll(np.arange(PAIR), LANES) if mirror else np.arange(PAIR)
         x, u, root, force = (np.zeros((TERMS, columns)) for columns in (PAIR, LANES, PAIR, PAIR))
         x[0], u[0] = approach[swap], -velocity if mirror else velocity
-        run(h, inverse_mu, np.ascontiguousarray(push[:, swap]), x, u, root, force, np.zeros(PAIR))
+        law = np.zeros((NUMBERS, PAIR)), np.zeros((TERMS, PAIR)), np.zeros(PAIR)
+        run(h, inverse_mu, np.ascontiguousarray(push[:, swap]), x, u, root, force, np.zeros(PAIR), *law)
         answers.append((x[:, swap], -u if mirror else u))
     assert np.array_equal(answers[0][0], answers[1][0])
     assert np.array_equal(answers[0][1], answers[1][1])

@@ -55,20 +55,25 @@ def both(piece, face, theta):
 
 
 @compiled(**INNER)
-def combine(kind, mode, x1, x2, d1, d2, yielding, law, lane):
-    """Value and derivative of a searched function from the approaches and their derivatives."""
+def _combine_yielded(kind, x1, x2, d1, d2, law, lane):
+    """Difference of the forces or stored energy of a lane one of whose faces has yielded, and its derivative."""
+    apart()
+    if kind == tracked.DIFFERENCE:
+        force1, slope1 = face_force(law, lane, x1)
+        force2, slope2 = face_force(law, LANES + lane, x2)
+        return force1 - force2, slope1 * d1 - slope2 * d2
+    energy1, slope1 = stored_energy(law, lane, x1)
+    energy2, slope2 = stored_energy(law, LANES + lane, x2)
+    return energy1 + energy2, slope1 * d1 + slope2 * d2
+
+
+@compiled(**INNER)
+def combine(kind, mode, x1, x2, d1, d2):
+    """Value and derivative of a searched function from the approaches and their derivatives, nothing having yielded."""
     if kind == tracked.FACE_A:
         return x1, d1
     if kind == tracked.FACE_B:
         return x2, d2
-    if yielding and has_yielded(law, lane):
-        if kind == tracked.DIFFERENCE:
-            force1, slope1 = face_force(law, lane, x1)
-            force2, slope2 = face_force(law, LANES + lane, x2)
-            return force1 - force2, slope1 * d1 - slope2 * d2
-        energy1, slope1 = stored_energy(law, lane, x1)
-        energy2, slope2 = stored_energy(law, LANES + lane, x2)
-        return energy1 + energy2, slope1 * d1 + slope2 * d2
     if x1 <= 0.0:
         x1, d1 = 0.0, 0.0
     if x2 <= 0.0:
@@ -84,13 +89,21 @@ def combine(kind, mode, x1, x2, d1, d2, yielding, law, lane):
 
 
 @compiled(**INNER)
-def _measure(kind, mode, piece, theta, yielding, law, lane):
+def _combined(kind, mode, x1, x2, d1, d2, yielded, law, lane):
+    """The same, whether faces have yielded or not."""
+    if yielded and kind > tracked.FACE_B:
+        return _combine_yielded(kind, x1, x2, d1, d2, law, lane)
+    return combine(kind, mode, x1, x2, d1, d2)
+
+
+@compiled(**INNER)
+def _measure(kind, mode, piece, theta, yielded, law, lane):
     """Value and derivative of one of the searched functions inside a step."""
     if kind <= tracked.FACE_B:
         return both(piece, kind, theta)
     x1, d1 = both(piece, 0, theta)
     x2, d2 = both(piece, 1, theta)
-    return combine(kind, mode, x1, x2, d1, d2, yielding, law, lane)
+    return _combined(kind, mode, x1, x2, d1, d2, yielded, law, lane)
 
 
 @compiled(**INNER)
@@ -132,14 +145,14 @@ def _root(piece, face, level, a, b):
 
 
 @compiled(**INNER)
-def _extremum(kind, mode, piece, a, b, slope_a, slope_b, yielding, law, lane):
+def _extremum(kind, mode, piece, a, b, slope_a, slope_b, yielded, law, lane):
     """theta between a and b at which the slope of a searched function changes sign, as it does at the ends."""
     apart()
     for _ in range(40):
         c = b - slope_b * (b - a) / (slope_b - slope_a)
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        _, slope_c = _measure(kind, mode, piece, c, yielding, law, lane)
+        _, slope_c = _measure(kind, mode, piece, c, yielded, law, lane)
         if abs(c - b) < 1e-6 or slope_c == 0.0:
             return c
         if (slope_c < 0.0) != (slope_b < 0.0):
@@ -207,26 +220,24 @@ def _survey(piece, end, grid):
 
 
 @compiled(**INNER)
-def _largest(kind, mode, piece, end, grid, known, yielding, law, lane):
+def _largest(kind, mode, piece, end, grid, known, yielded, law, lane):
     """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
     apart()
     width = end / tracked.POINTS
-    left, left_slope = combine(
-        kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], yielding, law, lane
+    left, left_slope = _combined(
+        kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], yielded, law, lane
     )
     known = max(known, abs(left))
     for i in range(1, tracked.POINTS + 1):
-        right, right_slope = combine(
-            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], yielding, law, lane
+        right, right_slope = _combined(
+            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], yielded, law, lane
         )
         known = max(known, abs(right))
         sign = 1.0 if left + right >= 0.0 else -1.0
         top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
         if top > max(known, max(abs(left), abs(right))):
-            peak = _extremum(
-                kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, yielding, law, lane
-            )
-            at_peak, _ = _measure(kind, mode, piece, peak, yielding, law, lane)
+            peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, yielded, law, lane)
+            at_peak, _ = _measure(kind, mode, piece, peak, yielded, law, lane)
             known = max(known, abs(at_peak))
         left, left_slope = right, right_slope
     return known
@@ -445,14 +456,14 @@ def after_step(
             why = met
     if ends < theta:
         _survey(piece, ends, grid)
-    known = track[tracked.FACE_A, lane]
+    known, yielded = track[tracked.FACE_A, lane], yielding and has_yielded(law, lane)
     if flags & (1 << tracked.FACE_A):
         for face in range(2):
-            known = _largest(face, mode, piece, ends, grid, known, yielding, law, lane)
+            known = _largest(face, mode, piece, ends, grid, known, yielded, law, lane)
         track[tracked.FACE_A, lane] = known
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
-            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], yielding, law, lane)
+            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], yielded, law, lane)
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[tracked.TOUCHED_A + face, lane] = 1.0
@@ -579,22 +590,36 @@ def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
     """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
     apart()
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
-        if wanted & (1 << (kind - 1)):
-            for i in range(tracked.POINTS):
-                for j in range(LANES):
-                    k = LANES + j
-                    width = theta[j] / tracked.POINTS
-                    left, left_slope = combine(
-                        kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], yielding, law, j
-                    )
-                    right, right_slope = combine(
-                        kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k],
-                        yielding, law, j,
-                    )  # fmt: skip
-                    above = highest_between(left, left_slope, right, right_slope)
-                    below = highest_between(-left, -left_slope, -right, -right_slope)
-                    if max(above, below) > track[kind, j]:
-                        flags[j] |= 1 << kind
+        if wanted & (1 << (kind - 1)) == 0:
+            continue
+        for j in range(LANES):
+            if yielding and has_yielded(law, j):
+                _look_at_yielded(kind, at, rate, track, theta, flags, law, j)
+                continue
+            k, width = LANES + j, theta[j] / tracked.POINTS
+            left, left_slope = combine(kind, mode, at[0, j], at[0, k], width * rate[0, j], width * rate[0, k])
+            for i in range(1, tracked.POINTS + 1):
+                right, right_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+                above = highest_between(left, left_slope, right, right_slope)
+                below = highest_between(-left, -left_slope, -right, -right_slope)
+                if max(above, below) > track[kind, j]:
+                    flags[j] |= 1 << kind
+                left, left_slope = right, right_slope
+
+
+@compiled(**INNER)
+def _look_at_yielded(kind, at, rate, track, theta, flags, law, j):
+    """The same of one lane whose faces have yielded: in a function of its own, so that the others stay fast."""
+    apart()
+    k, width = LANES + j, theta[j] / tracked.POINTS
+    left, left_slope = 0.0, 0.0
+    for i in range(tracked.POINTS + 1):
+        right, right_slope = _combine_yielded(kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j)
+        above = highest_between(left, left_slope, right, right_slope)
+        below = highest_between(-left, -left_slope, -right, -right_slope)
+        if i > 0 and max(above, below) > track[kind, j]:
+            flags[j] |= 1 << kind
+        left, left_slope = right, right_slope
 
 
 @compiled(**INNER)

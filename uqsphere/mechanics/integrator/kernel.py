@@ -313,8 +313,13 @@ def march(
                 crests[j, n] = math.inf
             if store:
                 for face in range(2):
-                    for k in range(TERMS):
-                        path[j, n, face, k] = force[k, face * LANES + j] if yielding else x[k, face * LANES + j]
+                    m = face * LANES + j
+                    if yielding:
+                        for k in range(TERMS):
+                            path[j, n, face, k] = force[k, m]
+                    else:
+                        for k in range(TERMS):
+                            path[j, n, face, k] = x[k, m]
             for bar in range(2):
                 if before + trips[bar, j] < end[j]:
                     for k in range(TERMS):
