@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -178,7 +178,7 @@ _SAME: Final = ("kind", "seed", "fixed", "options", "outputs", "record")
 _SAME_MODEL: Final = ("tolerance", "first_loading_only", "horizon")
 
 
-def why_not_extended(before: dict[str, Any], now: dict[str, Any]) -> str:
+def why_not_extended(before: Mapping[str, object], now: Mapping[str, object]) -> str:
     """What keeps a study from extending another, from what both mean (`Study.resolved`); empty if nothing does.
 
     The seed, every number of the scene, their laws in their order, and how precisely the motion is computed must be
@@ -198,21 +198,23 @@ def why_not_extended(before: dict[str, Any], now: dict[str, Any]) -> str:
     if list(laws_before) != list(laws_now):
         return "the order of the random inputs differs"
     for key in _SAME_MODEL:
-        if (before.get("model") or {}).get(key) != (now.get("model") or {}).get(key):
+        if _table(before.get("model")).get(key) != _table(now.get("model")).get(key):
             return f"model.{key} differs"
     return ""
 
 
-def _scene_laws(resolved: dict[str, Any]) -> dict[str, Any]:
+def _table(value: object) -> dict[str, object]:
+    return value if isinstance(value, dict) else {}
+
+
+def _scene_laws(resolved: Mapping[str, object]) -> dict[str, object]:
     """The laws of the model's own inputs: strengths and model factors belong to limits."""
-    laws = resolved.get("random")
-    if not isinstance(laws, dict):
-        return {}
-    order = resolved.get("order", list(laws))
-    return {name: laws.get(name) for name in order if not str(name).startswith("limits.")}
+    laws, order = _table(resolved.get("random")), resolved.get("order")
+    names = order if isinstance(order, list) and laws else list(laws)
+    return {name: laws.get(name) for name in names if not str(name).startswith("limits.")}
 
 
-def _which(before: Any, now: Any) -> str:
+def _which(before: object, now: object) -> str:
     """The first name whose entry differs."""
     if not isinstance(before, dict) or not isinstance(now, dict):
         return ""

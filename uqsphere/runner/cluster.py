@@ -8,7 +8,7 @@ import sys
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from uqsphere.errors import AccessError, UsageError
 
@@ -18,6 +18,9 @@ __all__ = ["DaskExecutor", "as_executor", "dask_cluster"]
 CONNECT: Final = 20.0
 #: workers' deaths that the scheduler itself bears before it reports them; `uqsphere.runner.workers` counts on
 DEATHS: Final = 3
+
+
+T = TypeVar("T")
 
 
 def as_executor(given: Any) -> Any:
@@ -64,9 +67,9 @@ class DaskExecutor:
         """Workers there are at the moment, at least one: they may still be on their way."""
         return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
 
-    def submit(self, function: Callable[..., Any], /, *args: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
         """Have `function(*args)` done by some worker of the cluster."""
-        whole: Future[Any] = Future()
+        whole: Future[T] = Future()
         far = self.client.submit(function, *args, key=f"uqsphere-{uuid.uuid4().hex}", pure=False)
 
         def finish(done: Any) -> None:
@@ -79,7 +82,7 @@ class DaskExecutor:
             else:
                 whole.set_result(result)
 
-        def recall(future: Future[Any]) -> None:
+        def recall(future: Future[T]) -> None:
             if future.cancelled():
                 with contextlib.suppress(Exception):
                     far.cancel()

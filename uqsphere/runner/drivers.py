@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -64,12 +64,16 @@ _PROBABILITY = (
 )
 
 
+#: a table of results.json
+Table: TypeAlias = dict[str, object]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Drivers:
-    """Plain JSON by quantity and by limit, ready for results.json."""
+    """Tables by quantity and by limit, as results.json has them."""
 
-    quantities: dict[str, dict[str, Any]]
-    limits: dict[str, dict[str, Any]]
+    quantities: dict[str, Table]
+    limits: dict[str, Table]
 
 
 def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
@@ -96,11 +100,11 @@ def find_drivers(work: Work, sampled: Sampled, shared: Shared) -> Drivers:
     return Drivers(quantities=quantities, limits=limits)
 
 
-def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> dict[str, Any]:
+def _json(names: Sequence[str], estimates: Sequence[Estimate]) -> Table:
     return {name: estimate.as_dict() for name, estimate in zip(names, estimates, strict=True)}
 
 
-def _distances(work: Work, sample: Sample, quantity: str) -> dict[str, Any]:
+def _distances(work: Work, sample: Sample, quantity: str) -> Table:
     """Delta and PAWN of every input for a quantity; censored values count as the end of the record."""
     names = work.scene_names
     x, y = sample.inputs[:, :, : len(names)], sample.answer(quantity)
@@ -115,7 +119,7 @@ def _observed(law: Law | float) -> int | None:
     return count_tests(law) if isinstance(law, Law) and law.data else None
 
 
-def _measure_variance(work: Work, found: Sensitivity) -> dict[str, Any]:
+def _measure_variance(work: Work, found: Sensitivity) -> Table:
     """Inputs by what the variance would fall if they were known, with the tests that make their share small."""
     first = found.kucherenko.get("first") or found.first
     known = {name: e for name, e in first.items() if e.value is not None}
@@ -141,11 +145,11 @@ def _missing(limit: Limit, state: LimitState) -> Array:
     return above if limit.aim == "break" else below
 
 
-def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> dict[str, Any]:
+def _of_limit(work: Work, limit: Limit, sample: Sample, shared: Shared) -> Table:
     state = state_of(work, limit, sample)
     chance = _missing(limit, state)
     p = float(chance.mean())
-    driving: dict[str, Any] = {"probability": p, **_indices(work, limit, shared)}
+    driving: Table = {"probability": p, **_indices(work, limit, shared)}
     driving["explained"] = explained_share(chance).as_dict()
     driving["given_failure"] = _given_failure(work, limit, sample, state, chance)
     return {"drivers": driving, "measure_first": _measure_probability(work, limit, sample, state, chance)}
@@ -175,7 +179,7 @@ def _chances(work: Work, limit: Limit, values: Array, scores: Array | None) -> A
     return np.clip(found.reshape(values.shape), 0.0, 1.0)
 
 
-def _indices(work: Work, limit: Limit, shared: Shared) -> dict[str, Any]:
+def _indices(work: Work, limit: Limit, shared: Shared) -> Table:
     """First and total indices of missing the aim, or Shapley effects and Kucherenko's where inputs are tied."""
     names, k = work.scene_names, work.quantities.index(limit.quantity)
     method = "pairs of runs, strength integrated"
@@ -213,7 +217,7 @@ def _indices(work: Work, limit: Limit, shared: Shared) -> dict[str, Any]:
     return {"of": "missing the aim", **{o: _json(every, found[o][: len(every)]) for o in ("first", "total")}}
 
 
-def _no_indices(names: Sequence[str], reason: str, method: str) -> dict[str, Any]:
+def _no_indices(names: Sequence[str], reason: str, method: str) -> Table:
     nothing = _json(names, [absent(reason, method, 0)] * len(names))
     return {"of": "missing the aim", "first": nothing, "total": dict(nothing)}
 
@@ -241,14 +245,14 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
 # --- what the inputs look like where the aim is missed ----------------------------------------------------
 
 
-def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> dict[str, Any]:
+def _given_failure(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Table:
     """Mean, sd and 5, 50, 95 % quantiles of every input given that the aim is missed, beside those of its law."""
     laws = dict(zip(work.drawn.names, work.drawn.laws, strict=True))
     columns = {name: sample.inputs[:, :, k] for k, name in enumerate(work.drawn.names)}
     if isinstance(limit.strength, Law):
         laws[_strength_name(limit)] = limit.strength
         columns[_strength_name(limit)] = _strengths(work, limit, limit.strength, state, chance)
-    table = {}
+    table: Table = {}
     for name, values in columns.items():
         if limit_of(name) not in (None, limit.name):
             continue
@@ -295,10 +299,10 @@ def _strengths(work: Work, limit: Limit, law: Law, state: LimitState, chance: Ar
 # --- what to measure first ------------------------------------------------------------------------------
 
 
-def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> dict[str, Any]:
+def _measure_probability(work: Work, limit: Limit, sample: Sample, state: LimitState, chance: Array) -> Table:
     """Variables by what their means' uncertainty does to the probability, with the tests that make it small."""
     p = float(chance.mean())
-    about: dict[str, Any] = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
+    about: Table = {"of": "probability", "wanted": WANTED, "method": _PROBABILITY, "rows": [], "reason": ""}
     if not 0.0 < p < 1.0:
         return {**about, "reason": "no sample decides: all miss the aim, or none"}
     names = work.drawn.names

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import uqsphere
 
@@ -34,7 +34,7 @@ class Log:
     stage: str = ""
     told: float = 0.0
 
-    def write(self, event: str, **details: Any) -> None:
+    def write(self, event: str, **details: object) -> None:
         """One line: the time (UTC), seconds since the start, the event and its details."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         line = {"time": now, "seconds": round(time.monotonic() - self.began, 3), "event": event, **details}
@@ -71,7 +71,7 @@ class Log:
 
 
 @contextlib.contextmanager
-def logged(folder: Path, **about: Any) -> Iterator[Log]:
+def logged(folder: Path, **about: object) -> Iterator[Log]:
     """A log with its first line written; the last line says how the run ended."""
     log = Log(path=folder / NAME)
     log.write("started", version=uqsphere.__version__, process=os.getpid(), **about)

@@ -171,7 +171,7 @@ def join(parts: list[Answered]) -> Answered:
 # --- a spawned process ----------------------------------------------------------------------------
 
 
-def send(stream: IO[bytes], content: Any) -> None:
+def send(stream: IO[bytes], content: object) -> None:
     """Write one message to a pipe."""
     data = pickle.dumps(content, protocol=5)
     stream.write(_LENGTH.pack(len(data)) + data)
