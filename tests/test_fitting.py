@@ -156,7 +156,7 @@ def test_tests_that_tell_nothing_are_refused(values: list[float], stopped: list[
 
 
 def test_an_unknown_law_is_refused() -> None:
-    with pytest.raises(LawError, match='"weibull" or "lognormal"'):
+    with pytest.raises(LawError, match='"lognormal" or "weibull"'):
         fitted_law([1.0, 2.0], "gumbel", unbiased=True)
 
 

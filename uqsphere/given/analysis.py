@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.given.answers import given_answers, law_scores, least_runs, odd_pairs, response_from
 from uqsphere.given.table import Data, Document, combinations
@@ -21,7 +21,6 @@ from uqsphere.uq.law import Law, LawError, germs_of
 
 __all__ = ["analyse_data", "known_laws"]
 
-Array = npt.NDArray[np.float64]
 
 SCHEMA_VERSION: Final = 2
 #: rows that an expansion is fitted to: beyond, it gains nothing

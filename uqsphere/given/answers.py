@@ -143,9 +143,6 @@ _FURTHEST: Final = 8.0
 _NOTHING: Final = 1e-6
 #: scores at which a law is compared with another
 _GRID: Final = np.linspace(-_FURTHEST, _FURTHEST, 321)
-_CALLED: Final = {
-    "gaussian": "Gaussian", "student_t": "Student t", "clayton": "Clayton", "gumbel": "Gumbel", "frank": "Frank",
-}  # fmt: skip
 
 Answers = dict[str, dict[str, "Answer"]]
 
@@ -236,7 +233,7 @@ def odd_pairs(inputs: Joint, scores: Array) -> list[tuple[str, str, str]]:
                 r = float(np.corrcoef(a, b)[0, 1])
                 squares = float(np.corrcoef(a * a, b * b)[0, 1])
                 if abs(squares - r * r) > 3.5 * math.sqrt((1.0 + 10.0 * r * r) / n):
-                    found.append((inputs.names[i], inputs.names[j], _CALLED[copula.name]))
+                    found.append((inputs.names[i], inputs.names[j], copula.label))
     return found
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Places
 from uqsphere.given.answers import LAWS, LeftOpen, score_table
 from uqsphere.uq.archimedean import ARCHIMEDEAN, Archimedean
 from uqsphere.uq.estimate import Estimate
@@ -18,7 +18,6 @@ from uqsphere.uq.law import Law, LawError
 
 __all__ = ["CHOICES", "TiedPair", "left_open", "rank_correlations", "rank_influence", "tied", "ties_of", "with_ties"]
 
-Array = npt.NDArray[np.float64]
 
 #: copulas that two inputs, tied to no other, may have
 CHOICES: Final = ("gaussian", "clayton", "gumbel", "frank")
@@ -194,7 +193,7 @@ def _steadied(told: Array, moves: Array, part: float, n: int) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(scatter), centred.T).T @ np.linalg.cholesky(due).T)
 
 
-def _assigned(tables: Array, asked: Array) -> npt.NDArray[np.int64]:
+def _assigned(tables: Array, asked: Array) -> Places:
     """Which table (of M, grid) goes with which mean and width that is asked for (K, 2): the like of it, one each.
 
     Runs that came out low, or narrow, leave open a law that is higher, or wider.
@@ -241,7 +240,7 @@ def rank_influence(pair: Array) -> Array:
     below = (order.argsort(axis=0) + 0.5) / n
     u, v = below.T
 
-    def beyond(of: Array, along: npt.NDArray[np.int64]) -> Array:
+    def beyond(of: Array, along: Places) -> Array:
         sums, sorted_ = np.empty(n), of[along]
         sums[along] = (np.cumsum(sorted_[::-1])[::-1] - 0.5 * sorted_) / n
         return sums

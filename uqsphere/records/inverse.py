@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Places
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.dispersion import first_mode, transfer
 from uqsphere.mechanics.field import waves_at
@@ -37,7 +37,6 @@ __all__ = [
     "invert",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: samples at the faces, at the least
 _FEWEST: Final = 50
@@ -497,15 +496,13 @@ class _Fit:
         return min(trials, key=lambda pair: pair[0])[1]
 
 
-def _blocks(length: int, loaded: int) -> npt.NDArray[np.int64]:
+def _blocks(length: int, loaded: int) -> Places:
     """Borders of blocks from `loaded` to the end."""
     width = max(_FEWEST_INVERSE, (length - loaded) // _BLOCKS)
     return np.arange(loaded, length - width + 1, width, dtype=np.int64)
 
 
-def _unforeseen(
-    fit: _Fit, parameters: Array, covariance: Array, borders: npt.NDArray[np.int64], width: int
-) -> list[float]:
+def _unforeseen(fit: _Fit, parameters: Array, covariance: Array, borders: Places, width: int) -> list[float]:
     """Mean residuals of blocks behind the fit over their standard deviations, the larger of both waves."""
     count = len(fit.faces.incident)
     residual, slopes = fit.residual(parameters, count), fit.slopes(parameters, count)
@@ -521,7 +518,7 @@ def _unforeseen(
     return found
 
 
-def _all_blocks(fit: _Fit, parameters: Array, borders: npt.NDArray[np.int64], width: int) -> float:
+def _all_blocks(fit: _Fit, parameters: Array, borders: Places, width: int) -> float:
     """The largest mean residual of a block over the scatter of its noise, fitted to all of them."""
     count = len(fit.faces.incident)
     residual = fit.residual(parameters, count).reshape(2, count)
@@ -529,7 +526,7 @@ def _all_blocks(fit: _Fit, parameters: Array, borders: npt.NDArray[np.int64], wi
     return float(max(means) * math.sqrt(width))
 
 
-def _departure(fit: _Fit, forces: Forces, borders: npt.NDArray[np.int64],
+def _departure(fit: _Fit, forces: Forces, borders: Places,
                width: int) -> tuple[Departure | None, Array, Array, int]:  # fmt: skip
     """The first block that the fit to those before does not foresee, and that fit."""
     length = len(forces.time)

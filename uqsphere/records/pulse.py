@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.dispersion import correct, first_mode
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.records.record import (
@@ -26,7 +26,6 @@ from uqsphere.records.record import (
 
 __all__ = ["Bar", "CutPulse", "cut_pulse", "fit_pulse", "measured_pulse"]
 
-Array = npt.NDArray[np.float64]
 
 #: samples of a pulse, at the least
 _FEWEST: Final = 30

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array, Flags
 from uqsphere.units import UNITS
 
 __all__ = [
@@ -36,7 +36,6 @@ __all__ = [
     "turn_sign",
 ]
 
-Array = npt.NDArray[np.float64]
 
 #: bytes of a file; 10 million rows of two columns have about a third of this
 LARGEST_RECORD: Final = 1 << 30
@@ -321,7 +320,6 @@ def _comma_hint(form: _Form) -> str:
 # --- From the columns of a table to strain over even time: units, gaps, uneven steps, clipping, baseline.
 # Whatever is changed is said in a note; what cannot be changed without inventing a record is an error.
 
-Flags = npt.NDArray[np.bool_]
 
 #: unit of a signal -> factor to strain, or to volts where the second entry says so
 SIGNAL_UNITS: Final[dict[str, tuple[float, bool]]] = {

@@ -336,6 +336,11 @@ class Archimedean:
     def name(self) -> str:
         return self.generator.name
 
+    @property
+    def label(self) -> str:
+        """Its name within a sentence."""
+        return self.name.capitalize()
+
     def among(self, members: Sequence[int]) -> Archimedean:
         """The copula of some of the members."""
         return replace(self, size=len(members))

@@ -32,6 +32,11 @@ class Elliptical:
         return "gaussian" if math.isinf(self.dof) else "student_t"
 
     @property
+    def label(self) -> str:
+        """Its name within a sentence."""
+        return "Gaussian" if math.isinf(self.dof) else "Student t"
+
+    @property
     def size(self) -> int:
         return len(self.correlation)
 

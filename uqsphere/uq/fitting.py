@@ -137,7 +137,8 @@ def _strength(
     """A law fitted to strength tests: without the bias of few tests, or with tests that ended without a failure."""
     if fit not in STRENGTHS:
         why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
-        raise LawError(f'{why} a fit = "weibull" or "lognormal" alone; found {fit or "kde"}', "fit")
+        allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
+        raise LawError(f"{why} a fit = {allowed} alone; found {fit or 'kde'}", "fit")
     try:
         tests = make_tests([*data, *censored], [False] * len(data) + [True] * len(censored))
     except ValueError as error:
