@@ -145,7 +145,7 @@ def test_a_fault_at_every_call_loses_no_evaluation(
         try:
             work = Work(study=study, store=store, ledger=Ledger(), fidelity="", black_box=box)
             values = evaluate_points(work, "sampling.0", work.scene_names, rows).values
-            store.settle()
+            store.take_over()
             write_json(folder / "results.json", {"sum": float(values.sum())})
             return values.tobytes()
         finally:

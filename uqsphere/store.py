@@ -78,7 +78,7 @@ def _system_errors(path: Path) -> Iterator[None]:
 def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) -> None:
     """Write a file so that it is there whole or not at all.
 
-    durable : wait until it is on the disk, and outlasts the machine and not the process alone.
+    durable : wait until it is on the disk, so that it outlasts the machine and not only the process.
 
     Raises
     ------
@@ -242,7 +242,7 @@ class Store:
                 with _system_errors(path):
                     path.unlink(missing_ok=True)
 
-    def settle(self) -> None:
+    def take_over(self) -> None:
         """Make the folder that of the study at work, where it has been that of the one it extends."""
         if self.mark:
             write_json(self.folder / _MARK, self.mark["mark"])
@@ -339,7 +339,7 @@ def open_store(
     fresh : drop the evaluations of an earlier run of the same study.
     model : what tells one black box from another (a digest of its source); None for the impact model.
     extension : what decides whether the study may take over the evaluations of another one that the folder holds;
-        none may if None.  The folder stays that of the other study until `Store.settle`.
+        none may if None.  The folder stays that of the other study until `Store.take_over`.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def open_store(
         mark = {"hash": study_hash, "written_by": uqsphere.__version__, **resolved}
         store.mark.update(mark=mark if model is None else {**mark, "model_digest": model}, text=text)
         if not extended:
-            store.settle()
+            store.take_over()
     except BaseException:
         store.close()
         raise

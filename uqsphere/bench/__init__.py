@@ -8,14 +8,7 @@ from pathlib import Path
 
 from uqsphere.console import print_document
 
-__all__ = ["add_bench", "command_bench"]
-
-
-def add_bench(bench: argparse.ArgumentParser) -> None:
-    """The options of the command."""
-    bench.add_argument("--quick", action="store_true", help="fewer of everything: a minute instead of ten or more")
-    bench.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: bench-results)")
-    bench.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+__all__ = ["command_bench"]
 
 
 def command_bench(chosen: argparse.Namespace) -> int:

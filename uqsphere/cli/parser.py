@@ -52,6 +52,11 @@ def _json(parser: argparse.ArgumentParser, text: str = "print one JSON document 
     parser.add_argument("--json", action="store_true", help=text)
 
 
+def _set(parser: argparse.ArgumentParser) -> None:
+    text = 'replace a value of the study, such as striker.speed.mean="0.6 m/s"; margins=null takes it out'
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE", help=text)
+
+
 def _add_studies(command: Command) -> None:
     """Commands that begin with a study."""
     new = command("new", "write a commented study to start from", "uqsphere.cli.studies")
@@ -70,14 +75,7 @@ def _add_studies(command: Command) -> None:
     )
     for study in (check, run, history):
         study.add_argument("study", metavar="FILE", type=Path)
-        study.add_argument(
-            "--set",
-            dest="overrides",
-            action="append",
-            default=[],
-            metavar="PATH=VALUE",
-            help='replace a value of the study, such as striker.speed.mean="0.6 m/s"; margins=null takes it out',
-        )
+        _set(study)
         _json(study)
     history.add_argument("--out", type=Path, metavar="DIR", help="write history.csv and the figures here")
     run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: the study's name + -results)")
@@ -120,8 +118,6 @@ def _add_folders(command: Command) -> None:
 
 def _add_data(command: Command) -> None:
     """Commands that begin with data, or with the design of a test."""
-    from uqsphere.cli.plan import add_plan
-    from uqsphere.cli.records import add_records
 
     given = command("analyse", "laws, dependence and drivers from a table of runs that were made already",
                     "uqsphere.cli.data")  # fmt: skip
@@ -134,20 +130,62 @@ def _add_data(command: Command) -> None:
     given.add_argument("--out", type=Path, metavar="DIR", help="write analysis.json and inputs.toml here")
     _json(given)
     records = "pulse, contact forces and stiffness from records of strain gauges"
-    add_records(command("records", records, "uqsphere.cli.records"))
+    _add_records(command("records", records, "uqsphere.cli.records"))
     plan = "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"
-    add_plan(command("plan", plan, "uqsphere.cli.plan"))
+    _add_plan(command("plan", plan, "uqsphere.cli.plan"))
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    """The options of `uqsphere plan`."""
+    parser.add_argument("study", metavar="FILE", type=Path)
+    _set(parser)
+    parser.add_argument("--speed", metavar="LOW,HIGH", help="striker speeds, m/s unless a unit stands there "
+                        "(default: those of the margins, or a decade about the study's)")  # fmt: skip
+    parser.add_argument("--rise", metavar="LOW,HIGH", help="ramps of the pulse, us unless a unit stands there "
+                        "(default: 0 up to the length of the pulse)")  # fmt: skip
+    parser.add_argument("--length", metavar="L[,L]", help="striker lengths, m unless a unit stands there "
+                        "(default: the study's)")  # fmt: skip
+    parser.add_argument("--imbalance", type=float, default=0.1, metavar="X",
+                        help="largest |P_A - P_B| at fracture over the larger force (default 0.1)")  # fmt: skip
+    parser.add_argument("--quantile", type=float, default=0.5, metavar="P",
+                        help="the specimen that is shown: quantile of the strength (default 0.5)")  # fmt: skip
+    parser.add_argument("--grid", default="60x41", metavar="NxM", help="speeds and ramps of the map (default 60x41)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write plan.csv, windows.csv and the figure here")
+    _json(parser)
+
+
+def _add_records(parser: argparse.ArgumentParser) -> None:
+    """The options of `uqsphere records`."""
+    parser.add_argument("record", metavar="FILE.csv", type=Path, help="time and one signal, two gauges or three waves")
+    parser.add_argument("--study", type=Path, metavar="STUDY", help="sphere and bars; needed for forces")
+    _set(parser)
+    parser.add_argument("--columns", metavar="T,A,B", help="columns that count: time, then the signals")
+    parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
+    parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
+    parser.add_argument("--gauge-factor", type=float, default=2.0, metavar="K")
+    parser.add_argument("--excitation", type=float, default=0.0, metavar="VOLTS", help="supply of the bridge")
+    parser.add_argument("--amplification", type=float, default=1.0, metavar="A")
+    parser.add_argument("--active-arms", type=float, default=1.0, metavar="N", help="1 quarter, 2 half bridge")
+    parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
+    parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
+    parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
+    parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
+    parser.add_argument(
+        "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and figures here")
+    _json(parser)
 
 
 def _add_others(command: Command) -> None:
     """What there is, and this installation."""
-    from uqsphere.bench import add_bench
-
     listing = command("list", "what there is to choose from", "uqsphere.cli.data")
     listing.add_argument("what", choices=("materials", "models", "quantities", "criteria"))
     _json(listing)
-    bench = "speed against error on this machine, and evidence for the uncertainty engine"
-    add_bench(command("bench", bench, "uqsphere.bench"))
+    bench = command("bench", "speed against error on this machine", "uqsphere.bench")
+    bench.add_argument("--quick", action="store_true", help="fewer of everything: a minute instead of ten or more")
+    bench.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: bench-results)")
+    _json(bench)
     schema = command("schema", "print the JSON schema of study files, for editors", "uqsphere.cli.studies")
     _json(schema, "the same: a schema is a JSON document")
     _json(command("doctor", "check this installation", "uqsphere.cli.doctor"))

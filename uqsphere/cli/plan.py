@@ -17,33 +17,13 @@ from uqsphere.units import UnitError, parse_value
 if TYPE_CHECKING:
     from uqsphere.planning.window import Chart, Plan, Window
 
-__all__ = ["add_plan", "command_plan", "plan_document"]
+__all__ = ["command_plan", "plan_document"]
 
 #: most points of a map in one direction, and striker lengths
 _MOST_POINTS: Final = 400
 _MOST_LENGTHS: Final = 6
 #: how the sides of a window and the kinds of specimen are called
 _RANGE: Final = "range"
-
-
-def add_plan(parser: argparse.ArgumentParser) -> None:
-    """The options of `uqsphere plan`."""
-    parser.add_argument("study", metavar="FILE", type=Path)
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
-                        help="replace a value of the study")  # fmt: skip
-    parser.add_argument("--speed", metavar="LOW,HIGH", help="striker speeds, m/s unless a unit stands there "
-                        "(default: those of the margins, or a decade about the study's)")  # fmt: skip
-    parser.add_argument("--rise", metavar="LOW,HIGH", help="ramps of the pulse, us unless a unit stands there "
-                        "(default: 0 up to the length of the pulse)")  # fmt: skip
-    parser.add_argument("--length", metavar="L[,L]", help="striker lengths, m unless a unit stands there "
-                        "(default: the study's)")  # fmt: skip
-    parser.add_argument("--imbalance", type=float, default=0.1, metavar="X",
-                        help="largest |P_A - P_B| at fracture over the larger force (default 0.1)")  # fmt: skip
-    parser.add_argument("--quantile", type=float, default=0.5, metavar="P",
-                        help="the specimen that is shown: quantile of the strength (default 0.5)")  # fmt: skip
-    parser.add_argument("--grid", default="60x41", metavar="NxM", help="speeds and ramps of the map (default 60x41)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write plan.csv, windows.csv and the figure here")
-    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
 
 
 def _numbers(text: str, dimension: str, unit: str, option: str) -> list[float]:

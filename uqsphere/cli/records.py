@@ -23,31 +23,7 @@ if TYPE_CHECKING:
     from uqsphere.records.record import Record
     from uqsphere.study import Study
 
-__all__ = ["add_records", "command_records"]
-
-
-def add_records(parser: argparse.ArgumentParser) -> None:
-    """The options of `uqsphere records`."""
-    parser.add_argument("record", metavar="FILE.csv", type=Path, help="time and one signal, two gauges or three waves")
-    parser.add_argument("--study", type=Path, metavar="STUDY", help="sphere and bars; needed for forces")
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="PATH=VALUE",
-                        help="replace a value of the study")  # fmt: skip
-    parser.add_argument("--columns", metavar="T,A,B", help="columns that count: time, then the signals")
-    parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
-    parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
-    parser.add_argument("--gauge-factor", type=float, default=2.0, metavar="K")
-    parser.add_argument("--excitation", type=float, default=0.0, metavar="VOLTS", help="supply of the bridge")
-    parser.add_argument("--amplification", type=float, default=1.0, metavar="A")
-    parser.add_argument("--active-arms", type=float, default=1.0, metavar="N", help="1 quarter, 2 half bridge")
-    parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
-    parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
-    parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
-    parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
-    parser.add_argument(
-        "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and figures here")
-    parser.add_argument("--json", action="store_true", help="print one JSON document on stdout")
+__all__ = ["command_records"]
 
 
 def _value(text: str, dimension: str, option: str) -> float:

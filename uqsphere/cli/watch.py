@@ -23,8 +23,6 @@ __all__ = ["KILLED", "STOPPING", "Patience", "Progress", "Silence", "last_words"
 _LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
 #: columns of a bar
 _BAR = 24
-#: stages whose name says nothing to a user
-_STAGES = {"dear": "model"}
 #: what is said of a run whose process is gone
 KILLED = (
     "uqsphere: the process of this run ended before the run did: the model ended it, or it was killed, as where memory "
@@ -85,9 +83,9 @@ class Progress:
             if not fresh and now - self.shown < _DRAW_EVERY:
                 return
             self.shown = now
-            self._draw(share, [f"{_STAGES.get(stage, stage)}: {count}", left.removesuffix(" in this stage"), most])
+            self._draw(share, [f"{stage}: {count}", left.removesuffix(" in this stage"), most])
         elif now - self.shown > _LINE_EVERY:
-            pieces = [f"{_STAGES.get(stage, stage)}: {count}", left, most]
+            pieces = [f"{stage}: {count}", left, most]
             accuracy = self._accuracy(4)
             text = ", ".join(piece for piece in pieces if piece) + (f"; {accuracy}" if accuracy else "")
             print(plain(text), file=sys.stderr, flush=True)
@@ -255,7 +253,7 @@ class Silence:
 def last_words(text: str) -> Iterator[None]:
     """Have `text` said on stderr if this process ends inside the block without leaving it.
 
-    A shell waits for the end of a pipe of which this process alone holds the other end.  Without a shell
+    A shell waits for the end of a pipe of which only this process holds the other end.  Without a shell
     nothing is said.
     """
     shell = shutil.which("sh")

@@ -31,7 +31,7 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         parts=account(work, found, planned=way.surrogate, surrogate=taken == "surrogate", affordable=way.affordable),
     )
     found = replace(found, plan=plan)
-    store.settle()
+    store.take_over()
     save_points(work, store, found.sampled)
     save_courses(work, store, found.sampled)
     keep_data(work.study, store.folder)

@@ -107,7 +107,7 @@ def _methods_schema() -> Node:
 
 def _together(values: tuple[str, ...]) -> tuple[str, ...]:
     if "auto" in values and len(values) > 1:
-        raise Misplaced('"auto" stands alone', values.index("auto"))
+        raise Misplaced('"auto" goes with no other method', values.index("auto"))
     return values
 
 

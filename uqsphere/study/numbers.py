@@ -162,8 +162,8 @@ def _warn_of_bounds(law: Law, given: Mapping[str, float], place: Place, quantity
     found, limit = (format_value(value, quantity.name) for value in (middle, end))
     findings.warn(
         (*place, key),
-        f"the mean {found} lies {'below' if key == 'lower' else 'above'} the bound {limit}: what is drawn is a tail of "
-        "the law alone, and its mean is another; is that meant?",
+        f"the mean {found} lies {'below' if key == 'lower' else 'above'} the bound {limit}: what is drawn is "
+        "only a tail of the law, and its mean is another; is that meant?",
     )
 
 

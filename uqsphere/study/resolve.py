@@ -143,7 +143,7 @@ def _read_relations(
     black_box: bool,
     findings: Findings,
 ) -> dict[str, Raw]:
-    """What names the numbers of the study: dependence and margins, and the groups, which are looked at alone."""
+    """What names the numbers of the study: dependence and margins, and the groups, which are only looked at."""
     if document.margins is not None and not document.limits and findings.clean(("limits",)):
         findings.add(("margins",), "margins need a limit to be asked of: add a table [limits.NAME]")
     numbers = _places(document, black_box)

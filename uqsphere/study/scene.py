@@ -47,7 +47,7 @@ DEFAULT_VALLEY: Final = 0.75
 _NOTABLE: Final = 0.005
 #: frequency [Hz], impedance [kg/s] with the time factor exp(+i 2 pi f t)
 DAMPER_COLUMNS: Final = ("frequency", "impedance_real", "impedance_imag")
-#: two lengths that are meant to be equal differ by rounding alone
+#: two lengths that are meant to be equal differ by nothing but rounding
 _ROUNDING: Final = 1.0 + 1e-9
 _EXAMPLES: Final = {
     "sphere": {"E": '"52 GPa"', "nu": "0.25", "density": '"2650 kg/m3"'},
@@ -324,7 +324,7 @@ def _bar(pulse: PulseTable, scene: Scene, findings: Findings) -> tuple[Bar | Non
     return Bar(radius=0.5 * diameter, wave_speed=math.sqrt(stiffness / density), nu=nu), distance
 
 
-# --- what history alone follows: a damper, gauges --------------------------------------------------------
+# --- what only history follows: a damper, gauges --------------------------------------------------------
 
 
 def read_damper(bars: BarsTable | None, findings: Findings) -> EndImpedance | None:

@@ -114,7 +114,7 @@ class Study:
     gauges : tuple of Gauge
         Where `uqsphere history` puts gauges; no answer of a run depends on them.
     receiving_damper : EndImpedance or None
-        The receiving bar's far end against frequency, which `uqsphere history` alone can follow.
+        The receiving bar's far end against frequency, which only `uqsphere history` can follow.
     """
 
     title: str
@@ -142,7 +142,7 @@ class Study:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the meaning: the same for two files that differ in title, gauges, comments or layout alone."""
+        """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments or layout."""
         meaning = {key: value for key, value in self.resolved().items() if key not in ("title", "gauges")}
         text = json.dumps(meaning, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
