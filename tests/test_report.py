@@ -153,13 +153,13 @@ def test_five_questions_have_their_answers_at_the_top(standard: Path) -> None:
     assert found["Model valid?"] == "Yes: all 1 checks are passed in every sample."
 
 
-def test_the_allowed_value_lies_on_the_safe_side_of_the_target(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path, limits={"x": limit(0.0075, 0.2, True), "y": limit(0.0075, 0.01, True)})
+def test_without_an_answer_the_safest_value_asked_for_is_told(tmp_path: Path) -> None:
+    folder = write_folder(
+        tmp_path, limits={"x": limit(0.0075, None, None), "y": limit(0.0075, None, None, aim="break")}
+    )
     contents = read_contents(folder)
-    assert allowed_value(contents, "x").endswith(
-        "with a probability of 10 %."
-    )  # of 10 % and 50 %, never the one above 20 %
-    assert "more than the target allows (1 %)" in allowed_value(contents, "y")
+    assert allowed_value(contents, "x").endswith("with a probability of 10 %.")
+    assert allowed_value(contents, "y").endswith("with a probability of 50 %.")
 
 
 def test_methods_are_explained_once(standard: Path) -> None:

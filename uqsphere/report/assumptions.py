@@ -181,15 +181,6 @@ def bearing(contents: Contents, check: str, only: str = "") -> str:
 
 #: a share of the cases below this is none
 _NEVER = 1e-6
-#: what a broken check says of a scene
-_FOUND_REACH = {
-    "bar_yield_contact": "the bars yield under the sphere",
-    "bar_yield_pulse": "the pulse makes the bars yield",
-    "small_contact": "the contact is not small against the sphere",
-    "contact_on_bar_end": "the contact is not small against the bar’s end",
-    "force_balance": "the two contact forces differ",
-    "quasi_static_sphere": "waves cross the sphere too few times while the force rises",
-}
 
 
 def yields_at(entry: MarginEntry, p: str) -> float | None:
@@ -294,8 +285,7 @@ def breach_text(contents: Contents, name: str, check: CheckEntry) -> str:
     if check.check == "bar_yield_contact":
         known = yields_at(entry, format(entry.probability, ".15g"))
         share = share if known is None else known
-    words = _FOUND_REACH.get(check.check, check_name(check.check))
-    return f"{words} ({cases_text(share)})"
+    return f"{broken_words(check)} ({cases_text(share)})"
 
 
 def reach_cautions(contents: Contents) -> list[str]:

@@ -27,6 +27,7 @@ from uqsphere.report.assumptions import (
 )
 from uqsphere.report.blocks import Verdict
 from uqsphere.report.claims import (
+    answer_claim,
     demand_claim,
     distribution_claim,
     first_to_measure,
@@ -42,7 +43,6 @@ from uqsphere.report.margins import no_common_value, settling_text, tests_text
 from uqsphere.report.phrases import (
     absent_reason,
     answer_text,
-    at_most,
     begin,
     breaks,
     call,
@@ -59,7 +59,6 @@ from uqsphere.report.phrases import (
     probability_range,
     probability_text,
     rounded,
-    safe_side,
     shortfalls,
     symbol,
     value_text,
@@ -436,42 +435,17 @@ def glances(contents: Contents) -> list[Glance]:
 
 
 def allowed_value(contents: Contents, name: str) -> str:
-    """How far the free scalar may go: where the accepted probability is reached, of those asked for."""
+    """The safest of the values asked for, where no target decides; with one the answer has a box of its own."""
     limit, entry = contents.results.limits[name], contents.results.margins[name]
     known = {float(p): e for p, e in entry.values.items() if e.value is not None}
-    if not known:
+    if not known or answer_claim(contents.results, name) is not None:
         return ""
-    absent = [float(p) for p, e in entry.values.items() if e.value is None]
-    survive = limit.aim == "survive"
-    target = limit.target
-    accepted = None if target is None else (target if survive else 1.0 - target)
-    # on the safe side of what is accepted; without a target the safest that was asked for
-    safe = {p: e for p, e in known.items() if accepted is not None and (p <= accepted if survive else p >= accepted)}
-    p = (max(safe) if survive else min(safe)) if safe else (min(known) if survive else max(known))
+    p = min(known) if limit.aim == "survive" else max(known)
     alone = "" if known[p].low is None else " (interval of the computation alone)"
     text = f"{estimate_text(known[p], entry.solve)}{alone}: there {event(contents.results, name)} "
     text += f"with a probability of {plain_percent(p)}"
-    if accepted is not None and not safe and any((q <= accepted) if survive else (q >= accepted) for q in absent):
-        text += f", {'more' if survive else 'less'} than the target {'allows' if survive else 'needs'} "
-        text += f"({plain_percent(accepted)}); where that is reached is not known"
-    elif accepted is not None and not safe:
-        more, allows, smaller = ("more", "allows", "smaller") if survive else ("less", "needs", "larger")
-        text += f", {more} than the target {allows} ({plain_percent(accepted)}); no {smaller} probability was asked for"
-    elif accepted is not None and p == accepted:
-        text += ", the target"
-    opened = entry.ignorance
-    subject = contents.subject(entry.solve)
-    if opened.sure is not None and p == entry.probability:
-        # what is known of the tests comes first: the interval above holds the error of the computation alone
-        word = "at most" if at_most(entry, limit.aim) else "at least"
-        most = at_most(entry, limit.aim)
-        sure = safe_side(Est.of(opened.sure), subject, at_most=most, digits=3)
-        ends = ["beyond" if end is None else value_text(end, subject, 3) for end in (opened.low, opened.high)]
-        text = (
-            f"{capital(word)} {sure} to be {plain_percent(opened.confidence)} "
-            f"sure; the {opened.tests} tests leave open {' to '.join(ends)} (95 %), by the law fitted to them {text}"
-        )
-    beyond = beyond_bars(entry.model_copy(update={"value": known[p], "probability": p}), subject)
+    at_p = entry.model_copy(update={"value": known[p], "probability": p})
+    beyond = beyond_bars(at_p, contents.subject(entry.solve))
     return f"{text}; {beyond.text}." if beyond is not None else f"{text}."
 
 
