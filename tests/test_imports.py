@@ -60,6 +60,13 @@ def test_nothing_heavy_is_loaded(arguments: tuple[str, ...]) -> None:
     assert heavy_after(*arguments) == "HEAVY 0 []"
 
 
+def test_help_loads_no_numbers() -> None:
+    code = "import sys; from uqsphere.cli import build_parser; build_parser()"
+    code += "; print({'numpy', 'pydantic'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.strip() == "set()"
+
+
 def test_the_probe_sees_what_is_loaded() -> None:
     assert "numba" in heavy_after("history", str(STUDIES / "granite.toml"), "--set", "model.tolerance=1e-4")
 
