@@ -1,12 +1,12 @@
 """Whether two states of the code give the same numbers, bit by bit.
 
-    python tests/campaigns/same_numbers.py BEFORE [AFTER] [--quick] [--only NAME ...] [--threads 1 2]
-    python tests/campaigns/same_numbers.py COMMIT --save FOLDER
-    python tests/campaigns/same_numbers.py COMMIT --round tests/data/numbers.json
+    python .ci/same_numbers.py BEFORE [AFTER] [--quick] [--only NAME ...] [--threads 1 2]
+    python .ci/same_numbers.py COMMIT --save FOLDER
+    python .ci/same_numbers.py COMMIT --round tests/data/numbers.json
 
 BEFORE and AFTER are commits, folders with the package in them, or a folder that `--save` wrote; AFTER is this working
 tree unless given.  Commits are checked out beside the repository and run with this interpreter and its packages.  Every
-study of `studies/` and of `tests/campaigns/studies/` is run at a smoke budget with each number of threads, and every
+study of `studies/` and of `.ci/studies/` is run at a smoke budget with each number of threads, and every
 number and key of results.json and tables/*.csv is compared.  Versions, times and texts are not; `--words` compares
 identifiers too (strings without a space), `--within` asks instead whether each answer lies in the other's interval, for
 changes that are meant to move numbers.  A stored folder brings its own copies of the studies.
@@ -32,7 +32,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+ROOT = Path(__file__).resolve().parent.parent
 #: paths whose content says which code ran, not what it found
 APART = ("results.json.versions", "results.json.study.hash")
 #: differences that are printed of one study
@@ -59,7 +59,7 @@ def _scene(study: str, evaluations: int, *more: str, name: str = "", quick: bool
 
 
 def _box(study: str, function: str, *settings: str, name: str = "", quick: bool = False) -> Case:
-    path, model = f"tests/campaigns/studies/{study}.toml", f"tests/campaigns/studies/boxes.py:{function}"
+    path, model = f".ci/studies/{study}.toml", f".ci/studies/boxes.py:{function}"
     return Case(name=name or study, study=path, model=model, settings=settings, quick=quick)
 
 
