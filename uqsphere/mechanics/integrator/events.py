@@ -592,19 +592,22 @@ def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if wanted & (1 << (kind - 1)) == 0:
             continue
-        for j in range(LANES):
-            if yielding and has_yielded(law, j):
-                _look_at_yielded(kind, at, rate, track, theta, flags, law, j)
-                continue
-            k, width = LANES + j, theta[j] / tracked.POINTS
-            left, left_slope = combine(kind, mode, at[0, j], at[0, k], width * rate[0, j], width * rate[0, k])
-            for i in range(1, tracked.POINTS + 1):
-                right, right_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+        for i in range(tracked.POINTS):
+            for j in range(LANES):
+                k = LANES + j
+                width = theta[j] / tracked.POINTS
+                left, left_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+                right, right_slope = combine(
+                    kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
+                )
                 above = highest_between(left, left_slope, right, right_slope)
                 below = highest_between(-left, -left_slope, -right, -right_slope)
                 if max(above, below) > track[kind, j]:
                     flags[j] |= 1 << kind
-                left, left_slope = right, right_slope
+        for j in range(LANES):
+            if yielding and has_yielded(law, j):
+                flags[j] &= ~(1 << kind)
+                _look_at_yielded(kind, at, rate, track, theta, flags, law, j)
 
 
 @compiled(**INNER)
