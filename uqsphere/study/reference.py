@@ -126,20 +126,20 @@ def _worth_telling(default: Raw) -> bool:
 
 def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     """Put in what a declaration leaves open: numbers of the scene by their quantity, and what a name can be."""
-    kinds = {"sphere": SphereTable, "bars": BarsTable, "striker": StrikerTable, "product": ProductTable}
+    names = {section: f"{section.capitalize()}Table" for section in SCENE}
     for path, quantity in INPUTS.items():
         section, key = path.split(".")
-        if path in noise_names():
+        if section not in names or path in noise_names():
             continue
         node = _number_or_law(quantity.dimension)
         if quantity.symbol in ("R_1", "R_3"):
             node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
-        table = tables[kinds[section].__name__ if section in kinds else "PulseTable"]
-        told = table["properties"][key].get("description", quantity.meaning)
+        keys = tables[names[section]]["properties"]
         unit = f" [{quantity.unit}]" if quantity.unit else ""
-        table["properties"][key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
+        told = keys[key].get("description", quantity.meaning)
+        keys[key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
     for section, kind in (("sphere", "sphere"), ("bars", "bars"), ("striker", "bars")):
-        tables[kinds[section].__name__]["properties"]["material"]["enum"] = list(material_names(kind))
+        tables[names[section]]["properties"]["material"]["enum"] = list(material_names(kind))
     tables["StrikerTable"]["required"] = ["speed"]
     limit = tables["LimitTable"]
     strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
