@@ -64,10 +64,9 @@ _GAIN: Final = (2.0, 0.5)
 _CHANCE: Final = 0.05
 #: base points of the indices for outputs that jump, at the most
 _ROUGHEST: Final = 200_000
-#: curves: the look and what its rows are likely to be, the same where a strength is fixed, of which a row tells on
-#: which side it lies alone; the rows of each value asked for; the share of the budget that curves may take
-_CURVE, _CURVE_FIXED, _VALUE, _VALUE_FIXED, _CURVES = 4_272, 18_000, 512, 6_144, 0.1
-_VALUE_FIRST: Final = 256
+#: curves: the look and twice the first rows, seven times where a strength is fixed, of which a row tells on which side
+#: it lies alone; the design point and the checks at the answer of each limit; the share of the budget for curves
+_CURVE, _CURVE_FIXED, _ANSWER, _CURVES = 288 + 2 * 2_560, 288 + 7 * 2_560, 1_117, 0.1
 _CURVE_MOST: Final = 288 + 3 * 2_560
 #: the search of a rare limit
 _RARE: Final = 6_000
@@ -166,20 +165,17 @@ def _sensitivity(study: Study) -> tuple[float, float]:
 
 
 def _margins(study: Study, budget: float) -> tuple[float, float]:
-    """Evaluations of the curves: the look, rows at forty values, more at the values asked for."""
+    """Evaluations of the curves: the look, rows at forty values, and what is found out at the answers."""
     margins = study.margins
     if margins is None or not study.limits:
         return 0.0, 0.0
     curves = 1 + (len(margins.family.values) if margins.family else 0)
     still = not margins.axis.moves_rows
-    asked = len(margins.for_probability)
-    fixed = sum(not isinstance(limit.strength, Law) for limit in study.limits)
-    values = 0 if still else asked * (_VALUE * (len(study.limits) - fixed) + _VALUE_FIXED * fixed)
-    look = 1_536 if still else _CURVE_FIXED if fixed else _CURVE
-    likely = float(curves * (look + values))
-    # a curve takes its first rows, and each value its first ones, whatever the share
-    first = 0 if still else _VALUE_FIRST * asked * len(study.limits)
-    least = float(curves * ((1_024 if still else _CURVE_MOST) + first))
+    fixed = any(not isinstance(limit.strength, Law) for limit in study.limits)
+    answers = float(_ANSWER * len(study.limits))
+    likely = curves * (1_536 if still else _CURVE_FIXED if fixed else _CURVE) + answers
+    # a curve takes its first rows whatever the share
+    least = curves * (1_024 if still else _CURVE_MOST) + answers
     if not math.isfinite(budget):
         return likely, max(likely, least)
     most = max(_CURVES * budget, least)
