@@ -137,3 +137,11 @@ def test_a_law_the_series_cannot_follow_has_no_answer(softening):
     onset, pile_up = 1e9, 1.5
     scene = granite_rows(onset_pressure=onset, hardness=(1.0 + softening) * onset / pile_up, pile_up=pile_up)
     assert (scene.status == 1).all()
+
+
+def test_quantities_that_follow_hertz_are_refused():
+    scene = granite_rows(onset_pressure=1.3e9, hardness=2.4e9, pile_up=2.0)
+    with pytest.raises(ValueError, match="faces that yield"):
+        solve.solve(scene)
+    with pytest.raises(ValueError, match="faces that yield"):
+        solve.motion(scene, 0)

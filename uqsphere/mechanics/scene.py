@@ -60,12 +60,6 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="radius of rounded bar ends (flat ends: absent)"),
     Quantity(name="bars.yield_strength", symbol="Y_b", dimension="pressure", display="MPa", plausible=(1e7, 5e9),
              meaning="yield strength of the bars"),
-    Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
-             meaning="centre pressure at which a face begins to yield or to crush"),
-    Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
-             meaning="mean pressure of a face that flows fully (indentation hardness)"),
-    Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
-             plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
     Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
              meaning="speed of the striker"),
     Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),
@@ -101,6 +95,16 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
                meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
       for j, name in enumerate(noise_names(), start=1)),
+)}  # fmt: skip
+
+#: The law of faces that yield: numbers that a scene may have beside `INPUTS`; no study file has them yet.
+FACE_INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
+    Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
+             meaning="centre pressure at which a face begins to yield or to crush"),
+    Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
+             meaning="mean pressure of a face that flows fully (indentation hardness)"),
+    Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
+             plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
 )}  # fmt: skip
 
 #: what the status of a row means; only rows of 0 and of 7 have numbers
@@ -204,7 +208,7 @@ class Scene:
             raise ValueError(f"a {self.shape} pulse does not follow from the striker's material or diameter")
         if missing := [name for name in self._needed if name not in self.columns]:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
-        if unknown := [name for name in self.columns if name not in INPUTS]:
+        if unknown := [name for name in self.columns if name not in INPUTS | FACE_INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
         if self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse never ends: the record needs a horizon")
@@ -353,7 +357,7 @@ class Scene:
         for name, column in self.columns.items():
             if name == "bars.yield_strength":  # serves a validity check only
                 continue
-            bound = INPUTS[name]
+            bound = INPUTS.get(name) or FACE_INPUTS[name]
             inside = (column >= bound.lower) & (column <= bound.upper)
             if not bound.closed:
                 inside &= (column != bound.lower) & (column != bound.upper)

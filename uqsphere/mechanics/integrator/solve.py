@@ -319,7 +319,7 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     ValueError
         If the row lies outside the domain or cannot be integrated; the message is that of its status.
     """
-    _check_request(fidelity, tolerance)
+    _check_request(scene, fidelity, tolerance)
     status = int(scene.status[row])
     if status == 0:
         found = motions(scene, np.array([row]), fidelity=fidelity, tolerance=tolerance, stop_at_loss=False)[0]
@@ -365,7 +365,12 @@ def motions(
         return list(pool.map(one, range(len(rows))))
 
 
-def _check_request(fidelity: str, tolerance: float) -> None:
+def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
+    if scene.faces is not None:
+        raise ValueError(
+            "quantities of faces that yield are not answered here: read depths off `integrate`, and force, pressure, dent "
+            "and work off `Scene.faces`"
+        )
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
     if not 1e-12 <= tolerance <= 1e-2:
@@ -400,7 +405,7 @@ def solve(
     Answers
         With NaN and a status for rows outside the domain; never a number that was not computed.
     """
-    _check_request(fidelity, tolerance)
+    _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
     found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
