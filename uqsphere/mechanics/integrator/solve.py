@@ -368,8 +368,8 @@ def motions(
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
     if scene.faces is not None:
         raise ValueError(
-            "quantities of faces that yield are not answered here: read depths off `integrate`, and force, pressure, dent "
-            "and work off `Scene.faces`"
+            "quantities of faces that yield are not answered here: read depths off `integrate`, and force, pressure, "
+            "dent and work off `Scene.faces`"
         )
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
