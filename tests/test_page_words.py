@@ -16,8 +16,8 @@ from test_page_agrees import headings, solved
 from uqsphere.report.assumptions import check_name
 from uqsphere.report.blocks import Table
 from uqsphere.report.chapters import swings_heading
-from uqsphere.report.claims import measure_claim, subject_of
-from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.claims import measure_claim
+from uqsphere.report.contents import Contents, read_contents, subject_of
 from uqsphere.report.drivers import given_failure_table, measure_table
 from uqsphere.report.figures.convergence import _legend_names, _ticks
 from uqsphere.report.figures.fragility import family_figure

@@ -8,6 +8,7 @@ from typing import Literal
 
 from uqsphere.report.assumptions import beyond_bars
 from uqsphere.report.blocks import thousands
+from uqsphere.report.contents import subject_of
 from uqsphere.report.phrases import (
     at_most,
     begin,
@@ -36,7 +37,6 @@ from uqsphere.results import (
     Results,
 )
 from uqsphere.results.entries import Est, Ests
-from uqsphere.study.axis import quantity_of
 
 __all__ = [
     "Claim",
@@ -50,7 +50,6 @@ __all__ = [
     "ranked",
     "shares_claim",
     "specimens",
-    "subject_of",
 ]
 
 #: what a claim is about: the answer of an inverse question, strength over demand, how a quantity is distributed, who
@@ -342,11 +341,6 @@ def measure_claim(subject: str, entry: MeasureEntry) -> Claim | None:
 
 
 # --- the answer of an inverse question --------------------------------------------------------------------
-
-
-def subject_of(results: Results, solve: str) -> str:
-    """The name whose unit the free scalar has: a strength has that of its limit's quantity."""
-    return quantity_of(solve, {limit: str(entry.quantity) for limit, entry in results.limits.items()})
 
 
 def answer_claim(results: Results, name: str) -> Claim | None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
-from uqsphere.results import Results, read_results
+from uqsphere.quantities import lookup, unit_that_reads
+from uqsphere.results import (
+    Results,
+    read_results,
+)
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest, read_resolved
 from uqsphere.runner.samples import read_points
 from uqsphere.store import read_json
@@ -20,7 +24,14 @@ from uqsphere.study.axis import quantity_of
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law, LawError, make_law
 
-__all__ = ["Contents", "Samples", "law_of", "read_contents"]
+__all__ = [
+    "Contents",
+    "Samples",
+    "law_of",
+    "read_contents",
+    "subject_of",
+    "units_of",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +65,7 @@ class Contents:
 
     def subject(self, name: str) -> str:
         """The name whose unit a number has: a strength has that of the limit's quantity."""
-        return quantity_of(name, {limit: str(entry.quantity) for limit, entry in self.results.limits.items()})
+        return subject_of(self.results, name)
 
     def at_mean(self, name: str) -> float | None:
         """The number of an input that the study states: fixed, or the mean of its law (SI)."""
@@ -126,3 +137,65 @@ def read_contents(folder: Path) -> Contents:
         points=points,
         courses=courses,
     )
+
+
+def subject_of(results: Results, solve: str) -> str:
+    """The name whose unit the free scalar has: a strength has that of its limit's quantity."""
+    return quantity_of(solve, {limit: str(entry.quantity) for limit, entry in results.limits.items()})
+
+
+# --- units ----------------------------------------------------------------------------------------------
+
+#: state at fracture -> the quantity whose unit it is read in
+_STATE: Final = {"time": "contact_time", "force": "P_max", "energy": "energy", "specific_energy": "specific_energy"}
+#: numbers of the scene -> the quantity whose unit they are read in
+_NUMBERS: Final = {"P_0_median": "P_max", "t_c_median": "contact_time"}
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [float(value) for value in values if value is not None]
+
+
+def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
+    """The unit of every quantity and input by name.
+
+    A quantity that was asked for decides by its mean and its quantiles; what else is read in its unit follows. A
+    spread may then have zeros after its point, but never another unit than what it is the spread of.
+
+    Parameters
+    ----------
+    runs : results.json of one run, or of several that stand side by side
+    courses : courses.json, where forces were followed
+
+    Returns
+    -------
+    dict
+        As `uqsphere.quantities.reading_units` takes it.
+    """
+    first: dict[str, list[float]] = {}
+    second: dict[str, list[float]] = {}
+    for results in runs:
+        for name, quantity in results.quantities.items():
+            estimates = [quantity.mean, *quantity.quantiles.values()]
+            first.setdefault(name, []).extend(_known(e.value for e in estimates))
+        for name, law in results.inputs.items():
+            first.setdefault(name, []).extend(_known([law.mean]))
+        for margin in results.margins.values():
+            subject = subject_of(results, margin.solve)
+            first.setdefault(subject, []).extend(_known(e.value for e in margin.values.values()))
+            if margin.family:
+                first.setdefault(margin.family.path, []).extend(member.value for member in margin.family.members)
+        states = results.fracture.states()
+        for key, name in _STATE.items():
+            estimates = list(states[key].quantiles.values()) if key in states else []
+            second.setdefault(name, []).extend(_known(e.value for e in estimates))
+        for key, name in _NUMBERS.items():
+            second.setdefault(name, []).extend(_known([results.model.numbers.get(key)]))
+    if courses is not None:
+        contact = courses["hardest"].get("contact")
+        if contact is not None:
+            second.setdefault("p_max", []).append(contact["pressure"])
+            second.setdefault("core_tension", []).append(0.05 * contact["pressure"])
+        second.setdefault("P_max", []).append(max(map(max, (courses["hardest"][f] for f in ("force_a", "force_b")))))
+    groups = {**{name: values for name, values in second.items() if values}, **first}
+    return {name: unit_that_reads(name, values) for name, values in groups.items() if lookup(name).display}

@@ -16,11 +16,10 @@ from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.blocks import Block, Chapter, Table
 from uqsphere.report.chapters import build_chapters
-from uqsphere.report.contents import Contents, read_contents
+from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.margins import margin_verdicts
 from uqsphere.report.tables import commands, repeat_rows
-from uqsphere.report.units import units_of
 from uqsphere.report.verdict import cautions, glances, verdicts
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.sums import write_sums

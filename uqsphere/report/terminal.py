@@ -8,7 +8,8 @@ from typing import Final
 from uqsphere.console import bar, plain, screen_width, table, wrap, writable
 from uqsphere.quantities import format_value, reading_units
 from uqsphere.report.assumptions import answer_checks, instead_text, turns, verdict_word
-from uqsphere.report.claims import claims, first_to_measure, specimens, subject_of
+from uqsphere.report.claims import claims, first_to_measure, specimens
+from uqsphere.report.contents import subject_of, units_of
 from uqsphere.report.phrases import (
     MOST_DIGITS,
     SUBJECTS,
@@ -23,7 +24,6 @@ from uqsphere.report.phrases import (
     shortfalls,
     without_failed,
 )
-from uqsphere.report.units import units_of
 from uqsphere.results import FractureEntry, Results
 from uqsphere.results.entries import Est
 
