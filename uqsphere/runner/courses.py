@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
+from uqsphere.model import scene_of
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.store import Store, csv_text, write_atomically, write_json
 
-__all__ = ["force_band", "save_courses"]
+if TYPE_CHECKING:
+    from uqsphere.mechanics.scene import Scene
 
-Array = npt.NDArray[np.float64]
+__all__ = ["force_band", "save_courses"]
 
 #: scenes that are followed over time, and instants of their courses
 SCENES, INSTANTS = 64, 240
@@ -42,59 +44,79 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
         how many, its `inputs` (SI), `force_a` and `force_b`, its `contact` (a/r, Poisson ratio of the sphere, p_0
         [Pa], at the largest pressure) and its `bars` (`uqsphere.mechanics.history`); `scenes`, `fidelity`.
     """
-    from uqsphere.mechanics.history import force_courses, trace, view_field
-    from uqsphere.model import scene_of
 
     names = work.scene_names
     if work.study.black_box or not names:
         return None
     sample = sampled.sample.head(max(1, SCENES // sampled.sample.replicates))
     rows = sample.inputs[:, :, : len(names)].reshape(-1, len(names))[~sample.failed.reshape(-1)]
-    if len(rows) < 16:
+    found = _followed(work, rows) if len(rows) >= 16 else None
+    if found is None:
         return None
-    scene = scene_of(work.study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
-    kept = {"fidelity": work.fidelity, "tolerance": max(work.study.model.tolerance, 1e-6)}
+    times, forces = found
+    content: dict[str, object] = {"time": times.tolist(), "scenes": len(rows), "fidelity": work.fidelity}
+    for face, name in enumerate(("force_a", "force_b")):
+        content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
+    largest = (rows[int(np.argmax(forces.max(axis=(1, 2))))], len(rows), "the largest force")
+    for row, among, by in (_hardest_of_all(work, sampled) or largest, largest):
+        hardest = _hardest(work, row, times)
+        if hardest is not None:
+            return {**content, "hardest": {**hardest, "among": among, "by": by}}
+    return None
+
+
+def _follow(work: Work, rows: Array, times: Array) -> Array | None:
+    """Contact forces (n, 2, m) of rows of inputs; None where one is answered by another fidelity alone."""
+    from uqsphere.mechanics.history import force_courses
+
+    scene = _scene(work, rows)
     try:
-        # look first how long the first loading lasts, then follow it finely
-        trial = np.linspace(0.0, _LONGEST * float(np.median(scene.scales.time)), _TRIAL)
-        end = _end_of_loading(trial, force_courses(scene, trial, **kept))  # type: ignore[arg-type]
-        times = np.linspace(0.0, end, INSTANTS)
-        forces = force_courses(scene, times, **kept)  # type: ignore[arg-type]
+        return force_courses(scene, times, fidelity=work.fidelity, tolerance=_tolerance(work))
     except ValueError:
-        # a row that only another fidelity could answer
+        return None
+
+
+def _scene(work: Work, rows: Array) -> Scene:
+    return scene_of(work.study, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+
+
+def _tolerance(work: Work) -> float:
+    return max(work.study.model.tolerance, 1e-6)
+
+
+def _followed(work: Work, rows: Array) -> tuple[Array, Array] | None:
+    """Instants (m) of the first loading, and the forces (n, 2, m) of the rows then."""
+    # look first how long the first loading lasts, then follow it finely
+    trial = np.linspace(0.0, _LONGEST * float(np.median(_scene(work, rows).scales.time)), _TRIAL)
+    look = _follow(work, rows, trial)
+    if look is None:
+        return None
+    times = np.linspace(0.0, _end_of_loading(trial, look), INSTANTS)
+    forces = _follow(work, rows, times)
+    if forces is None:
         return None
     whole = np.isfinite(forces).all(axis=(0, 1))
     times, forces = times[whole], forces[:, :, whole]
-    if len(times) < 20 or not forces.max() > 0.0:
+    return (times, forces) if len(times) >= 20 and forces.max() > 0.0 else None
+
+
+def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
+    """The scene of one row of inputs; None where its record ends before those of the others."""
+    from uqsphere.mechanics.history import trace, view_field
+
+    pair = _follow(work, row[None, :], times)
+    if pair is None or not np.isfinite(pair).all():
         return None
-    content: dict[str, Any] = {"time": times.tolist(), "scenes": len(rows), "fidelity": work.fidelity}
-    for face, name in enumerate(("force_a", "force_b")):
-        content[name] = {f"{p:g}": np.quantile(forces[:, face], p, axis=0).tolist() for p in LEVELS}
-    followed = (rows[int(np.argmax(forces.max(axis=(1, 2))))], len(rows), "the largest force")
-    for candidate in (_hardest_of_all(work, sampled) or followed, followed):
-        row = candidate[0]
-        single = scene_of(work.study, {name: row[k : k + 1] for k, name in enumerate(names)}, 1)
-        try:
-            pair = force_courses(single, times, **kept)[0]  # type: ignore[arg-type]
-        except ValueError:
-            continue
-        # a record that ends before those of the others is none to show beside them
-        if np.isfinite(pair).all():
-            break
-    else:
-        return None
-    course = trace(single, 0, points=2, **kept)  # type: ignore[arg-type]
+    single = _scene(work, row[None, :])
+    course = trace(single, 0, points=2, fidelity=work.fidelity, tolerance=_tolerance(work))
     ratio, pressure = course.hardest_contact
-    content["hardest"] = {
-        "inputs": {name: float(row[k]) for k, name in enumerate(names)},
-        "force_a": pair[0].tolist(),
-        "force_b": pair[1].tolist(),
+    return {
+        "inputs": {name: float(row[k]) for k, name in enumerate(work.scene_names)},
+        "force_a": pair[0, 0].tolist(),
+        "force_b": pair[0, 1].tolist(),
         "contact": {"ratio": ratio, "nu": float(single.columns["sphere.nu"][0]), "pressure": pressure},
         "bars": view_field(course, places=_PLACES, times=_TIMES).as_document(),
-        "among": candidate[1],
-        "by": candidate[2],
     }
-    return content
 
 
 def _hardest_of_all(work: Work, sampled: Sampled) -> tuple[Array, int, str] | None:
@@ -110,7 +132,7 @@ def _hardest_of_all(work: Work, sampled: Sampled) -> tuple[Array, int, str] | No
     return (rows[k], int(np.isfinite(values).sum()), by) if np.isfinite(values[k]) else None
 
 
-def _end_of_loading(times: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> float:
+def _end_of_loading(times: Array, forces: Array) -> float:
     """When 95 % of the scenes have been let go after their first loading."""
     known = np.isfinite(forces).all(axis=(0, 1))
     high = np.quantile(forces.max(axis=1)[:, known], 0.95, axis=0)

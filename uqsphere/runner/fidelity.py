@@ -251,10 +251,8 @@ def first_look(work: Work) -> Pilot:
     taken = _choose(candidates, bound) if asked == "auto" else None
     chosen = taken.fidelity if taken else ("full" if asked == "auto" else asked)
     measured: Mapping[str, float | None] = {}
-    if taken:
-        measured = taken.error if taken.fallback_share == 0.0 else taken.mixed_error
-    elif chosen != "full":
-        measured = candidates[0].error if candidates else {}
+    if chosen != "full":
+        measured = _measured(taken, candidates)
     elif count > 1:
         closer = look.solve(few, "full", max(1e-12, 0.01 * study.model.tolerance), work.quantities)
         measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
@@ -268,6 +266,13 @@ def first_look(work: Work) -> Pilot:
         candidates=candidates if asked == "auto" else (),
         fallback=taken.fallback if taken else None,
     )
+
+
+def _measured(taken: Candidate | None, candidates: tuple[Candidate, ...]) -> Mapping[str, float | None]:
+    """The error of the fidelity that was taken, by itself or mixed with the full model, or of the one asked for."""
+    if taken is not None:
+        return taken.error if taken.fallback_share == 0.0 else taken.mixed_error
+    return candidates[0].error if candidates else {}
 
 
 @dataclass(kw_only=True)

@@ -313,19 +313,18 @@ def _joined(work: Work, limit: Limit, answer: LimitAnswer, rare: RareAnswer, spa
 def narrower(own: Estimate, old: Estimate) -> tuple[Estimate, str]:
     """The narrower of two estimates that agree; where they do not, one that holds both, and why."""
     if own.value is None or own.low is None or own.high is None:
-        better = old.value is None or old.high is None or (own.high is not None and own.high < old.high)
-        return (own if better and old.value is None else old), f"importance sampling: {own.reason}"
+        return (own if old.value is None else old), f"importance sampling: {own.reason}"
     if old.value is None or old.low is None or old.high is None:
         return own, ""
     if own.half_width >= old.half_width and old.value >= DOUBTFUL:
         return old, "sampling was as accurate: its answer is kept"
+    if not (own.low > old.high or own.high < old.low):
+        return own, f"plain sampling agrees: {old.value:.3g}"
     if own.low > old.high and old.value < DOUBTFUL and own.value < LACKING * old.value:
         return own, f"plain sampling gave {old.value:.3g}: it lacks the rare great terms of so small a probability"
-    if own.low > old.high or own.high < old.low:
-        text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
-        low, high = min(own.low, old.low), max(own.high, old.high)
-        return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
-    return own, f"plain sampling agrees: {old.value:.3g}"
+    text = f"plain sampling gave {old.value:.3g}, outside of this: the interval holds both"
+    low, high = min(own.low, old.low), max(own.high, old.high)
+    return replace(own, low=low, high=high, std_error=(high - low) / 4.0), text
 
 
 def complement(e: Estimate) -> Estimate:
