@@ -25,7 +25,7 @@ from uqsphere.uq.curve import fit_axis, local_lines
 
 STUDIES = Path(uqsphere.__file__).parent.parent / "studies"
 #: speeds at which the limestone breaks with these probabilities, by 131,072 straight rows of another seed on
-#: either side of each (bench/fragility.py: straight_value), good to 1e-5 and better
+#: either side of each (tests/campaigns/fragility.py: straight_value), good to 1e-5 and better
 TRUTH = {0.01: 0.771664, 0.5: 1.4185936, 0.99: 1.933693}
 
 
