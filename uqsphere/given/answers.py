@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -65,7 +65,7 @@ def reach(answer: float, moved: Array, value: float, way: str) -> tuple[float, f
     steps = moved - value
     unit = float(np.abs(steps).max()) or 1.0
     plain = _OPEN * unit * math.sqrt(float(np.mean((steps / unit) ** 2)))
-    ways: dict[str, tuple[Any, Any]] = {
+    ways: dict[str, tuple[Callable[..., Array], Callable[..., Array]]] = {
         "squares": (_angle, _share),
         "factors": (np.log, np.exp),
         "shares": (logit, expit),
@@ -78,8 +78,8 @@ def reach(answer: float, moved: Array, value: float, way: str) -> tuple[float, f
     half = _OPEN * float(np.sqrt(np.mean(changes**2)))
     if way == "squares":
         # a root has lost its sign: about a correlation near zero the laws lie on both sides of it
-        above = max(_share(centre + half) - answer, plain * (answer < 0.5))
-        return max(answer - _share(centre - half), 0.0), above
+        above = max(float(_share(centre + half)) - answer, plain * (answer < 0.5))
+        return max(answer - float(_share(centre - half)), 0.0), above
     # what is zero but for the noise of the design is no factor of anything
     if math.isfinite(centre) and half < _FACTORS:
         return answer - float(back(centre - half)), float(back(centre + half)) - answer
@@ -124,8 +124,8 @@ def _angle(share: Array | float) -> Array:
     return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
 
 
-def _share(angle: float) -> float:
-    return math.sin(min(max(angle, 0.0), 0.5 * math.pi)) ** 2
+def _share(angle: float) -> Array:
+    return np.asarray(math.sin(min(max(angle, 0.0), 0.5 * math.pi)) ** 2)
 
 
 #: laws that are tried in place of the fitted ones, and points of the design that they are tried on
