@@ -21,7 +21,7 @@ from uqsphere.errors import UsageError
 from uqsphere.given import analyse_data
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
-from uqsphere.model import answer
+from uqsphere.model import answer_scene
 from uqsphere.report.figures.canvas import style
 from uqsphere.runner.evaluate import draw
 from uqsphere.study import load_study, shipped_studies
@@ -213,7 +213,7 @@ def test_a_contact_time_that_jumps_has_no_expansion(tmp_path: Path) -> None:
     (tmp_path / "grazing.toml").write_text(GRAZING, encoding="utf-8")
     study = load_study(tmp_path / "grazing.toml")
     drawn = draw(study.inputs().only(study.random), seed=5, task="test", start=0, count=192, replicates=1)
-    times = answer(study, tuple(study.random), drawn.inputs[0], ("contact_time",)).values[:, 0]
+    times = answer_scene(study, tuple(study.random), drawn.inputs[0], ("contact_time",)).values[:, 0]
     gap = np.diff(np.sort(times)).max()
     assert gap > 0.2 * times.mean()
     assert not judge(fit_chaos(drawn.scores[0], times, ("normal", "normal"))).usable
