@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
 from uqsphere.runner.questions.distributions import Sampled
@@ -39,7 +40,7 @@ from uqsphere.uq.whatif import (
     sides,
 )
 
-__all__ = ["find_assumed", "find_ignorance", "laws_of", "more_tests", "value_range"]
+__all__ = ["find_assumed", "find_ignorance", "margin_left_open", "probabilities_by_tests"]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +51,8 @@ ROWS: Final = 8192
 FEW_LAWS: Final = 200
 FEW_ROWS: Final = 32
 VALUES: Final = 25
+#: laws for the range of a curve
+TRIED: Final = 40
 #: nine normal scores out a kernel density has nothing more to say
 FURTHEST_SCORE: Final = 9.0
 #: by how much the scatter of a strength, or its modulus, is taken otherwise
@@ -67,6 +70,21 @@ def _generator(work: Work, name: str) -> np.random.Generator:
 def laws_of(work: Work, limit: Limit, strength: Law, count: int = FEW_LAWS) -> list[Law]:
     """Laws that the tests behind a strength allow.  Raises LawError where it is not known which."""
     return possible_laws(strength, count, _generator(work, strength_name(limit.name)))
+
+
+def probabilities_by_tests(work: Work, limit: Limit, states: Sequence[LimitState]) -> Array | None:
+    """Between which ends (2, J) the probability lies at J states by the laws of a strength that its tests allow.
+
+    None where it was not fitted to tests, or these do not tell.
+    """
+    if not (isinstance(limit.strength, Law) and is_fitted(limit.strength)):
+        return None
+    try:
+        laws = laws_of(work, limit, limit.strength, TRIED)
+    except LawError:
+        return None
+    # one law in fifty may leave the range
+    return np.asarray(np.quantile(curves_under(states, laws), [0.02, 0.98], axis=0))
 
 
 def _missing(exceeded: Array, limit: Limit) -> Array:
@@ -371,6 +389,41 @@ def more_tests(work: Work, sampled: Sampled, limit: Limit, strength: Law, spread
 
 
 # --- the value of a free scalar under other laws ----------------------------------------------------------
+
+
+def margin_left_open(
+    work: Work,
+    sampled: Sampled,
+    limit: Limit,
+    rows: AxisRows | None,
+    value: Estimate,
+    *,
+    probability: float,
+    rising: bool,
+) -> dict[str, Any]:
+    """What the tests of a strength leave open of the value at a probability, and how many more would tell.
+
+    Empty where the strength was not fitted to tests; `rows` are those of the curve, if there are any.
+    """
+    strength = limit.strength
+    if not (isinstance(strength, Law) and is_fitted(strength)):
+        return {}
+    try:
+        if value.value is None:
+            left: dict[str, Any] = {"reason": value.reason}
+        elif rows is None:
+            reason = "the demands are not known in full, so that no rows serve all values"
+            left = {"tests": count_tests(strength), "reason": reason}
+        else:
+            known = rows
+            left = value_range(
+                strength, laws_of(work, limit, strength), lambda values, count: known.states(limit, values, count),
+                (rows.grid[0], rows.grid[-1]), probability=probability, value=value.value, rising=rising,
+                survive=limit.aim == "survive",
+            )  # fmt: skip
+        return {"ignorance": left, "more_tests": more_tests(work, sampled, limit, strength, left.get("sd_log"))}
+    except LawError as error:
+        return {"ignorance": {"reason": str(error)}}
 
 
 def value_range(

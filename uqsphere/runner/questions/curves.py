@@ -24,16 +24,14 @@ from uqsphere.runner.campaign import Accuracy, Cost, Course, campaign, cost_of, 
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
 from uqsphere.runner.schedule import REPLICATES
-from uqsphere.runner.whatif import laws_of
+from uqsphere.runner.whatif import probabilities_by_tests
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced, with_number
 from uqsphere.units import told_apart
 from uqsphere.uq.curve import METHOD as STEPWISE
 from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fragility, half_widths
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.fitting import is_fitted
-from uqsphere.uq.law import Law, LawError
-from uqsphere.uq.whatif import curves_under, probability
+from uqsphere.uq.whatif import probability
 
 __all__ = [
     "GAP",
@@ -69,8 +67,6 @@ FREE_POINTS: Final = 64
 MOST_FREE: Final = 1024
 #: times that a range is widened which turned out too narrow
 WIDER: Final = 3
-#: laws that the tests allow, for the range of a curve
-TRIED: Final = 40
 #: the smallest probability whose band a curve is made for, over the smallest that is asked for
 BELOW: Final = 0.5
 #: points of each replicate at one value, value by value: as many as the budget allows for the first look
@@ -257,17 +253,11 @@ def _region(work: Work, limits: Sequence[Limit], look: Look, least: float) -> tu
 
 def _open_to_tests(work: Work, limit: Limit, look: Look, fine: Sequence[float], least: float) -> Array | bool:
     """Where a strength that was fitted to tests may bring the probability between `least` and its complement."""
-    if not (isinstance(limit.strength, Law) and is_fitted(limit.strength)):
-        return False
-    try:
-        laws = laws_of(work, limit, limit.strength, TRIED)
-    except LawError:
-        return False
     coarse = fine[:: max(1, len(fine) // 30)]
-    curves = curves_under(look.states(limit, coarse), laws)
-    # one law in fifty may leave the range
-    low, high = np.quantile(curves, [0.02, 0.98], axis=0)
-    inside = (high > least) & (low < 1.0 - least)
+    ends = probabilities_by_tests(work, limit, look.states(limit, coarse))
+    if ends is None:
+        return False
+    inside = (ends[1] > least) & (ends[0] < 1.0 - least)
     return np.asarray(np.interp(np.arange(len(fine)), np.searchsorted(fine, coarse), inside.astype(float)) > 0.0)
 
 
@@ -498,6 +488,10 @@ class CurveFound:
     def answer(self, targets: Sequence[float]) -> Fragility:
         """The curve with its intervals, and the values at some probabilities."""
         return fragility(self.grid, self.table, targets, samples=self.samples, evaluations=self.evaluations)
+
+    def value_at(self, probability: float) -> Estimate:
+        """The value at a probability, whether it was asked for or not."""
+        return self.values.get(probability) or self.answer((probability,)).values[probability]
 
     def lognormal(self) -> LognormalCurve | str:
         """The lognormal curve beside it, or why there is none."""

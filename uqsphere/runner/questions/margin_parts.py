@@ -1,0 +1,212 @@
+"""What a margin is made of: safety factors, the inputs it is lost to, what few tests leave open, and the bars' limit.
+
+All of it concerns one limit at one probability: that of its target, or the smallest that is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array
+from uqsphere.mechanics.bars import pulse_stress
+from uqsphere.runner.axis_rows import axis_of
+from uqsphere.runner.evaluate import OutOfBudget, Work
+from uqsphere.runner.limits import state_of
+from uqsphere.runner.questions.curves import (
+    CurveFound,
+)
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.probabilities import find_design
+from uqsphere.runner.whatif import margin_left_open
+from uqsphere.study import Limit
+from uqsphere.study.axis import SPEED, strength_name
+from uqsphere.uq.curve import fit_lognormal_curve, fragility
+from uqsphere.uq.law import Law
+from uqsphere.uq.limit_state import LimitState
+from uqsphere.uq.sample import Sample
+
+__all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
+
+#: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
+YIELD_FACTOR: Final = 1.6
+#: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit
+BARS_SHARE: Final = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """One limit at one probability of exceeding, and its curve."""
+
+    limit: Limit
+    probability: float
+    found: CurveFound
+
+
+def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any]:
+    """A table for results.json; parts that are not known hold a reason."""
+    value = where.found.value_at(where.probability)
+    known = value.value is not None
+    about: dict[str, Any] = {
+        "probability": where.probability,
+        "value": value.as_dict(),
+        "factors": safety_factors(work, sampled, where.limit),
+    }
+    try:
+        about["lost_to"] = _lost_to(work, where) if known else {"reason": value.reason}
+    except OutOfBudget:
+        about["lost_to"] = {"reason": "the time was over, or the run was stopped"}
+    found = where.found
+    rising = bool(found.table[-1].mean() >= found.table[0].mean())
+    about |= margin_left_open(
+        work, sampled, where.limit, found.rows, value, probability=where.probability, rising=rising
+    )
+    about["split"] = _split(where, about.get("ignorance"))
+    asked = work.study.margins is not None and work.study.margins.bars_elastic
+    if asked or _tells_of_bars(work, where):
+        about["bars"] = _bars(work, where)
+    return about
+
+
+# --- factors -------------------------------------------------------------------------------------------
+
+
+def safety_factors(work: Work, sampled: Sampled, limit: Limit) -> dict[str, Any]:
+    """Strength over demand as planned: of their medians, and of the two fractiles that lie against the aim.
+
+    To survive: 5 % of the strength over 95 % of the demand, above 1 where it is safe; to break: 95 % over 5 %, below 1.
+    """
+    state = state_of(work, limit, sampled.sample)
+    demands = state.demands[~state.broken & ~state.late]
+    if demands.size < 20:
+        return {"reason": "too few demands are known"}
+    against = (0.05, 0.95) if limit.aim == "survive" else (0.95, 0.05)
+    strengths = {p: _strength_at(limit.strength, p) for p in (0.5, against[0])}
+    middle, far = (float(q) for q in np.quantile(demands, [0.5, against[1]]))
+    if not (middle > 0.0 and far > 0.0):
+        return {"reason": "the demand may be zero"}
+    return {
+        "medians": strengths[0.5] / middle,
+        "fractiles": strengths[against[0]] / far,
+        "fractiles_of": {"strength": against[0], "demand": against[1]},
+    }
+
+
+def _strength_at(strength: Law | float, p: float) -> float:
+    return float(strength.ppf(np.array([p]))[0]) if isinstance(strength, Law) else strength
+
+
+def study_at(work: Work, limit: Limit, value: float) -> tuple[Work, Limit] | str:
+    """The work and the limit with the free scalar at a value, for a search of its own."""
+    found = axis_of(work).fix(work.study, limit, value)
+    return found if isinstance(found, str) else (replace(work, study=found[0]), found[1])
+
+
+def _lost_to(work: Work, where: Where) -> dict[str, Any]:
+    """Importance factors of the design point at the value, and the partial factors there."""
+    value = where.found.value_at(where.probability).value
+    assert value is not None
+    placed = study_at(work, where.limit, value)
+    if isinstance(placed, str):
+        return {"reason": placed}
+    moved, limit = placed
+    own = strength_name(limit.name)
+    found = find_design(moved, limit)
+    if isinstance(found, str):
+        if found.startswith("nothing but") and isinstance(limit.strength, Law):
+            return {"shares": {own: 1.0}, "partial": {}}
+        return {"reason": found}
+    laws = {**dict(zip(moved.drawn.names, moved.drawn.laws, strict=True))}
+    if isinstance(limit.strength, Law):
+        laws[own] = limit.strength
+    partial = {}
+    for name, design in found.values.items():
+        if name == own:
+            low = 0.05 if limit.aim == "survive" else 0.95
+            typical = _strength_at(limit.strength, low)
+            partial[name] = {"design": design, "characteristic": typical, "factor": typical / design}
+        elif (middle := laws[name].median()) != 0.0:
+            partial[name] = {"design": design, "characteristic": middle, "factor": design / middle}
+    return {"shares": found.shares, "partial": partial}
+
+
+# --- scatter, ignorance, numerical error ---------------------------------------------------------------
+
+
+def _split(where: Where, ignorance: dict[str, Any] | None) -> dict[str, float | None]:
+    """Standard deviations of the logarithm of the value: from specimen to specimen, from few tests, of computing."""
+    found, logarithmic = where.found, where.found.grid[0] > 0.0
+    fitted = fit_lognormal_curve(found.grid, found.table, evaluations=0) if logarithmic else "no logarithm"
+    value = where.found.value_at(where.probability)
+    numerical = None
+    if value.value is not None and value.std_error is not None and logarithmic:
+        numerical = value.std_error / value.value
+    return {
+        "scatter": None if isinstance(fitted, str) else fitted.dispersion.value,
+        "ignorance": None if ignorance is None else ignorance.get("sd_log"),
+        "numerical": numerical,
+    }
+
+
+# --- bars that must stay elastic -----------------------------------------------------------------------
+
+
+def _tells_of_bars(work: Work, where: Where) -> bool:
+    """Whether the curve has the contact pressure anyhow, along a scalar that moves it, for bars that may yield."""
+    study = work.study
+    return (
+        not study.black_box
+        and study.margins is not None
+        and study.margins.axis.moves_rows
+        and study.at_means().get("bars.yield_strength", 0.0) > 0.0
+        and "p_max" in work.quantities
+        and where.found.rows is not None
+        and where.found.rows.knows("p_max")
+    )
+
+
+def _bars(work: Work, where: Where) -> dict[str, Any]:
+    """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
+
+    `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
+    The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield 1.6 times the yield strength.
+    """
+    study = work.study
+    assert study.margins is not None
+    means = study.at_means()
+    strength = means["bars.yield_strength"]
+    stress = float(pulse_stress(means[SPEED], means["bars.E"], means["bars.density"]))
+    found: dict[str, Any] = {
+        "yield_strength": strength,
+        "pulse_stress": stress,
+        "pulse_elastic": stress < strength,
+        "pulse_value": means[SPEED] * strength / stress if study.margins.axis.path == SPEED else None,
+    }
+    rows = where.found.rows
+    if rows is None or not study.margins.axis.moves_rows or not rows.knows("p_max"):
+        return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
+    names = work.drawn.names
+    random = "bars.yield_strength" in names
+
+    def yields(points: Sample, pressures: Array, value: float) -> LimitState:
+        own = points.input("bars.yield_strength") if random else strength
+        return LimitState(demands=pressures / own, strength=YIELD_FACTOR)
+
+    values, share = np.array(rows.grid), rows.curve_of("p_max", yields).table(rows.grid)
+    answered = fragility(values, share, (BARS_SHARE,), samples=rows.samples, evaluations=0).values[BARS_SHARE]
+    found["contact_probability"] = BARS_SHARE
+    found["contact"] = answered.as_dict()
+    shares = share.mean(axis=1)
+    told = {**where.found.values, where.probability: where.found.value_at(where.probability)}
+    found["yields_at"] = {
+        f"{p:.15g}": float(np.clip(np.interp(e.value, values, shares), 0.0, 1.0))
+        for p, e in told.items()
+        if e.value is not None and values[0] <= e.value <= values[-1]
+    }
+    if answered.value is None:
+        p = share.mean(axis=1)
+        always, never = bool((p > BARS_SHARE).all()), bool((p < BARS_SHARE).all())
+        found["contact_everywhere"] = "yields" if always else "elastic" if never else None
+    return found
