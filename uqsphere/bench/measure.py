@@ -112,13 +112,13 @@ def memory_of(rows: int) -> float:
 def massless_rate(rows: int = 200_000) -> float:
     """Rows of the massless closed form per second and core: the largest pressure of scene A."""
     from uqsphere.bench.scenes import scattered_scene
-    from uqsphere.mechanics.closed_form import largest_approach
+    from uqsphere.mechanics.closed_form import loading_approach
 
     theta = scattered_scene(rows).scales.pulse_number
     best = np.inf
     for _ in range(7):
         begin = time.process_time()
-        largest_approach(theta)
+        loading_approach(theta)
         best = min(best, time.process_time() - begin)
     return float(rows / best)
 

@@ -20,7 +20,6 @@ from uqsphere.mechanics.scene import Scene
 
 __all__ = [
     "closed_form_applies",
-    "largest_approach",
     "linear_approaches",
     "loading_approach",
     "loading_time",
@@ -242,15 +241,6 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
         horizon = np.where(good, scene.record_end / scales.time, 1.0)
     scaled = np.where(good[:, None], _scaled_answers(theta, horizon), np.nan)
     return answers_of(scene, scaled, status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
-
-
-def largest_approach(theta: Values) -> Array:
-    """Scaled approach at the end of a rectangular pulse of length theta: the largest of the massless sphere.
-
-    >>> largest_approach([0.8, np.inf]).round(6).tolist()
-    [0.620178, 1.0]
-    """
-    return loading_approach(theta)
 
 
 def scaled_answers(scene: Scene) -> Array:

@@ -39,7 +39,6 @@ __all__ = [
     "ranges_of",
     "ring_crack_force",
     "ring_crack_toughness",
-    "size_factor",
     "truncated_energy",
 ]
 
@@ -257,15 +256,6 @@ def dynamic_increase(rate: Values, rate_0: Values) -> Array:
     (1.0, 2.0)
     """
     return np.asarray(1.0 + np.cbrt(np.square(np.maximum(rate, 0.0) / np.asarray(rate_0, dtype=float))))
-
-
-def size_factor(size: Values, reference_size: Values, modulus: Values) -> Array:
-    """Strength of a body over that of the reference: (V_0/V)^(1/m), V a volume or an area.
-
-    >>> float(size_factor(8.0, 1.0, 3.0))
-    0.5
-    """
-    return np.asarray((np.asarray(reference_size, dtype=float) / size) ** (1.0 / np.asarray(modulus, dtype=float)))
 
 
 def ring_crack_toughness(force: Values, radius: Values, E: Values) -> Array:

@@ -20,7 +20,7 @@ from uqsphere.mechanics.field import arriving, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.scene import STATUS, Scene
 
-__all__ = ["Damper", "damper_from_impedance", "move_with_damper", "reflected_wave"]
+__all__ = ["Damper", "damper_from_impedance", "move_with_damper"]
 
 Complex = npt.NDArray[np.complex128]
 
@@ -163,29 +163,6 @@ def _check_causality(response: Array, scale: float) -> None:
             f"the damper is not causal: {before / total:.0%} of its response comes before the wave. The sign of the "
             "imaginary part may be turned (a mass is +i 2 pi f m), or the table ends too early or is too coarse"
         )
-
-
-def reflected_wave(damper: Damper, wave: Array, step: float) -> Array:
-    """The wave that a damper sends back for one that arrives there, both sampled evenly from rest.
-
-    Parameters
-    ----------
-    wave : (m,) array
-        Particle velocity [m/s], from its start; straight lines between the samples.
-    step : float
-        Time between samples [s].
-
-    Returns
-    -------
-    (m,) array
-        Particle velocity of the reflected wave [m/s].
-
-    Raises
-    ------
-    ValueError
-        For a damper whose response comes before its cause.
-    """
-    return _reflect(damper, _weights(damper, step, len(wave)), np.asarray(wave, dtype=float))
 
 
 def _reflect(damper: Damper, weights: Array, wave: Array) -> Array:

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Values
 
-__all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "rayleigh_speed", "surface_factors",
+__all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "surface_factors",
            "transfer"]  # fmt: skip
 
 
@@ -114,22 +114,6 @@ def phase_speed(wave_number: Values, nu: float) -> Array:
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     found[waves] = 0.5 * (low + high)
     return found
-
-
-def rayleigh_speed(nu: float) -> float:
-    """Speed of Rayleigh's surface wave over c0, which short waves in a bar approach.
-
-    The root x = (c/c_T)² of x³ - 8 x² + (24 - 16 eta) x - 16 (1 - eta) = 0 in (0, 1), eta = (c_T/c_L)².
-
-    >>> round(rayleigh_speed(0.3), 5)
-    0.57516
-    """
-    _check_poisson(nu)
-    dilatation, shear = _speeds(nu)
-    eta = (shear / dilatation) ** 2
-    roots = np.roots([1.0, -8.0, 24.0 - 16.0 * eta, -16.0 * (1.0 - eta)])
-    real = roots[np.abs(roots.imag) < 1e-9].real
-    return float(shear * math.sqrt(real[(real > 0.0) & (real < 1.0)][0]))
 
 
 def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
