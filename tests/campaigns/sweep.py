@@ -253,7 +253,7 @@ class Comparison:
 
 
 #: quantities that follow from others row by row: their errors are those of the pressure
-_DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place in ("rim", "core", "below"))
+_DERIVED: Final = frozenset(name for name, entry in OUTPUTS.items() if entry.place) - {"p_max", "first_peak"}
 
 
 def _names(answers: Answers) -> tuple[str, ...]:
