@@ -4,7 +4,7 @@ they go together."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -385,11 +385,20 @@ def read_gauges(tables: tuple[Gauge, ...], scene: Scene, findings: Findings) -> 
 # --- whether the numbers go together ----------------------------------------------------------------
 
 
-def check_scene(scene: Scene, model: ModelChoice | None, findings: Findings) -> None:
-    """Note every contradiction between the numbers of the scene, the random ones taken at their nominal mean."""
-    for check in _CHECKS:
-        check(scene, findings)
-    _check_step(scene, model, findings)
+def check_scene(scene: Scene, model: ModelChoice, findings: Findings) -> None:
+    """Note every contradiction between the numbers of the scene, the random ones taken at their nominal mean.
+
+    Each check needs only the numbers that it names.
+    """
+    _check_size(scene, findings)
+    shape = scene.options.get("pulse.shape")
+    if shape in ("trapezoid", "ramp"):
+        _check_ramps(scene, findings)
+    elif shape == "two_peak":
+        _check_two_peak(scene, findings)
+    elif shape == "step":
+        _check_step(scene, model, findings)
+    _check_round_trip(scene, findings)
 
 
 def pulse_duration(scene: Scene) -> float | None:
@@ -436,38 +445,34 @@ def _check_size(scene: Scene, findings: Findings) -> None:
         )
 
 
-def _check_trapezoid(scene: Scene, findings: Findings) -> None:
-    rise, fall, width = scene.mean("pulse.rise"), scene.mean("pulse.fall"), pulse_duration(scene)
-    if scene.options.get("pulse.shape") == "ramp":
-        fall = 0.0
-    if scene.options.get("pulse.shape") not in ("trapezoid", "ramp") or rise is None or fall is None or width is None:
-        return
-    if 0.5 * (rise + fall) > width * _ROUNDING:
-        findings.add(
-            ("pulse", "rise"),
-            f"half of rise and fall, {format_value(0.5 * (rise + fall), 'pulse.rise')}, exceeds the width "
-            "of the pulse, "
-            f"{format_value(width, 'pulse.duration')}: shorten them, or lengthen the striker",
-        )
+def _ramps(scene: Scene) -> float | None:
+    """Half of rise and fall together, the fall of a ramp being sudden."""
+    rise = scene.mean("pulse.rise")
+    fall = 0.0 if scene.options.get("pulse.shape") == "ramp" else scene.mean("pulse.fall")
+    return None if rise is None or fall is None else 0.5 * (rise + fall)
+
+
+def _check_ramps(scene: Scene, findings: Findings) -> None:
+    half, width = _ramps(scene), pulse_duration(scene)
+    if half is not None and width is not None and half > width * _ROUNDING:
+        said = f"half of rise and fall, {format_value(half, 'pulse.rise')}, exceeds the width of the pulse"
+        found = format_value(width, "pulse.duration")
+        findings.add(("pulse", "rise"), f"{said}, {found}: shorten them, or lengthen the striker")
 
 
 def _check_two_peak(scene: Scene, findings: Findings) -> None:
     first, second, end = scene.mean("pulse.t1"), scene.mean("pulse.t2"), pulse_duration(scene)
-    if scene.options.get("pulse.shape") != "two_peak" or first is None or second is None:
+    if first is None or second is None:
         return
+    one, two = format_value(first, "pulse.t1"), format_value(second, "pulse.t2")
     if first >= second:
-        findings.add(
-            ("pulse", "t2"),
-            f"found t1 = {format_value(first, 'pulse.t1')} and t2 = {format_value(second, 'pulse.t2')}: "
-            "the first peak must come before the second",
-        )
+        said = f"found t1 = {one} and t2 = {two}: the first peak must come before the second"
+        findings.add(("pulse", "t2"), said)
     elif end is not None and second >= end:
-        findings.add(
-            ("pulse", "t2"),
-            f"the second peak, at {format_value(second, 'pulse.t2')}, must come before the end of the pulse "
-            "at "
-            f"{format_value(end, 'pulse.duration')}: give a longer duration",
+        said = (
+            f"the second peak, at {two}, must come before the end of the pulse at {format_value(end, 'pulse.duration')}"
         )
+        findings.add(("pulse", "t2"), f"{said}: give a longer duration")
 
 
 def _open_ended(scene: Scene) -> bool:
@@ -496,35 +501,19 @@ def _check_round_trip(scene: Scene, findings: Findings) -> None:
     trip = 2.0 * length / speed
     if width > trip * _ROUNDING:
         place = ("pulse", "duration") if "pulse.duration" in scene.readings else ("striker", "length")
-        place = place if scene.record is None else ("pulse", "file")
+        lasts, returns = format_value(width, "pulse.duration"), format_value(trip, "pulse.duration")
         findings.add(
-            place,
-            f"the whole pulse lasts {format_value(width, 'pulse.duration')}, longer than the round trip of "
-            f"{format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot reflect "
-            "before the "
-            'striker has left it: shorten the pulse, lengthen the bar, or set incident_end = "absorbing"',
-        )
-
-
-def _check_step(scene: Scene, model: ModelChoice | None, findings: Findings) -> None:
-    if scene.options.get("pulse.shape") != "step":
-        return
-    if model is not None and model.horizon is None and findings.clean(("model", "horizon")):
-        findings.add(
-            ("model", "horizon"),
-            'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]',
-        )
-    if not _open_ended(scene) and "bars.incident_length" in scene.readings:
-        findings.add(
-            ("pulse", "shape"),
-            "a step pulse is longer than any round trip of the incident bar: set bars.infinite = true or "
+            place if scene.record is None else ("pulse", "file"),
+            f"the whole pulse lasts {lasts}, longer than the round trip of {returns} in the incident bar, whose far "
+            "end cannot reflect before the striker has left it: shorten the pulse, lengthen the bar, or set "
             'incident_end = "absorbing"',
         )
 
 
-_CHECKS: Final[tuple[Callable[[Scene, Findings], None], ...]] = (
-    _check_size,
-    _check_trapezoid,
-    _check_two_peak,
-    _check_round_trip,
-)
+def _check_step(scene: Scene, model: ModelChoice, findings: Findings) -> None:
+    if model.horizon is None and findings.clean(("model", "horizon")):
+        said = 'a step pulse never ends, so that the record needs an end: add horizon = "3 ms" to [model]'
+        findings.add(("model", "horizon"), said)
+    if not _open_ended(scene) and "bars.incident_length" in scene.readings:
+        said = "a step pulse is longer than any round trip of the incident bar"
+        findings.add(("pulse", "shape"), f'{said}: set bars.infinite = true or incident_end = "absorbing"')
