@@ -48,8 +48,8 @@ REPORTS: Final[Mapping[str, Published]] = {
     "glass-bead": Published(
         study="glass_bead_small_bar", evaluations=60_000, about="glass bead of 2 mm between slender bars, to be broken"
     ),
-    "crusher-margin": Published(
-        study="crusher_margin", evaluations=200_000, about="from strength tests to the speeds of a chute and a crusher"
+    "limestone-margin": Published(
+        study="limestone_margin", evaluations=200_000, about="from strength tests to speeds of the striker"
     ),
     "as-printed": Published(
         study="as_printed", evaluations=40_000, about="the paper's formulas as printed, corrected, and the full model"

@@ -13,6 +13,7 @@ from uqsphere.uq.expansion import (
     Germ,
     chaos_indices,
     chaos_moments,
+    enrichment,
     fit_chaos,
     fit_outputs,
     forecast,
@@ -26,7 +27,6 @@ from uqsphere.uq.expansion import (
     predict,
     validation_error,
 )
-from uqsphere.uq.expansion import fit as enrichment
 from uqsphere.uq.expansion.expansion import possible_transforms
 from uqsphere.uq.expansion.splits import _Data, _left_by_cuts
 from uqsphere.uq.points import sobol_points

@@ -141,13 +141,6 @@ def test_what_its_course_shows_is_not_said_to_be_missing_from_it(given_up: Conte
     assert "above what was asked: worst index of y;" in told
 
 
-def test_two_errors_of_a_surrogate_have_labels_of_their_own(given_up: Contents) -> None:
-    kinds = [f"share of the variance left unexplained{which}" for which in ("", " by the fit before (unseen runs)")]
-    row = given_up.results.speed_error[0].document()
-    contents = put(given_up, {"results/speed_error": [row | {"error_kind": kind} for kind in kinds]})
-    assert [s.label for s in error_series(contents)] == ["y unexplained", "y by the fit before"]
-
-
 def test_the_page_has_one_sentence_for_a_reason_and_its_cost(run: Run) -> None:
     contents, cost = read_contents(run.folder), "(about 20,000 evaluations would reach it)"
     missed = [f"y{k}: quantile {p}: too few samples beyond the {p} quantile {cost}"

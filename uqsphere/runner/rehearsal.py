@@ -64,7 +64,7 @@ class Rehearsal:
     def drop(self, keys: Sequence[str]) -> None:
         """Nothing is stored here, so that nothing is in the way."""
 
-    def settle(self) -> None:
+    def take_over(self) -> None:
         """The folder is the study's own."""
 
     def save(self, key: str, values: npt.NDArray[Any], *, durable: bool = True) -> None:

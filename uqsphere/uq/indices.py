@@ -486,15 +486,18 @@ def _estimate(value: float, error: float, rows: Array, method: str, carriers: fl
     """A corrected answer; where few points carry what it may be off by, its standard error is that much less known.
 
     Degrees of freedom are the R - 1 of the replicates and half the number of those points, together as resistances in
-    parallel: with skewed outputs the few that were met speak for those that were not.  Below two of them Student's law
-    has no variance, and the rows answer alone.
+    parallel, at least one: with skewed outputs the few that were met speak for those that were not.  Where the rows
+    alone know it better than that, they answer.
     """
-    freedom = 1.0 / (1.0 / (len(rows) - 1) + 2.0 / carriers)
-    if not math.isfinite(error) or freedom < 2.0:
-        return _estimates(rows[:, None], [method], evaluations)[0]
+    plain = _estimates(rows[:, None], [method], evaluations)[0]
+    if not math.isfinite(error):
+        return plain
+    freedom = max(1.0 / (1.0 / (len(rows) - 1) + 2.0 / carriers), 1.0)
     # A surrogate that is the model itself leaves rounding, of its coefficients as of the sums.
     error = max(error, 1e-13) if np.any(rows) else 0.0
     half = student(1.0 + freedom) * error
+    if half > plain.half_width:
+        return plain
     return Estimate(value=value, low=value - half, high=value + half, std_error=error,
                     method=f"{method}, controlled by a surrogate", evaluations=evaluations)  # fmt: skip
 
