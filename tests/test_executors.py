@@ -17,8 +17,8 @@ import pytest
 
 import uqsphere
 from tests.campaigns.kills import answers_of
+from uqsphere.black_box import model_digest
 from uqsphere.errors import AccessError, ModelError, StudyError, TooManyFailures, UsageError
-from uqsphere.model import model_digest
 from uqsphere.runner.chunks import CHUNK, block_size, packed, unpacked
 from uqsphere.runner.remote import Task
 from uqsphere.runner.workers import LocalWorkers, TimeOver, WorkerDied, gather

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import uqsphere
+from uqsphere.black_box import load_black_box, model_digest
 from uqsphere.errors import AccessError, UqsphereError, UsageError
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import STATUS, Scene
@@ -19,8 +20,6 @@ from uqsphere.model import (
     STATUS_NOT_FINITE,
     answer_black_box,
     evaluate,
-    load_black_box,
-    model_digest,
     scene_of,
     status_text,
 )

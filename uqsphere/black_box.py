@@ -14,8 +14,6 @@ import numpy.typing as npt
 
 from uqsphere.errors import AccessError, ModelError, UsageError
 
-__all__ = ["BlackBox", "load_black_box", "model_digest", "prints_to_stderr", "where_raised"]
-
 BlackBox = Callable[[dict[str, npt.NDArray[np.float64]]], Mapping[str, Any]]
 
 _redirect_lock = threading.Lock()

@@ -10,19 +10,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 
-__all__ = [
-    "bar",
-    "plain",
-    "plain_lines",
-    "print_document",
-    "say",
-    "screen_width",
-    "stderr_width",
-    "table",
-    "wrap",
-    "writable",
-]
-
 #: columns below which no table can be set; to which a column of names shrinks; and any other
 _NARROWEST, _NAME, _LEAST = 40, 16, 8
 #: where a long name may be parted; what a column of numbers begins with

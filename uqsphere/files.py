@@ -21,21 +21,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = [
-    "FOLDERS",
-    "LARGEST_ARRAY",
-    "LARGEST_DOCUMENT",
-    "Json",
-    "array_of",
-    "chunk_of",
-    "digest_of",
-    "is_device_name",
-    "load_document",
-    "plain_files",
-    "read_whole",
-    "refuse_links",
-]
-
 #: what a JSON document holds
 Json = Any
 #: bytes of a JSON document, of a stored array, and of anything else

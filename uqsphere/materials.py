@@ -9,17 +9,6 @@ from typing import Any, Final
 
 from uqsphere.units import UnitError, parse_value
 
-__all__ = [
-    "KINDS",
-    "PROPERTIES",
-    "LibraryError",
-    "Material",
-    "Property",
-    "library",
-    "load_library",
-    "material_names",
-]
-
 #: What a material can be used for: the sections of a study.
 KINDS: Final = ("sphere", "bars")
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr, where_raised
+from uqsphere.arrays import Array
+from uqsphere.black_box import BlackBox, prints_to_stderr, where_raised
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
@@ -21,26 +22,6 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "ANSWERED",
-    "FIDELITIES",
-    "NO_DAMPER",
-    "STATUS_NOT_FINITE",
-    "Answered",
-    "BlackBox",
-    "answer_black_box",
-    "answer_scene",
-    "evaluate",
-    "is_answered",
-    "load_black_box",
-    "model_digest",
-    "scene_of",
-    "solve_scene",
-    "status_text",
-    "where_of",
-]
-
-Array = npt.NDArray[np.float64]
 
 #: fidelities in the order of their cost
 FIDELITIES = ("massless", "linear", "full")

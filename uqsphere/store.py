@@ -28,18 +28,6 @@ import uqsphere
 from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, load_document, read_whole, refuse_links
 
-__all__ = [
-    "CHUNK_NAME",
-    "PART_END",
-    "Store",
-    "csv_text",
-    "open_store",
-    "plain_cell",
-    "read_json",
-    "write_atomically",
-    "write_json",
-]
-
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
 #: how the key of a part of a chunk ends: its first row, and the one after its last

@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-__all__ = ["UNITS", "Quantity", "UnitError", "bare_number", "parse_value", "told_apart", "units_of"]
-
 
 class UnitError(ValueError):
     """A text is not a number with a unit of the dimension that is due."""

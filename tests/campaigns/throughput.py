@@ -14,7 +14,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from uqsphere.model import answer_scene
-from uqsphere.runner.evaluate import CHUNK, Ledger, Work, draw, evaluate_sample
+from uqsphere.runner.chunks import CHUNK
+from uqsphere.runner.evaluate import Ledger, Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import first_look
 from uqsphere.runner.schedule import REPLICATES
 from uqsphere.store import open_store

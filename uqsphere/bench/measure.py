@@ -13,32 +13,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.bench.rivals import METHODS, heyoka_present, solve_heyoka, solve_scipy
 from uqsphere.bench.scenes import BenchScene, scattered_scene
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked as layout
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.step import ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.tracked import ORDER, PAIR, TERMS
 from uqsphere.mechanics.integrator.vectors import products, row
 from uqsphere.mechanics.scene import Scene
-
-__all__ = [
-    "STEP_WORK",
-    "Entry",
-    "cost_tables",
-    "describe_machine",
-    "massless_rate",
-    "measure_scene",
-    "memory_of",
-    "peak_rate",
-    "ratio_at_error",
-    "ready_seconds",
-    "reference_gap",
-    "vector_work",
-]
 
 
 def describe_machine() -> dict[str, Any]:
@@ -158,7 +143,6 @@ def vector_work(rounds: int) -> int:
 # Times are processor seconds of one thread.  Errors are relative, against the compiled integrator at its tightest
 # tolerance, which is itself compared with a Runge-Kutta method of order 8, of another family.
 
-Array = npt.NDArray[np.float64]
 
 TIGHTEST: Final = 1e-12
 _COLUMNS: Final = {"p_max": layout.ANSWER_X_MAX, "contact_time": layout.ANSWER_CONTACT}

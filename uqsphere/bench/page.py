@@ -27,15 +27,6 @@ from uqsphere.errors import FolderError
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "bench_text",
-    "cost_figure",
-    "ratios",
-    "run_bench",
-    "speed_error_figure",
-]
-
 SCHEMA_VERSION: Final = 1
 
 

@@ -14,14 +14,10 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.integrator.solve import scaled_arguments
 from uqsphere.mechanics.scene import Scene
-
-__all__ = ["METHODS", "Compiled", "heyoka_present", "solve_heyoka", "solve_scipy"]
-
-Array = npt.NDArray[np.float64]
 
 #: methods of scipy.integrate.solve_ivp
 METHODS: Final = ("DOP853", "LSODA", "Radau")

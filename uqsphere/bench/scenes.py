@@ -6,13 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from uqsphere.mechanics.scene import Scene
-
-__all__ = ["BenchScene", "bench_scenes", "scattered_scene"]
-
-Array = npt.NDArray[np.float64]
 
 #: granite of 20 mm between long steel bars of 40 mm; mu and theta are set by density and striker
 _NUMBERS: Final = {

@@ -10,8 +10,6 @@ from uqsphere.errors import FolderError
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.units import UNITS
 
-__all__ = ["command_analyse", "command_list"]
-
 #: what a list holds, an entry a line
 Rows = list[dict[str, object]]
 

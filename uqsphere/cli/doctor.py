@@ -13,8 +13,6 @@ from typing import Final
 from uqsphere.console import print_document, screen_width, table
 from uqsphere.files import Json
 
-__all__ = ["command_doctor", "examine"]
-
 #: free bytes below which a run is likely to end on a full disk
 _LEAST_ROOM: Final = 1 << 30
 

@@ -9,8 +9,6 @@ from pathlib import Path
 import uqsphere
 from uqsphere.errors import UsageError
 
-__all__ = ["build_parser"]
-
 _EPILOG = """exit codes: 0 ok, 1 internal error, 2 invalid study or usage, 3 a target was not met, 4 too many failed
 evaluations, 5 result folder locked, foreign or damaged, 6 input/output, 130 or 143 interrupted"""
 

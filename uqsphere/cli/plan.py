@@ -17,8 +17,6 @@ from uqsphere.units import UnitError, parse_value
 if TYPE_CHECKING:
     from uqsphere.planning.window import Chart, Plan, Window
 
-__all__ = ["command_plan", "plan_document"]
-
 #: most points of a map in one direction, and striker lengths
 _MOST_POINTS: Final = 400
 _MOST_LENGTHS: Final = 6

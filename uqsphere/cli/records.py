@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from uqsphere.records.record import Record
     from uqsphere.study import Study
 
-__all__ = ["command_records"]
-
 
 def _value(text: str, dimension: str, option: str) -> float:
     try:

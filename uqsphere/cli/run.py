@@ -18,8 +18,6 @@ from uqsphere.units import UnitError, parse_value
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
 
-__all__ = ["MISSED", "command_run"]
-
 #: exit code of a finished run that misses a target
 MISSED = 3
 

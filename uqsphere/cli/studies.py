@@ -10,8 +10,6 @@ from uqsphere.errors import AccessError, UsageError
 from uqsphere.quantities import OUTPUTS, format_value, lookup, reading_units
 from uqsphere.study import Study, json_schema, load_study, shipped_studies
 
-__all__ = ["command_check", "command_history", "command_new", "command_schema", "warn"]
-
 
 def warn(study: Study) -> None:
     """Say what a user should know of a study."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
     from uqsphere.runner.rehearsal import Repeated
 
-__all__ = ["DAMAGED", "Verification", "verify_folder", "verify_text"]
-
 #: verdicts
 WHOLE, DAMAGED, UNFINISHED = "whole", "damaged", "unfinished"
 _HEADLINES: Final = {

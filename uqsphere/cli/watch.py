@@ -17,8 +17,6 @@ from types import FrameType, TracebackType
 from uqsphere.console import plain, say, stderr_width
 from uqsphere.study import Study
 
-__all__ = ["KILLED", "STOPPING", "Patience", "Progress", "Silence", "last_words", "limit_text"]
-
 #: seconds between two lines of progress where there is no terminal, and between two bars where there is one
 _LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
 #: columns of a bar

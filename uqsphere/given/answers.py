@@ -28,21 +28,6 @@ from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response, answered, cross_fit, index_shares, share_of_noise
 from uqsphere.uq.shapley import BLOCK, MOST_EXACT, orders_of, shapley_estimates, subset_design, subset_scores
 
-__all__ = [
-    "LAWS",
-    "Answer",
-    "LeftOpen",
-    "given_answers",
-    "law_scores",
-    "leaning",
-    "least_runs",
-    "odd_pairs",
-    "reach",
-    "response_from",
-    "score_table",
-    "spanned",
-]
-
 # --- How far an answer reaches under other laws than the fitted ones, from the steps that it takes to each of them.
 
 #: 95 % of what the other laws move an answer by, which is known from some dozens of them

@@ -15,15 +15,6 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, UsageError
 
-__all__ = [
-    "Combination",
-    "Data",
-    "Document",
-    "combinations",
-    "read_data",
-]
-
-
 #: bytes of a file, and columns that are looked at
 _LARGEST: Final = 256 * 1024 * 1024
 _MOST_COLUMNS: Final = 128

@@ -9,8 +9,6 @@ from uqsphere.console import screen_width, table, wrap, writable
 from uqsphere.given.table import Document
 from uqsphere.quantities import format_estimate
 
-__all__ = ["analysis_text", "study_text"]
-
 #: inputs from which on a table of all pairs, or of all fits, would say nothing to anybody
 _MANY: Final = 30
 #: what is called by which name

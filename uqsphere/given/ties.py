@@ -13,11 +13,9 @@ from uqsphere.arrays import Array, Places
 from uqsphere.given.answers import LAWS, LeftOpen, score_table
 from uqsphere.uq.archimedean import ARCHIMEDEAN, Archimedean
 from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.families import LawError
 from uqsphere.uq.joint import Dependence, Group, Joint, correlation_from_spearman, make_copula, make_joint
-from uqsphere.uq.law import Law, LawError
-
-__all__ = ["CHOICES", "TiedPair", "left_open", "rank_correlations", "rank_influence", "tied", "ties_of", "with_ties"]
-
+from uqsphere.uq.law import Law
 
 #: copulas that two inputs, tied to no other, may have
 CHOICES: Final = ("gaussian", "clayton", "gumbel", "frank")

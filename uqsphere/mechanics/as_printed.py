@@ -16,23 +16,6 @@ from uqsphere.mechanics.closed_form import massless_approach, solve_closed
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 
-__all__ = [
-    "DURATION_FACTOR",
-    "Comparison",
-    "approach",
-    "approach_after_pulse",
-    "compare",
-    "contact_duration",
-    "contact_radius",
-    "linear_plateau",
-    "mean_pressure",
-    "peak_approach",
-    "peak_force",
-    "peak_pressure",
-    "pulse_width",
-    "rise_time",
-]
-
 #: the value of (3.8); the integral it stands for diverges
 DURATION_FACTOR: Final = 6.715
 #: end of an endless step, in t_c, by which the approach has settled to nine digits

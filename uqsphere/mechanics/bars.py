@@ -9,8 +9,6 @@ import numpy as np
 
 from uqsphere.arrays import Values
 
-__all__ = ["END_COEFFICIENTS", "impedance", "pulse_stress", "round_trip", "section", "wave_speed"]
-
 #: velocity reflection coefficient of a far end
 END_COEFFICIENTS: Final[dict[str, float]] = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 

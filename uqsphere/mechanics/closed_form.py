@@ -18,19 +18,6 @@ from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import Answers, answers_of
 from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "closed_form_applies",
-    "linear_approaches",
-    "loading_approach",
-    "loading_time",
-    "massless_approach",
-    "relaxing_approach",
-    "relaxing_time",
-    "scaled_answers",
-    "solve_closed",
-]
-
-
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
 #: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
 _SERIES_BELOW: Final = 0.1

@@ -13,21 +13,6 @@ import numpy as np
 
 from uqsphere.arrays import Values
 
-__all__ = [
-    "approach_at_force",
-    "centre_tension",
-    "contact_energy",
-    "contact_radius",
-    "edge_tension",
-    "effective_radius",
-    "hertz_constant",
-    "hertz_force",
-    "pressure_at_force",
-    "pressure_over_contact",
-    "reduced_modulus",
-    "sphere_mass",
-]
-
 
 def reduced_modulus(E: Values, nu: Values, bar_E: Values, bar_nu: Values, *, rigid_bars: bool = False) -> Values:
     """Reduced modulus E* [Pa]: 1/E* = (1-nu²)/E + (1-nu_b²)/E_b; the bar's term is left out if rigid. Theory (1).

@@ -21,27 +21,6 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.stress import tables
 from uqsphere.units import Quantity
 
-__all__ = [
-    "CRITERIA",
-    "DEMANDS",
-    "DIAMETERS",
-    "ENERGIES",
-    "PARAMETERS",
-    "Criterion",
-    "Parameter",
-    "demand",
-    "dynamic_increase",
-    "equivalent_tension",
-    "fracture_energy",
-    "hiramatsu_oka_tension",
-    "in_range",
-    "product_fineness",
-    "ranges_of",
-    "ring_crack_force",
-    "ring_crack_toughness",
-    "truncated_energy",
-]
-
 # --- The product of crushing: how fine a sphere becomes that breaks, from the energy that it was given, theory (31).
 
 

@@ -20,8 +20,6 @@ from uqsphere.mechanics.field import arriving, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.scene import STATUS, Scene
 
-__all__ = ["Damper", "damper_from_impedance", "move_with_damper"]
-
 Complex = npt.NDArray[np.complex128]
 
 #: largest share of the response that may come before its cause, and largest |R|: both leave room for a table's rounding

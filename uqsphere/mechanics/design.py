@@ -27,19 +27,6 @@ from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.mechanics.validity import RULES
 
-__all__ = [
-    "CONSTRAINTS",
-    "Breaks",
-    "Rig",
-    "binding",
-    "break_on_ramp",
-    "first_return",
-    "ramp_scene",
-    "shortest_striker",
-    "usages",
-]
-
-
 #: bounds of a test in the order in which ties are decided, and what it means that one is broken
 CONSTRAINTS: Final[dict[str, str]] = {
     "speed": "the force stays too small, however long striker and bars are",

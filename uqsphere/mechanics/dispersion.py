@@ -24,10 +24,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Values
 
-__all__ = ["FirstMode", "correct", "disperse", "first_mode", "phase_speed", "surface_factors",
-           "transfer"]  # fmt: skip
-
-
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
 _TABLE: Final = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
 #: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at nu = 0.5 (0.55) to

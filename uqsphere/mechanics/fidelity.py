@@ -12,8 +12,6 @@ from uqsphere.arrays import Array, Flags
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Fallback", "fit_error_law"]
-
 
 #: what is taken for the exponents of mu and theta before anything is measured: the difference of the two forces,
 #: which the massless model leaves out, grows as mu^0.45 (docs/theory.md, section 5)

@@ -17,23 +17,6 @@ from uqsphere.mechanics.integrator.solve import Motion
 from uqsphere.mechanics.pulses import pulse_value
 from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "BARS",
-    "Field",
-    "Tension",
-    "Waves",
-    "arriving",
-    "check_position",
-    "field_at",
-    "field_grid",
-    "first_tension",
-    "last_time",
-    "leaving",
-    "tension_level",
-    "waves_at",
-]
-
-
 #: the bars by name, in the order of every pair of numbers
 BARS: Final = ("incident", "receiving")
 #: echoes weaker than this, over the first wave, are left out: far below the rounding of a double

@@ -21,9 +21,6 @@ from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.outputs import Columns, Path, columns_of
 from uqsphere.mechanics.scene import Scene
 
-__all__ = ["Fractures", "first_fractures"]
-
-
 #: parts of a step of the integrator that are looked at before a crossing is refined, as many as its series has powers;
 #: halvings that refine it, to 2^-49 of the step
 _PARTS: Final = 16

@@ -15,21 +15,6 @@ from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.field import BARS, arriving, check_position, field_at, last_time, leaving
 from uqsphere.mechanics.integrator.solve import Motion
 
-__all__ = [
-    "BarForces",
-    "Energies",
-    "GaugeRecord",
-    "Overlap",
-    "bar_forces",
-    "default_positions",
-    "force_imbalance",
-    "gauge_record",
-    "gauge_strain",
-    "overlaps",
-    "wave_energies",
-]
-
-
 #: a wave is over once it stays below this share of its largest value
 _OVER: Final = 0.01
 #: instants of a round trip at which a wave is looked at to see when it is over

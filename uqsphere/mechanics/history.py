@@ -21,22 +21,6 @@ from uqsphere.mechanics.gauges import GaugeRecord, force_imbalance
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "ContactChange",
-    "Equilibrium",
-    "FieldView",
-    "History",
-    "Peak",
-    "equilibrium",
-    "extent",
-    "find_changes",
-    "force_courses",
-    "largest",
-    "shown_time",
-    "trace",
-    "view_field",
-]
-
 #: an approach over time, of times [s]
 Course = Callable[[Array], Array]
 

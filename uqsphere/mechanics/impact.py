@@ -17,23 +17,9 @@ from importlib import resources
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.yielding import Face
-
-__all__ = [
-    "Blow",
-    "blow",
-    "drop_speed",
-    "light_sphere_constant",
-    "plate_impedance",
-    "reduced_mass",
-    "speed_for_force",
-    "wave_loss",
-    "yielding_depth",
-]
-
-Array = npt.NDArray[np.float64]
 
 #: largest lam of the table: beyond it the plate is punched, not struck
 MOST_YIELDING: Final = 3.0

@@ -20,21 +20,6 @@ from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.units import Quantity
 
-__all__ = [
-    "OUTPUTS",
-    "PATHS",
-    "Answers",
-    "Columns",
-    "Path",
-    "answers_of",
-    "at_force",
-    "columns_of",
-    "follows_force",
-    "path_of",
-    "wishes",
-]
-
-
 #: scale factors of a scene that formulas read beside its own columns
 _SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time")
 

@@ -15,21 +15,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
-__all__ = [
-    "NOISE_MODES",
-    "PARAMETERS",
-    "PRESETS",
-    "SHAPES",
-    "STRIKER_SHAPES",
-    "MeasuredPulse",
-    "Pulse",
-    "build_pulse",
-    "noise_names",
-    "pulse_value",
-    "striker_steps",
-]
-
-
 #: relative depth of the dip of a two-peak pulse whose study does not give it
 DEFAULT_VALLEY: Final = 0.75
 #: steps of a striker stiffer than its bar: those below this share of the first are left out, and there are no more

@@ -27,9 +27,6 @@ from uqsphere.mechanics.pulses import (
 from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
 
-__all__ = ["INPUTS", "STATUS", "STRIKER_COLUMNS", "UNDECIDED", "Scales", "Scene", "answered"]
-
-
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
 INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="sphere.E", symbol="E", dimension="pressure", display="GPa", plausible=(1e9, 6e11),

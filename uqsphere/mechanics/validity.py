@@ -18,18 +18,6 @@ from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion
 from uqsphere.mechanics.outputs import Answers
 from uqsphere.mechanics.scene import Scene, answered
 
-__all__ = [
-    "GRADES",
-    "RULES",
-    "Check",
-    "Rule",
-    "check_at_fracture",
-    "check_ranges",
-    "check_validity",
-    "grades",
-]
-
-
 #: what a grade means
 GRADES: Final = ("ok", "information", "warning", "failure")
 #: contact pressure over the yield strength at which a flat first yields below a sphere (Johnson 1985, 6.2)

@@ -19,11 +19,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["FLOW", "Face", "Press", "metal_onset"]
-
-Array = npt.NDArray[np.float64]
+from uqsphere.arrays import Array
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
 _TERMS: Final = 40

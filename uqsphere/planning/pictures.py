@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from uqsphere.planning.window import Plan
 
-__all__ = ["plan_figure"]
-
 #: colour, hatch and words of the fields of the map
 _FIELDS: Final[dict[str, tuple[str, str, str]]] = {
     "speed": (GREY, "", "force too small"),

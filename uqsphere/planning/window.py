@@ -36,8 +36,6 @@ from uqsphere.study import Limit, Study
 from uqsphere.study.axis import SPEED
 from uqsphere.uq.law import Law
 
-__all__ = ["Chart", "Plan", "Request", "Subject", "Window", "judge_points", "plan_test", "request_of", "subject_of"]
-
 #: where in the distribution of the strength the specimens of a batch are
 FRACTILES: Final = tuple(float(k) / 20.0 for k in range(1, 20))
 #: ramps whose windows are listed, and halvings that place an edge between two speeds of the map

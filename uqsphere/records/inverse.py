@@ -25,19 +25,6 @@ from uqsphere.mechanics.scene import Scene
 from uqsphere.records.pulse import Bar, CutPulse, cut_pulse, fit_pulse
 from uqsphere.records.record import Record, RecordError
 
-__all__ = [
-    "Departure",
-    "Faces",
-    "Forces",
-    "Inverse",
-    "Rig",
-    "Stiffness",
-    "at_faces",
-    "forces_of",
-    "invert",
-]
-
-
 #: samples at the faces, at the least
 _FEWEST: Final = 50
 

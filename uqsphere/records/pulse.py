@@ -24,9 +24,6 @@ from uqsphere.records.record import (
     turn_sign,
 )
 
-__all__ = ["Bar", "CutPulse", "cut_pulse", "fit_pulse", "measured_pulse"]
-
-
 #: samples of a pulse, at the least
 _FEWEST: Final = 30
 #: cubics, at the most, and samples of each, at the least

@@ -21,22 +21,6 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.units import UNITS
 
-__all__ = [
-    "LARGEST_RECORD",
-    "SIGNAL_UNITS",
-    "Onset",
-    "Record",
-    "RecordError",
-    "Table",
-    "Wiring",
-    "find_onset",
-    "make_record",
-    "read_table",
-    "set_baseline",
-    "turn_sign",
-]
-
-
 #: bytes of a file; 10 million rows of two columns have about a third of this
 LARGEST_RECORD: Final = 1 << 30
 #: rows that are read one by one where the fast way meets something odd

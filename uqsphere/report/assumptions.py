@@ -36,31 +36,6 @@ from uqsphere.report.phrases import (
 from uqsphere.results import AssumedEntry, CheckEntry, LimitEntry, MarginEntry
 from uqsphere.results.entries import Est
 
-__all__ = [
-    "answer_breaches",
-    "answer_checks",
-    "bearing",
-    "beyond_bars",
-    "breach",
-    "cases_text",
-    "check_name",
-    "extrapolation_cautions",
-    "granted_block",
-    "granted_cautions",
-    "granted_line",
-    "granted_table",
-    "grave",
-    "instead_text",
-    "judged_cautions",
-    "reach_cautions",
-    "reach_note",
-    "short_probability",
-    "turns",
-    "verdict_word",
-    "warned",
-    "yields_at",
-]
-
 #: what a check finds where it is broken
 _FOUND: Final = {
     "small_contact": "the contact is not small against the sphere",

@@ -16,8 +16,6 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results.entries import Est
 
-__all__ = ["Block", "Chapter", "Table", "Verdict", "cell", "index_cell", "thousands"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Table:

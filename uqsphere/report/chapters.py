@@ -117,36 +117,6 @@ from uqsphere.report.tables import (
     quantity_table,
 )
 
-__all__ = [
-    "CHAPTERS",
-    "accuracy_heading",
-    "beyond_blocks",
-    "build_chapters",
-    "checks_heading",
-    "computed_chapter",
-    "decided",
-    "demand_heading",
-    "distribution_block",
-    "distribution_heading",
-    "failure_heading",
-    "family_heading",
-    "fracture_heading",
-    "fragility_heading",
-    "granted_heading",
-    "has_indices",
-    "indices_block",
-    "indices_heading",
-    "inputs_chapter",
-    "measure_block",
-    "measure_heading",
-    "methods_chapter",
-    "of_limits",
-    "others_chapter",
-    "parts_heading",
-    "quantities_chapter",
-    "swings_heading",
-]
-
 
 def _told(subject: str, finding: str) -> str:
     return f"{subject}: {finding}" if finding else subject

@@ -38,20 +38,6 @@ from uqsphere.results import (
 )
 from uqsphere.results.entries import Est, Ests
 
-__all__ = [
-    "Claim",
-    "answer_claim",
-    "claims",
-    "demand_claim",
-    "distribution_claim",
-    "first_to_measure",
-    "margin_word",
-    "measure_claim",
-    "ranked",
-    "shares_claim",
-    "specimens",
-]
-
 #: what a claim is about: the answer of an inverse question, strength over demand, how a quantity is distributed, who
 #: owns its variance, and what to measure first
 Topic = Literal["answer", "demand", "distribution", "shares", "measure"]

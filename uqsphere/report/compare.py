@@ -56,14 +56,6 @@ from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_atomically
 
-__all__ = [
-    "compare_folders",
-    "comparison_text",
-    "difference_interval",
-    "judge_together",
-    "write_page",
-]
-
 _LEVEL: Final = 0.05
 _SCORE: Final = 1.959963984540054
 

@@ -21,17 +21,8 @@ from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest
 from uqsphere.runner.samples import read_points
 from uqsphere.store import read_json
 from uqsphere.study.axis import quantity_of
-from uqsphere.uq.families import FAMILIES, Family
-from uqsphere.uq.law import Law, LawError, make_law
-
-__all__ = [
-    "Contents",
-    "Samples",
-    "law_of",
-    "read_contents",
-    "subject_of",
-    "units_of",
-]
+from uqsphere.uq.families import FAMILIES, Family, LawError
+from uqsphere.uq.law import Law, make_law
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,22 +27,6 @@ from uqsphere.results.entries import Est, Ests
 if TYPE_CHECKING:
     pass
 
-__all__ = [
-    "design_finding",
-    "design_table",
-    "distances_finding",
-    "distances_table",
-    "drivers_remark",
-    "failure_finding",
-    "failure_table",
-    "given_failure_table",
-    "measure_remarks",
-    "measure_table",
-    "mostly_missed",
-    "shapley_table",
-    "tied_inputs",
-]
-
 
 def _by_value(table: Ests) -> list[str]:
     return sorted(table, key=lambda name: -float(table[name].value or 0.0))

@@ -30,18 +30,6 @@ from uqsphere.report.phrases import (
 from uqsphere.results import BarsEntry, FactorsEntry, LimitEntry, MarginEntry
 from uqsphere.results.entries import Est
 
-__all__ = [
-    "at_most",
-    "down",
-    "margin_verdicts",
-    "no_common_value",
-    "parts_finding",
-    "parts_table",
-    "reserve",
-    "settling_text",
-    "tests_text",
-]
-
 
 def margin_verdicts(contents: Contents) -> list[Verdict]:
     """One answer for every limit with a target of a study that asks for margins."""

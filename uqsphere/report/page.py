@@ -28,20 +28,6 @@ from uqsphere.store import csv_text, write_atomically
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = [
-    "GLOSSARY",
-    "MOST_BYTES",
-    "build_pdf",
-    "build_report",
-    "check_pdf",
-    "loosened",
-    "margin_boxes",
-    "new_environment",
-    "typeset",
-    "unbroken",
-    "words_used",
-]
-
 # --- What paper has beside the page: number, title and day of the run in the margins, lines that keep numbers whole.
 
 #: letters of a title in the margin

@@ -14,46 +14,6 @@ from uqsphere.results import MarginEntry, Results
 from uqsphere.results.entries import Est
 from uqsphere.uq.families import FAMILIES
 
-__all__ = [
-    "ABSENT",
-    "MOST_DIGITS",
-    "SUBJECTS",
-    "absent_reason",
-    "answer_text",
-    "at_most",
-    "begin",
-    "breaks",
-    "call",
-    "capital",
-    "estimate_text",
-    "event",
-    "failures_text",
-    "input_name",
-    "law_name",
-    "limit_name",
-    "listed",
-    "mathematical",
-    "missing",
-    "number_text",
-    "of_limit",
-    "outward",
-    "powers",
-    "probability_range",
-    "probability_text",
-    "rounded",
-    "safe_side",
-    "share_text",
-    "short_input",
-    "shortfalls",
-    "solved_name",
-    "symbol",
-    "the_input",
-    "two_digits",
-    "unit_text",
-    "value_text",
-    "without_failed",
-]
-
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody
 MOST_DIGITS: Final = 5
 

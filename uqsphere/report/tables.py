@@ -33,26 +33,6 @@ from uqsphere.results import CheckEntry, LimitEntry, ModelEntry, PartEntry, Ques
 from uqsphere.results.entries import Est
 from uqsphere.units import told_apart
 
-__all__ = [
-    "Table",
-    "accuracy_table",
-    "answer_checks_table",
-    "checks_table",
-    "commands",
-    "dependence_texts",
-    "fixed_table",
-    "index_table",
-    "inputs_table",
-    "limits_table",
-    "margins_table",
-    "methods_table",
-    "model_table",
-    "paper_table",
-    "plan_table",
-    "quantity_table",
-    "repeat_rows",
-]
-
 
 def quantity_table(contents: Contents, quantity: str) -> Table:
     """Mean, standard deviation, quantiles and censored share with their intervals."""

@@ -27,8 +27,6 @@ from uqsphere.report.phrases import (
 from uqsphere.results import FractureEntry, Results
 from uqsphere.results.entries import Est
 
-__all__ = ["summary_of"]
-
 #: inputs of a quantity or limit that get a line
 _MOST: Final = 6
 #: sentences about accuracies that were not reached

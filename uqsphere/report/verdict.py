@@ -68,15 +68,6 @@ from uqsphere.results import LimitEntry, MeasureEntry, Results
 from uqsphere.results.entries import Est
 from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION
 
-__all__ = [
-    "Glance",
-    "allowed_value",
-    "cautions",
-    "glances",
-    "ignorance_text",
-    "verdicts",
-]
-
 
 def verdicts(contents: Contents) -> list[Verdict]:
     """One verdict per limit; for a study without limits one per quantity."""

@@ -9,8 +9,6 @@ from uqsphere.results import AssumedEntry, FractureEntry, MeasureEntry, Quantity
 from uqsphere.results.entries import Est
 from uqsphere.store import csv_text
 
-__all__ = ["tables"]
-
 #: a row of cells; header and rows by name
 Row: TypeAlias = list[object]
 Tables: TypeAlias = dict[str, tuple[Sequence[str], Sequence[Sequence[object]]]]

@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     from uqsphere.study.document import Accuracy as Accuracies
     from uqsphere.uq.describe import Description
 
-__all__ = [
-    "FACTOR",
-    "FURTHER",
-    "account",
-    "further_rows",
-    "questions",
-]
-
 #: factor between planned and taken from which on a reason is given
 FACTOR: Final = 2.0
 #: parts beside which a cheaper model may be evaluated, and what that is called

@@ -24,8 +24,6 @@ from uqsphere.runner.results import Findings
 from uqsphere.store import Store
 from uqsphere.study import Study
 
-__all__ = ["analyse"]
-
 
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""

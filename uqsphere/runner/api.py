@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from uqsphere.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.errors import UsageError
-from uqsphere.model import NO_DAMPER, BlackBox, load_black_box, model_digest, scene_of
+from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.store import open_store
 from uqsphere.study import Study
@@ -18,11 +19,6 @@ from uqsphere.study import Study
 if TYPE_CHECKING:
     from uqsphere.runner.finished import Run
     from uqsphere.runner.workers import Executor
-
-__all__ = [
-    "run",
-    "why_not_extended",
-]
 
 
 def run(

@@ -20,8 +20,6 @@ from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import WhatIf, probability
 
-__all__ = ["AxisRows", "Look", "at_value", "axis_of", "draw_points", "evaluate_at", "judge_of", "limit_state"]
-
 #: points that are drawn at a time
 BLOCK: Final = 256
 #: points of each replicate that the response answers for

@@ -17,27 +17,6 @@ from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.schedule import CAUTION
 from uqsphere.units import told_apart
 
-__all__ = [
-    "INDEX_KIND",
-    "MEAN_KIND",
-    "MISS_KIND",
-    "MOST_NAMED",
-    "NO_NUMBER",
-    "QUANTILE_KIND",
-    "Accuracy",
-    "Cost",
-    "Course",
-    "Missed",
-    "Question",
-    "campaign",
-    "cost_of",
-    "evaluations_needed",
-    "indices_missed",
-    "out_of_reach",
-    "rounded",
-    "speed_rows_of",
-]
-
 #: slowest and fastest fall of an error with the number of points that a forecast believes in
 SLOWEST, FASTEST = 0.5, 1.2
 #: a fall that was followed over less than this factor of points says little: the usual one is taken if it is faster

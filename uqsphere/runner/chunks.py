@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
+from uqsphere.black_box import BlackBox
 from uqsphere.errors import AccessError
-from uqsphere.model import STATUS_NOT_FINITE, Answered, BlackBox
+from uqsphere.model import STATUS_NOT_FINITE, Answered
 from uqsphere.runner.remote import Task, evaluate_rows
 from uqsphere.runner.workers import Engine, gather
 from uqsphere.store import PART_END, Store
@@ -31,21 +33,6 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
     from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "CHUNK",
-    "Gathered",
-    "block_size",
-    "chosen_columns",
-    "collect",
-    "fingerprint",
-    "meaning_of",
-    "packed",
-    "remembered",
-    "remembered_fractures",
-    "unpacked",
-]
-
-Array = npt.NDArray[np.float64]
 
 #: rows that are stored together
 CHUNK: Final = 16_384

@@ -12,8 +12,6 @@ from typing import Any, Final, TypeVar
 
 from uqsphere.errors import AccessError, UsageError
 
-__all__ = ["DaskExecutor", "as_executor", "dask_cluster"]
-
 #: seconds to wait for the scheduler to answer
 CONNECT: Final = 20.0
 #: workers' deaths that the scheduler itself bears before it reports them; `uqsphere.runner.workers` counts on

@@ -15,8 +15,6 @@ from uqsphere.store import Store, csv_text, write_atomically, write_json
 if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["force_band", "save_courses"]
-
 #: scenes that are followed over time, and instants of their courses
 SCENES, INSTANTS = 64, 240
 #: instants of the first look, and its length over the median time scale of Hertz contact

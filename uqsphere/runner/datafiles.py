@@ -13,8 +13,6 @@ from uqsphere.files import FOLDERS, is_device_name, read_whole
 from uqsphere.store import write_atomically
 from uqsphere.study import Study
 
-__all__ = ["keep_data", "kept_data", "named_files"]
-
 #: keys of a study whose value is the name of a file
 _KEYS: Final = ("file", "receiving_damper")
 #: a part of a path: what every system takes for a name, and a line of SHA256SUMS can hold

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
     from uqsphere.mechanics.scene import Scene
 
-__all__ = ["history_of", "history_summary"]
-
 
 def history_of(study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000) -> History:
     """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give it.

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import state_of, tie_strength
 from uqsphere.runner.questions.distributions import Sampled
@@ -39,9 +39,6 @@ from uqsphere.uq.target import (
 if TYPE_CHECKING:
     from uqsphere.uq.shapley import SubsetDesign
 
-__all__ = ["WANTED", "Drivers", "find_drivers"]
-
-Array = npt.NDArray[np.float64]
 
 #: samples of each replicate that delta, PAWN, and the drivers of failure rest on at most
 DELTA_POINTS, PAWN_POINTS, POINTS = 2048, 512, 8192

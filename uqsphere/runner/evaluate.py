@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
+from uqsphere.black_box import BlackBox
 from uqsphere.errors import TooManyFailures
 from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import (
@@ -18,15 +20,14 @@ from uqsphere.model import (
     ROUTE_FULL,
     STATUS_UNDECIDED,
     Answered,
-    BlackBox,
     is_answered,
     status_text,
 )
 from uqsphere.results import SpeedRow
-from uqsphere.runner.chunks import CHUNK, chosen_columns, collect
+from uqsphere.runner.chunks import chosen_columns, collect
 from uqsphere.runner.remote import Task
 from uqsphere.runner.schedule import REPLICATES
-from uqsphere.runner.workers import Engine, Executor
+from uqsphere.runner.workers import Engine
 from uqsphere.store import Store
 from uqsphere.study import Study
 from uqsphere.uq.joint import Joint
@@ -34,20 +35,6 @@ from uqsphere.uq.law import germs_of
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.sample import Sample
 
-__all__ = [
-    "CHUNK",
-    "Executor",
-    "Ledger",
-    "OutOfBudget",
-    "Work",
-    "draw",
-    "evaluate_points",
-    "evaluate_sample",
-    "none_answered",
-    "with_answered",
-]
-
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 #: share of failed rows above which `on_failure = "drop"` gives up

@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.black_box import BlackBox
 from uqsphere.errors import UsageError
-from uqsphere.model import BlackBox
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import Accuracy, Cost, Course, Missed, campaign, cost_of, indices_missed, speed_rows_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_sample, none_answered
@@ -45,8 +45,6 @@ from uqsphere.uq.expansion import germ_points
 from uqsphere.uq.indices import WORTHLESS
 from uqsphere.uq.response import Response, cross_fit, group_shares, pair_shares, spread_of
 from uqsphere.uq.sample import Sample
-
-__all__ = ["COST", "Expensive", "Priced", "answer_expensive", "keep_answers", "keep_indices", "keep_margins", "price"]
 
 #: runs that are timed by themselves
 FEW: Final = 8

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from uqsphere.runner.finished import Run
 
-__all__ = ["export_run", "read_table"]
-
 
 def read_table(folder: Path, name: str) -> pd.DataFrame:
     """A table of a finished run.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
 from uqsphere.results import CheckEntry
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.scene import Scene
     from uqsphere.mechanics.validity import Check
 
-__all__ = ["Candidate", "Pilot", "check_entry", "check_table", "differences", "first_look"]
-
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 #: a cheaper fidelity is taken if its error is below this share of the tightest accuracy asked for

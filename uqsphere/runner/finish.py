@@ -16,8 +16,6 @@ from uqsphere.runner.results import Findings, build_manifest, build_results, wri
 from uqsphere.runner.samples import save_points
 from uqsphere.store import Store
 
-__all__ = ["finish"]
-
 
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""

@@ -15,8 +15,6 @@ from uqsphere.store import read_json
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Run", "open_run"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Run:

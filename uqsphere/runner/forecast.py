@@ -36,23 +36,6 @@ from uqsphere.study import Limit, Study
 from uqsphere.study.faults import one_of
 from uqsphere.uq.law import Law
 
-__all__ = [
-    "CHEAP",
-    "CHEAPER",
-    "FITS",
-    "OVERHEAD",
-    "Part",
-    "Way",
-    "base_rows",
-    "choose_way",
-    "forecast",
-    "fracture_limits",
-    "plan_run",
-    "plan_text",
-    "reflected",
-    "rough_quantities",
-]
-
 #: parts that evaluate a cheaper model, by the part that it may help
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
 #: Student's t of sixteen replicates

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.fidelity import Pilot
 from uqsphere.runner.multifidelity import Control, Plan, needed, verdict, weigh
 from uqsphere.uq.control import controlled_indices
 from uqsphere.uq.estimate import Estimate
 
-__all__ = ["IndexControl", "report_of", "sharpen"]
-
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Indices = dict[str, list[Estimate]]
 #: outputs (R, n, d + 2, q) and failures (R, n) of base points `start` to `start + count`, by work, key, start, count

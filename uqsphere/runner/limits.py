@@ -28,20 +28,6 @@ from uqsphere.uq.limit_state import (
 )
 from uqsphere.uq.sample import Sample
 
-__all__ = [
-    "SEEN",
-    "SMALL",
-    "LimitAnswer",
-    "carriers",
-    "judge_limits",
-    "limits_missed",
-    "state_of",
-    "takes_over",
-    "tie_strength",
-    "told_by_runs",
-    "unseen",
-]
-
 #: a probability below this is not chased for its relative accuracy by plain sampling
 NEGLIGIBLE = 1e-12
 #: a probability below this is left to the methods for rare events where sampling is not accurate

@@ -18,8 +18,6 @@ from typing import Final
 
 import uqsphere
 
-__all__ = ["NAME", "Log", "logged"]
-
 NAME: Final = "log.jsonl"
 #: seconds between two lines of progress within one stage
 _EVERY: Final = 5.0

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.runner.evaluate import Work, draw, evaluate_sample
 from uqsphere.runner.fidelity import Candidate, Pilot
 from uqsphere.runner.limits import LimitAnswer, state_of
@@ -21,9 +21,6 @@ from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, exceedance, miss, pick_replicates, reliability_index, target_met
 from uqsphere.uq.sample import Sample
 
-__all__ = ["Control", "Plan", "follow", "needed", "propose", "verdict", "weigh"]
-
-Array = npt.NDArray[np.float64]
 #: half-width over what is asked, by quantity and limit, of what is not accurate enough yet
 Excess = Callable[[dict[str, Description], dict[str, LimitAnswer]], dict[str, float]]
 

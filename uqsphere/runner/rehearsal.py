@@ -16,12 +16,10 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.black_box import BlackBox
 from uqsphere.errors import FolderError, StudyError, UsageError
-from uqsphere.model import BlackBox
 from uqsphere.store import Store
 from uqsphere.study import Study, load_study
-
-__all__ = ["Rehearsal", "Repeated", "rehearse", "stored_study"]
 
 
 @dataclass(frozen=True, kw_only=True)

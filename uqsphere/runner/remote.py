@@ -21,25 +21,14 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 import uqsphere
+from uqsphere.arrays import Array
+from uqsphere.black_box import BlackBox, load_black_box, model_digest
 from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError
 from uqsphere.mechanics.fidelity import Fallback
-from uqsphere.model import (
-    STATUS_RAISED,
-    Answered,
-    BlackBox,
-    answer_black_box,
-    answer_scene,
-    load_black_box,
-    model_digest,
-)
+from uqsphere.model import STATUS_RAISED, Answered, answer_black_box, answer_scene
 from uqsphere.study import Study
-
-__all__ = ["Task", "evaluate_remote", "evaluate_rows", "join", "pack_task", "prepare", "receive", "send", "serve"]
-
-Array = npt.NDArray[np.float64]
 
 _LENGTH: Final = struct.Struct(">Q")
 #: one evaluation at a time in a process: nothing is known of a model's threads, and the kernel has its own

@@ -33,14 +33,6 @@ from uqsphere.study import Margins
 from uqsphere.study.axis import limit_of, quantity_of
 from uqsphere.uq.estimate import Estimate
 
-__all__ = [
-    "Findings",
-    "build_manifest",
-    "build_results",
-    "versions",
-    "write_results",
-]
-
 SCHEMA_VERSION: Final = 1
 _DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
 

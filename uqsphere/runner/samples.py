@@ -19,8 +19,6 @@ from uqsphere.store import Store, write_atomically, write_json
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["load_samples", "read_points", "save_points"]
-
 #: rows kept for figures: the first ones of every replicate
 KEPT = 16_384
 

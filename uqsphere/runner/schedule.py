@@ -8,25 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = [
-    "CAUTION",
-    "DESIGN_POINT",
-    "FIRST_SAMPLE",
-    "FRACTURE",
-    "FRACTURE_CURVE",
-    "INDICES",
-    "MOST_CHEAPER",
-    "PILOT",
-    "RARE",
-    "REPLICATES",
-    "SAMPLING",
-    "SHAPLEY",
-    "SPECIMENS",
-    "SURROGATE",
-    "Schedule",
-    "pilot_points",
-]
-
 #: independent randomisations of every design: intervals rest on their spread, with the t of 15 degrees of freedom
 REPLICATES: Final = 16
 #: how far a forecast must lie beyond the budget before it is acted on: half-widths are uncertain by a fifth

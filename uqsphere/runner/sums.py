@@ -14,8 +14,6 @@ from uqsphere.errors import AccessError, FolderError
 from uqsphere.files import digest_of, read_whole
 from uqsphere.store import write_atomically
 
-__all__ = ["NAME", "compare_sums", "read_sums", "write_sums"]
-
 NAME: Final = "SHA256SUMS"
 _LINE: Final = re.compile(r"""([0-9a-f]{64})  (\w[^\x00-\x1f\x7f-\x9f\\:*?"<>|]{0,199})""")
 _MOST_BYTES: Final = 1 << 22

@@ -28,8 +28,6 @@ from uqsphere.uq.points import random_generator
 from uqsphere.uq.response import Answered, Response, answered, extended, index_shares, joined
 from uqsphere.uq.sample import Sample
 
-__all__ = ["Answers", "answers_of", "answers_of_runs", "blocks_of_runs", "settle_heavy", "tails_of", "widest"]
-
 #: points of each replicate that a surrogate is evaluated at, and where these alone would miss an accuracy
 LARGE, LARGER = 4096, 32_768
 #: numbers that the larger design holds at most: fewer points for more than 32 inputs

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw, evaluate_points
 from uqsphere.runner.limits import SEEN, state_of
@@ -24,15 +24,11 @@ from uqsphere.study import Limit
 from uqsphere.uq.curve import Fragility, fit_lognormal_curve, fragility
 from uqsphere.uq.estimate import Estimate, absent
 from uqsphere.uq.expansion import germ_points
-from uqsphere.uq.law import LawError
+from uqsphere.uq.families import LawError
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.response import METHOD, Response, cross_fit, joined, with_residuals
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.whatif import probability
-
-__all__ = ["surrogate_margins"]
-
-Array = npt.NDArray[np.float64]
 
 #: values of a curve, and points of each replicate at every one of them
 VALUES: Final = 25

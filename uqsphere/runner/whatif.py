@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.runner.axis_rows import AxisRows
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.limits import LimitAnswer, state_of, told_by_runs
@@ -22,8 +22,9 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.study import Limit
 from uqsphere.study.axis import spaced, strength_name
 from uqsphere.uq.estimate import Estimate
+from uqsphere.uq.families import LawError
 from uqsphere.uq.fitting import count_tests, is_fitted, laws_of_more_tests, possible_laws, possible_tails
-from uqsphere.uq.law import Law, LawError
+from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, miss, target_met
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
@@ -39,10 +40,6 @@ from uqsphere.uq.whatif import (
     roots,
     sides,
 )
-
-__all__ = ["find_assumed", "find_ignorance", "margin_left_open", "probabilities_by_tests"]
-
-Array = npt.NDArray[np.float64]
 
 #: laws in place of every fitted one, and rows of the sample that they are tried on
 LAWS: Final = 400

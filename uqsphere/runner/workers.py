@@ -19,25 +19,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
+from uqsphere.arrays import Array
 from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError
 from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, where_of
 from uqsphere.runner.remote import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
-
-__all__ = [
-    "Engine",
-    "Executor",
-    "LocalWorkers",
-    "TimeOver",
-    "WorkerDied",
-    "evaluate_guarded",
-    "gather",
-    "processors",
-]
-
-Array = npt.NDArray[np.float64]
 
 T = TypeVar("T")
 

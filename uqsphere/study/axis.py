@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.mechanics.bars import section
 from uqsphere.mechanics.contact import sphere_mass
 from uqsphere.uq.law import Law
@@ -17,9 +17,6 @@ from uqsphere.uq.law import Law
 if TYPE_CHECKING:
     from uqsphere.study.study import Limit, Study
 
-__all__ = ["ENERGY", "SPEED", "Axis", "limit_of", "make_axis", "quantity_of", "spaced", "strength_name", "with_number"]
-
-Array = npt.NDArray[np.float64]
 
 #: kinetic energy of the striker over the mass of the sphere: a free scalar that is no number of the file
 ENERGY: Final = "striker.specific_energy"

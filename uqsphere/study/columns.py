@@ -15,8 +15,6 @@ from uqsphere.study.faults import Misplaced, one_of, shown, suggestion
 from uqsphere.study.text import read_bytes
 from uqsphere.units import UNITS, Quantity, units_of
 
-__all__ = ["Observations", "inside_folder", "open_observations", "unit_factor", "unit_words"]
-
 #: bytes of a CSV, and values of a column
 LARGEST_CSV: Final = 1 << 20
 MOST_VALUES: Final = 100_000

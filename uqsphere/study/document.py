@@ -37,30 +37,6 @@ from uqsphere.study.tables import (
 from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
 
-__all__ = [
-    "MOST_GAUGES",
-    "SCENE",
-    "Accuracy",
-    "Analysis",
-    "BarsTable",
-    "Budget",
-    "Dependence",
-    "Document",
-    "EmpiricalTable",
-    "FamilyTable",
-    "Gauge",
-    "LimitTable",
-    "MarginsTable",
-    "ModelChoice",
-    "OutputsTable",
-    "ProductTable",
-    "PulseTable",
-    "SphereTable",
-    "SphereTestsTable",
-    "StrikerTable",
-    "ToleranceRequest",
-]
-
 #: tables of a scene whose numbers are entries of `uqsphere.quantities.INPUTS`
 SCENE: Final = ("sphere", "bars", "striker", "pulse", "product")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")

@@ -12,19 +12,6 @@ from typing import Any
 from uqsphere.errors import Problem
 from uqsphere.units import bare_number
 
-__all__ = [
-    "MOST_PROBLEMS",
-    "Findings",
-    "Misplaced",
-    "Place",
-    "Raw",
-    "nearest",
-    "one_of",
-    "render_place",
-    "shown",
-    "suggestion",
-]
-
 #: what TOML can hold: numbers, texts, dates, lists and tables
 Raw = Any
 #: The way to a value: keys and array indices from the top of the file, ``("dependence", 0, "of")``.

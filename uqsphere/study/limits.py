@@ -20,8 +20,6 @@ from uqsphere.study.study import Limit
 from uqsphere.units import Quantity
 from uqsphere.uq.law import Law
 
-__all__ = ["LimitReading", "known_quantity", "read_limits", "valid_name"]
-
 MOST_LIMITS: Final = 50
 #: pressures [Pa] that a strength is likely to be
 _STRONG: Final = (1e4, 1e12)

@@ -14,10 +14,7 @@ from uqsphere.study.numbers import plain_quantity, read_fixed
 from uqsphere.study.scene import Scene
 from uqsphere.study.study import Family, Margins, Study
 from uqsphere.units import Quantity
-from uqsphere.uq.law import LawError
-
-__all__ = ["check_moved_mean", "read_margins"]
-
+from uqsphere.uq.families import LawError
 
 #: what curves can be had over beside the free scalar, and the scalars that go with it
 IMPOSED: Final = "specific_energy"

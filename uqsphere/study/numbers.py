@@ -13,11 +13,9 @@ from uqsphere.study.document import EmpiricalTable
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.tables import bounds_in_words, declared, fixed_value, likely_unit, number_value, read_table
 from uqsphere.units import UNITS, Quantity, UnitError
-from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.families import FAMILIES, Family, LawError
 from uqsphere.uq.fitting import LEAST_TESTS, count_tests, fitted_law
-from uqsphere.uq.law import Law, LawError, make_law
-
-__all__ = ["Reading", "plain_quantity", "read_fixed", "read_number"]
+from uqsphere.uq.law import Law, make_law
 
 #: parameters of a law that are values of the quantity itself
 _WHERE: Final = ("mean", "mode", "lower", "upper")

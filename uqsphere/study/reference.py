@@ -40,8 +40,6 @@ from uqsphere.units import UNITS, units_of
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.fitting import FITS
 
-__all__ = ["TABLES", "build_schema", "key_table", "with_tables"]
-
 #: tables of the reference by their heading
 TABLES: Final = {
     "## Top level": Document,

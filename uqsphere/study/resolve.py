@@ -26,9 +26,8 @@ from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, r
 from uqsphere.study.study import Margins, Study, tie_of
 from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
-from uqsphere.uq.law import Law, LawError, make_law
-
-__all__ = ["load_study"]
+from uqsphere.uq.families import LawError
+from uqsphere.uq.law import Law, make_law
 
 MOST_INPUTS: Final = 1000
 MOST_DEPENDENCES: Final = 100

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from uqsphere.records.pulse import Bar
     from uqsphere.records.record import Wiring
 
-__all__ = ["DAMPER_COLUMNS", "PULSE_KEYS", "Scene", "check_scene", "read_damper", "read_gauges", "read_scene"]
-
 #: keys of a measured pulse beside its file
 _RECORD: Final = (
     "columns", "time_unit", "unit", "gauge_factor", "excitation", "amplification", "active_arms", "polarity", "window",

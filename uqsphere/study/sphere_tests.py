@@ -23,16 +23,15 @@ from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene
 from uqsphere.study.tables import read_table
 from uqsphere.units import Quantity, UnitError, parse_value
+from uqsphere.uq.families import LawError
 from uqsphere.uq.fitting import fitted_law
-from uqsphere.uq.law import Law, LawError
+from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
     Array = npt.NDArray[np.float64]
-
-__all__ = ["Demand", "is_sphere_tests", "read_sphere_tests"]
 
 #: columns at the failure of every test, (n,) each, by the names of the nomenclature
 Columns = Mapping[str, Any]

@@ -20,16 +20,6 @@ if TYPE_CHECKING:
     from uqsphere.uq.joint import Dependence as Tie
     from uqsphere.uq.joint import Joint
 
-__all__ = [
-    "EndImpedance",
-    "Family",
-    "Limit",
-    "Margins",
-    "Source",
-    "Study",
-    "tie_of",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:

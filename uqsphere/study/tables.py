@@ -29,30 +29,6 @@ from uqsphere.quantities import format_value
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, nearest, one_of, shown, suggestion
 from uqsphere.units import UNITS, Quantity, UnitError, bare_number, parse_value
 
-__all__ = [
-    "BAR_ENDS",
-    "MOST_LISTED",
-    "Check",
-    "Fixed",
-    "Flag",
-    "Node",
-    "Number",
-    "Real",
-    "Text",
-    "Whole",
-    "among",
-    "bounds_in_words",
-    "declared",
-    "due_of",
-    "fixed_value",
-    "key",
-    "likely_unit",
-    "number_value",
-    "read_table",
-    "several",
-    "within",
-]
-
 #: a part of a JSON schema
 Node = dict[str, Raw]
 Table = TypeVar("Table")

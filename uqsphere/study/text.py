@@ -23,18 +23,6 @@ from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, sug
 if TYPE_CHECKING:
     from tree_sitter import Node
 
-__all__ = [
-    "LARGEST_FILE",
-    "MOST_DOTS",
-    "MOST_NESTING",
-    "apply_overrides",
-    "drop_unusable_numbers",
-    "locate",
-    "parse_text",
-    "read_bytes",
-    "read_text",
-]
-
 LARGEST_FILE: Final = 1 << 20
 MOST_NESTING: Final = 16
 MOST_DOTS: Final = 12

@@ -18,8 +18,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
-__all__ = ["ARCHIMEDEAN", "FARTHEST", "Archimedean", "differences", "log_marginal", "score_from_logs"]
-
 #: scores are kept within these bounds: the tail beyond is less than 1e-315
 FARTHEST = 38.0
 #: exp of it is far from the largest number

@@ -28,13 +28,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.points import random_generator
 
-__all__ = [
-    "Pawn",
-    "delta_estimates",
-    "pawn_estimates",
-    "rank_indices",
-]
-
 Classes = npt.NDArray[np.int64]
 
 #: samples in all below which nothing is said

@@ -26,18 +26,6 @@ from uqsphere.uq.estimate import Estimate, absent, corrected, share, student
 from uqsphere.uq.expansion import Chaos, germ_points, predict
 from uqsphere.uq.indices import Blocks, Surrogate
 
-__all__ = [
-    "best_ratio",
-    "chaos_outputs",
-    "chaos_surrogate",
-    "controlled_indices",
-    "describe_controlled",
-    "expansion_indices",
-    "mean_expansion",
-    "predicted_cost",
-    "probability",
-]
-
 
 def predicted_cost(correlation: float, cost: float) -> float:
     """Cost of a control variate over that of plain sampling at equal error, with random points and the best sizes.

@@ -27,22 +27,6 @@ from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, tails
 from uqsphere.uq.sample import Sample
 
-__all__ = [
-    "FOLDS",
-    "METHOD",
-    "AxisFit",
-    "Curve",
-    "Fragility",
-    "Judge",
-    "LognormalCurve",
-    "fit_axis",
-    "fit_lognormal_curve",
-    "fragility",
-    "half_widths",
-    "interpolate_rows",
-    "local_lines",
-]
-
 Degrees: TypeAlias = npt.NDArray[np.int64]
 #: points, demands (R, n) and a value of the axis: the state of what is asked there
 Judge: TypeAlias = Callable[[Sample, Array, float], LimitState]

@@ -22,19 +22,6 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.units import told_apart
 from uqsphere.uq.estimate import NEVER, Absent, Estimate, Why, absent, from_replicates, share, student
 
-__all__ = [
-    "LEAST_BEYOND",
-    "Description",
-    "describe",
-    "describe_moments",
-    "hazen",
-    "hazen_ranks",
-    "lacking",
-    "quantile_estimates",
-    "skewness",
-    "woodruff_reach",
-]
-
 # --- moments --------------------------------------------------------------------------------------
 
 #: points of every replicate that are summed together

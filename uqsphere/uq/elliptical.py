@@ -11,8 +11,6 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.archimedean import FARTHEST, differences, log_marginal
 
-__all__ = ["Elliptical"]
-
 #: below it, a t variate could not be squared
 _LEAST_BETA = 1e-290
 

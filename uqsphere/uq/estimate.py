@@ -11,22 +11,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 
-__all__ = [
-    "NEVER",
-    "Absent",
-    "Estimate",
-    "Why",
-    "absent",
-    "corrected",
-    "exact",
-    "from_replicates",
-    "mean_alone",
-    "none_of",
-    "sd_alone",
-    "share",
-    "student",
-]
-
 
 class Why(Enum):
     """Why an answer is not given; the value is how its text begins, where it begins in one way."""

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["BY_DIRECTION", "BY_INFORMATION", "failure_shares"]
-
-Array = npt.NDArray[np.float64]
+from uqsphere.arrays import Array
 
 BY_DIRECTION: Final = "squared direction of the centre of failures in standard normal space"
 BY_INFORMATION: Final = "how much a failure tells of each input by itself: failures lie in several directions"

@@ -18,31 +18,12 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.families import FAMILIES, Family, LawError
 from uqsphere.uq.families.empirical import MOST_KERNELS, bandwidth
 from uqsphere.uq.families.family import Posterior
-from uqsphere.uq.law import Law, LawError, bounds_of, checked, make_law
+from uqsphere.uq.law import Law, bounds_of, checked, make_law
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.weibull import STRENGTHS, StrengthTests, fit_strength, fitted_parameters, make_tests, pivots
-
-__all__ = [
-    "FITS",
-    "LEAST_TESTS",
-    "Fit",
-    "count_tests",
-    "fit_marginal",
-    "fitted_law",
-    "goodness_of_fit",
-    "is_fitted",
-    "kolmogorov_p_value",
-    "laws_of_more_tests",
-    "plausible",
-    "plausible_laws",
-    "possible_densities",
-    "possible_laws",
-    "possible_tails",
-    "series_behind",
-]
 
 #: what a column of observations can become: a kernel density, a step function, or a member of a family
 FITS: Final = ("kde", "steps", *(name for name, family in FAMILIES.items() if not family.observed))

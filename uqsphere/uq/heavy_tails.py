@@ -20,25 +20,6 @@ from uqsphere.uq.indices import WORTHLESS
 from uqsphere.uq.law import Law
 from uqsphere.uq.sample import Sample
 
-__all__ = [
-    "FEW_CARRIERS",
-    "MEAN",
-    "NONE_SEEN",
-    "VARIANCE",
-    "HeavyTail",
-    "carriers",
-    "describe_heavy",
-    "half_range",
-    "heavy_tail",
-    "hill",
-    "no_narrower",
-    "of_variance",
-    "tail_of",
-    "why_no_shares",
-    "widened_share",
-    "without_moments",
-]
-
 #: orders of the moments that are judged
 MEAN, VARIANCE = 1.0, 2.0
 #: least and largest number of rows that a growth is read off, and the share of all that are taken between them

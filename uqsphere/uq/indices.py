@@ -23,25 +23,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, corrected, from_replicates, student
 from uqsphere.uq.points import sobol_points
 
-__all__ = [
-    "ESTIMATORS",
-    "LARGE",
-    "METHOD",
-    "WORTHLESS",
-    "Blocks",
-    "Outputs",
-    "Ratio",
-    "SampledIndices",
-    "Surrogate",
-    "block_mean",
-    "choice_text",
-    "index_estimates",
-    "jansen_total",
-    "ordered",
-    "sampled_indices",
-    "uniform_halves",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks:

@@ -24,25 +24,8 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.archimedean import ARCHIMEDEAN, Archimedean
 from uqsphere.uq.elliptical import Elliptical
-from uqsphere.uq.law import Law, LawError
-
-__all__ = [
-    "COPULAS",
-    "LEAST_DOF",
-    "MOST_DOF",
-    "Copula",
-    "Dependence",
-    "Group",
-    "Joint",
-    "Tie",
-    "conditional_score",
-    "conditional_scores",
-    "correlation_from_spearman",
-    "dependent_scores",
-    "independent_scores",
-    "make_copula",
-    "make_joint",
-]
+from uqsphere.uq.families import LawError
+from uqsphere.uq.law import Law
 
 Copula: TypeAlias = Elliptical | Archimedean
 

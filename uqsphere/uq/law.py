@@ -17,8 +17,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.families import FAMILIES, Family, LawError
 from uqsphere.uq.families.empirical import steps_ppf, steps_share_below
 
-__all__ = ["FAMILIES", "Law", "LawError", "bounds_of", "checked", "germs_of", "make_law", "weibull_modulus"]
-
 _LEAST_MASS = 1e-290  # a truncation that leaves less cannot be told from nothing in floating point
 
 

@@ -20,20 +20,6 @@ from uqsphere.uq.estimate import Estimate, absent, student
 from uqsphere.uq.joint import Tie, conditional_score
 from uqsphere.uq.law import Law
 
-__all__ = [
-    "LimitState",
-    "exceedance",
-    "margin_quantiles",
-    "miss",
-    "pick_replicates",
-    "reliability_index",
-    "score_given_inputs",
-    "shifted_tails",
-    "strength_tails",
-    "tails",
-    "target_met",
-]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LimitState:

@@ -14,8 +14,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
-__all__ = ["MOST_DIMENSIONS", "random_generator", "sobol_points"]
-
 #: Dimensions for which direction numbers exist (Joe and Kuo 2008).
 MOST_DIMENSIONS = 21201
 

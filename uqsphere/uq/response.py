@@ -38,25 +38,6 @@ from uqsphere.uq.expansion.shares import Companion, active_inputs, chaos_moments
 from uqsphere.uq.heavy_tails import half_range, hill, widened_share, without_moments
 from uqsphere.uq.indices import ordered
 
-__all__ = [
-    "METHOD",
-    "MOST",
-    "Answered",
-    "Response",
-    "Subset",
-    "answered",
-    "cross_fit",
-    "extended",
-    "group_shares",
-    "half_width",
-    "index_shares",
-    "joined",
-    "pair_shares",
-    "share_of_noise",
-    "spread_of",
-    "with_residuals",
-]
-
 METHOD: Final = "surrogate, corrected by its residuals"
 #: largest share of the variance that a response may leave and still be used: above, rows by themselves know as much
 MOST: Final = 0.05

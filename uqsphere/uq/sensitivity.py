@@ -14,16 +14,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.points import sobol_points
 
-__all__ = [
-    "agree",
-    "cross_check",
-    "mix",
-    "saltelli_halves",
-    "saltelli_points",
-    "sobol_indices",
-    "widest",
-]
-
 _METHOD = "pick and freeze on randomised Sobol' points"
 
 

@@ -28,17 +28,6 @@ from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.joint import Joint
 from uqsphere.uq.points import random_generator, sobol_points
 
-__all__ = [
-    "BLOCK",
-    "MOST_EXACT",
-    "SubsetDesign",
-    "orders_of",
-    "shapley_estimates",
-    "subset_design",
-    "subset_points",
-    "subset_scores",
-]
-
 Orders = npt.NDArray[np.int64]
 
 #: inputs up to which every subset is paired by default

@@ -18,17 +18,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
 from uqsphere.uq.joint import Joint
 
-__all__ = [
-    "GivenFailure",
-    "explained_share",
-    "given_failure",
-    "indicator_indices",
-    "score_gradients",
-    "specimens_for_probability",
-    "specimens_for_share",
-    "sway_estimates",
-]
-
 #: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
 #: as the intervals are those of ratios
 LEAST_FAILURES = 200.0

@@ -16,8 +16,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
-__all__ = ["ToleranceLimits", "attained_confidence", "largest_order", "least_runs", "tolerance_limits"]
-
 
 def attained_confidence(runs: int, coverage: float, *, order: int = 1, sides: int = 1) -> float:
     """Confidence that the share between the order-th values from one end or from both is at least `coverage`.

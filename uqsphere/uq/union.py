@@ -22,17 +22,6 @@ from uqsphere.uq.joint import conditional_scores
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.limit_state import LimitState, tails
 
-__all__ = [
-    "Breaking",
-    "Union",
-    "draw_breaking",
-    "make_union",
-    "residual_correlation",
-    "share_of",
-    "union_state",
-    "weighted_quantile",
-]
-
 Index = npt.NDArray[np.int64]
 
 #: normal scores beyond which a tail is taken for certain

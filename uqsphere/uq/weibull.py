@@ -29,21 +29,6 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.families.family import Strength
 
-__all__ = [
-    "LEAST_FAILURES",
-    "STRENGTHS",
-    "StrengthFit",
-    "StrengthTests",
-    "fit_strength",
-    "fitted_parameters",
-    "kaplan_meier",
-    "make_tests",
-    "pivots",
-    "plotting_positions",
-    "unbiasing",
-]
-
-
 #: laws that can be fitted with stopped tests among them
 STRENGTHS: Final = {name: family.strength for name, family in FAMILIES.items() if family.strength is not None}
 _WEIBULL: Final = STRENGTHS["weibull"]

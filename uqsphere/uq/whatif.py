@@ -18,21 +18,6 @@ from uqsphere.uq.fitting import possible_densities
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState, shifted_tails, tails
 
-__all__ = [
-    "AS_GIVEN",
-    "MOST_TESTS",
-    "WhatIf",
-    "curves_under",
-    "fewest_tests",
-    "importance_weights",
-    "is_decided",
-    "logit",
-    "probability",
-    "probability_of_logit",
-    "roots",
-    "sides",
-]
-
 #: more tests than this are not asked of anybody
 MOST_TESTS: Final = 5000
 #: logits beyond this are those of 0 and 1

@@ -16,8 +16,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = ["cache_folder", "compiled"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

@@ -23,17 +23,6 @@ from uqsphere.mechanics.integrator.faces import (
 from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
 
-__all__ = [
-    "after_step",
-    "begin",
-    "combine",
-    "decided",
-    "finish",
-    "highest_between",
-    "look",
-    "passage",
-]
-
 
 @compiled(**INNER)
 def value(piece, face, theta):

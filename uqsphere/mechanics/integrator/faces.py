@@ -46,24 +46,6 @@ from uqsphere.mechanics.integrator.tracked import (
 )
 from uqsphere.mechanics.integrator.vectors import apart
 
-__all__ = [
-    "face_force",
-    "has_yielded",
-    "largest_approach",
-    "largest_force",
-    "let_go",
-    "log_start",
-    "may_switch",
-    "new_faces",
-    "on_virgin_loading",
-    "press_deeper",
-    "press_on",
-    "stored_energy",
-    "switch",
-    "tail_level",
-    "wrong_branch",
-]
-
 #: share of x_m by which an approach has to fall below it before it can rise through it again
 ARMED = 1e-13
 #: dx/dt that has no sign, scaled: a turn leaves so little

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.step import INNER, LANES, ORDER, PAIR, TERMS
+from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR, TERMS
 from uqsphere.mechanics.integrator.vectors import apart, elementwise, mix, row, values_at, where
-
-__all__ = ["QUEUE", "WAVE", "add_echo", "echo_steps", "enter_piece", "incident", "next_break", "reflect_break"]
 
 #: points over a step at which a wave that comes back is read
 WAVE = 12

@@ -27,12 +27,8 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.step import (
-    LANES,
-    ORDER,
-    PAIR,
     SLOW_ROOM,
     SMALL_MU,
-    TERMS,
     decay_time,
     evaluate,
     expand,
@@ -41,10 +37,9 @@ from uqsphere.mechanics.integrator.step import (
     slow_step,
     step_from_touch,
 )
+from uqsphere.mechanics.integrator.tracked import LANES, ORDER, PAIR, TERMS
 from uqsphere.mechanics.integrator.vectors import bare
 from uqsphere.mechanics.integrator.vectors import row as row_of
-
-__all__ = ["march"]
 
 #: longest trial step over the last step: without and with waves that come back, for which a step that fails costs the
 #: reading of the waves anew

@@ -42,8 +42,6 @@ from uqsphere.mechanics.integrator.tracked import (
 from uqsphere.mechanics.outputs import OUTPUTS, Answers, answers_of, wishes
 from uqsphere.mechanics.scene import STATUS, UNDECIDED, Scene, answered
 
-__all__ = ["MODES", "Motion", "Scaled", "integrate", "motion", "motions", "scaled_arguments", "solve", "thread_count"]
-
 #: fidelities the integrator knows, and the number it knows them by
 MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
 #: what `scaled_arguments` gives, in the order in which the kernel takes it
@@ -242,7 +240,7 @@ def march_rows(
     asked: the tolerance of the answers, where `tolerance` is closer; keep: the path of the last row.
     """
     from uqsphere.mechanics.integrator.kernel import march
-    from uqsphere.mechanics.integrator.step import TERMS
+    from uqsphere.mechanics.integrator.tracked import TERMS
 
     share = _LOCAL_DIFFERENCE if wanted & WANT_DIFFERENCE else _LOCAL
     if wanted & (WANT_WIDTH | WANT_CONTACT) and not np.isfinite(arguments["horizon"]).all():

@@ -47,23 +47,6 @@ from uqsphere.mechanics.integrator.vectors import (
     where,
 )
 
-__all__ = [
-    "INNER",
-    "LANES",
-    "ORDER",
-    "PAIR",
-    "SLOW_ROOM",
-    "SMALL_MU",
-    "TERMS",
-    "decay_time",
-    "evaluate",
-    "expand",
-    "longest",
-    "root_error",
-    "slow_step",
-    "step_from_touch",
-]
-
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section 5)
 _CIRCLE = 0.85
 #: Runge-Kutta steps over a touch

@@ -12,23 +12,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = [
-    "apart",
-    "bare",
-    "curves_at",
-    "derivatives_at",
-    "elementwise",
-    "larger",
-    "mix",
-    "products",
-    "root_of",
-    "row",
-    "size_of",
-    "smaller",
-    "values_at",
-    "where",
-]
-
 
 def _tools():
     """LLVM's instructions, numba's types, and the decorator that joins them."""

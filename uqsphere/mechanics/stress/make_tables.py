@@ -24,26 +24,6 @@ from uqsphere.mechanics.stress.series import (
 )
 from uqsphere.mechanics.stress.tables import CONTACT_RATIO, POISSON, chebyshev_fit, chebyshev_nodes, half_space_rim
 
-__all__ = [
-    "SHAPES",
-    "HoopField",
-    "axis_series",
-    "equatorial_hoop",
-    "exact",
-    "field_of_the_table",
-    "hoop_field",
-    "largest_hoop",
-    "largest_shear",
-    "legendre_even",
-    "load_on_axis",
-    "make",
-    "pack",
-    "rim_integrals",
-    "rim_tension",
-    "surface_integrals",
-    "volume_integrals",
-]
-
 # --- Weakest-link integrals of the hoop tension over the volume and the surface of the sphere.
 # A flaw on a meridian plane is opened by sigma_phi alone, and cracks on meridian planes are what splits a sphere
 # between two faces.  The integral therefore takes the hoop tension,

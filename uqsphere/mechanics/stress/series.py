@@ -22,19 +22,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
-__all__ = [
-    "MOST_TERMS",
-    "Load",
-    "Stress",
-    "cross_in_closed_form",
-    "load_coefficients",
-    "pressure_on_surface",
-    "series_stress",
-    "surface_stress",
-    "terms_for",
-]
-
-
 #: degrees beyond which a series is not carried; what is left is stated by `Stress.truncation`
 MOST_TERMS = 40_000
 

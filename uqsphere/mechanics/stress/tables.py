@@ -25,22 +25,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Values
 
-__all__ = [
-    "CONTACT_RATIO",
-    "MODULUS",
-    "NAMES",
-    "POISSON",
-    "POISSON_WEIBULL",
-    "Table",
-    "chebyshev_fit",
-    "chebyshev_nodes",
-    "core_ratio",
-    "half_space_rim",
-    "load_table",
-    "outside",
-    "ratio",
-]
-
 #: ranges of the tables
 CONTACT_RATIO: Final = (0.005, 0.3)
 POISSON: Final = (0.0, 0.5)

@@ -28,35 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "APOSTROPHE",
-    "BLUE",
-    "FAINT",
-    "GREEN",
-    "GREY",
-    "INK",
-    "LIGHT",
-    "MARKS",
-    "ON_LIGHT",
-    "ORANGE",
-    "PAPER",
-    "PURPLE",
-    "RED",
-    "SKY",
-    "Picture",
-    "clean",
-    "dots",
-    "inline",
-    "new_figure",
-    "render",
-    "shorten",
-    "slim",
-    "slug",
-    "spread",
-    "style",
-    "wrap",
-]
-
 # --- Paths of an SVG without what nobody sees: digits beyond a hundredth of a point, and corners flatter than that.
 
 #: corners that lie nearer to a straight line than this [pt] are left out

@@ -45,15 +45,6 @@ from uqsphere.results.entries import Entry, Est, Ests
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "Change",
-    "density_picture",
-    "fragility_picture",
-    "index_picture",
-    "moved_picture",
-    "moved_rows",
-]
-
 #: rows of the figure of what moved, and of the figure of indices
 _MOST_ROWS: Final = 14
 _MOST_INPUTS: Final = 10

@@ -34,8 +34,6 @@ from uqsphere.runner.questions.curves import METHOD
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Series", "convergence_figure", "course_finding", "error_series", "speed_figure"]
-
 _COLOURS: Final = (BLUE, ORANGE, GREEN, RED, SKY)
 #: series with a label; the rest is drawn thin
 _LABELLED: Final = 10

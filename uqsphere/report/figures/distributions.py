@@ -28,12 +28,6 @@ from uqsphere.uq.law import Law
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "axis_label",
-    "distribution_figure",
-    "overlap_remarks",
-]
-
 #: a range of more than this ratio is drawn on a logarithmic axis
 _WIDE: Final = 40.0
 

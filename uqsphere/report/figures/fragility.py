@@ -57,24 +57,6 @@ from uqsphere.runner.questions.curves import member_values
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "energy_block",
-    "family_figure",
-    "family_finding",
-    "family_name",
-    "family_table",
-    "fragility_figure",
-    "fragility_finding",
-    "lognormal_remarks",
-    "lognormal_scores",
-    "margin_figure",
-    "margin_findings",
-    "probability_axis",
-    "score",
-    "solved_label",
-    "x_scale",
-]
-
 #: probabilities outside this range lie beyond the axis, and are followed this far
 _LEAST, _LAST = 1e-6, 1e-15
 #: factor between largest and smallest margin from which on their axis is logarithmic, and the logarithm where it ends

@@ -44,20 +44,6 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import History
     from uqsphere.mechanics.scene import Scene
 
-__all__ = [
-    "draw_forces",
-    "draw_gauges",
-    "draw_history",
-    "draw_xt",
-    "force_rows",
-    "gauge_rows",
-    "history_figure",
-    "units_of_history",
-    "wave_forces",
-    "write_history",
-    "xt_figure",
-]
-
 #: instants of a drawn course
 _POINTS: Final = 1200
 #: changes of contact with a line of their own; a sphere that rattles has more than can be told apart

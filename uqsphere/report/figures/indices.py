@@ -42,18 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "MOST_INPUTS",
-    "draw_indices",
-    "group_figure",
-    "group_finding",
-    "group_table",
-    "pair_figure",
-    "pair_finding",
-    "pair_table",
-    "sensitivity_figure",
-]
-
 _HALF: Final = 0.17
 #: what an index is drawn within: a bad estimate must not squeeze the others
 _LEFT, _RIGHT = -0.1, 1.5

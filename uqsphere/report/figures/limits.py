@@ -65,22 +65,6 @@ from uqsphere.uq.weibull import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "FittedTests",
-    "Sides",
-    "fitted_tests",
-    "fracture_finding",
-    "fracture_table",
-    "interplay_figure",
-    "interplay_remarks",
-    "opposed",
-    "probability_plot",
-    "sides_of",
-    "surface_figure",
-    "surface_finding",
-    "tests_table",
-]
-
 #: points that are drawn, and slices in which the demand is described
 _DRAWN: Final = 900
 _SLICES: Final = 12

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from uqsphere.records.pulse import CutPulse
     from uqsphere.records.record import Record
 
-__all__ = ["forces_figure", "pulse_figure"]
-
 #: points of a course; of more, each stretch shows its lowest and its highest
 _POINTS: Final = 1600
 

@@ -40,20 +40,6 @@ if TYPE_CHECKING:
 
     from uqsphere.mechanics.history import History
 
-__all__ = [
-    "bars_figure",
-    "draw_field",
-    "field_rows",
-    "force_band_figure",
-    "force_band_finding",
-    "force_band_heading",
-    "hardest_table",
-    "hardest_words",
-    "stress_figure",
-    "stress_inside_figure",
-    "stress_picture",
-]
-
 #: contact pressure over the yield strength of the bars at which they yield
 YIELD_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
 _FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving face B", ORANGE))

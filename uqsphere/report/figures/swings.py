@@ -46,9 +46,6 @@ from uqsphere.uq.failure_indices import BY_INFORMATION
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Swing", "furthest", "swings", "tornado_figure", "tornado_finding", "tornado_table", "waterfall_figure",
-           "waterfall_finding", "waterfall_heading", "waterfall_table"]  # fmt: skip
-
 #: share of the samples at either end of an input
 TENTH: Final = 0.1
 #: samples at either end below which nothing is said

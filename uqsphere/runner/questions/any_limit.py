@@ -25,8 +25,6 @@ from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import Union, make_union, residual_correlation, union_state
 
-__all__ = ["AnyLimit", "tied_otherwise"]
-
 #: a probability of fracture this close to 0 or 1 needs no more points of the curve
 NEGLIGIBLE: Final = 1e-6
 

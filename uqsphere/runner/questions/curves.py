@@ -33,27 +33,6 @@ from uqsphere.uq.curve import Fragility, LognormalCurve, fit_lognormal_curve, fr
 from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.whatif import probability
 
-__all__ = [
-    "GAP",
-    "KIND",
-    "LATE",
-    "METHOD",
-    "Band",
-    "Coarse",
-    "CurveFound",
-    "EnergyCurve",
-    "Found",
-    "accepted",
-    "asked_probabilities",
-    "curves_along",
-    "energy_curve",
-    "family_curves",
-    "find_rows",
-    "lognormal_table",
-    "member_values",
-    "widest",
-]
-
 #: points of each replicate that look over the range, and values that they look at
 SCAN_POINTS: Final = 2
 SCAN_VALUES: Final = 9

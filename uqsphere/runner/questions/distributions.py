@@ -28,8 +28,6 @@ from uqsphere.uq.estimate import absent, exact
 from uqsphere.uq.heavy_tails import describe_heavy
 from uqsphere.uq.sample import Sample
 
-__all__ = ["METHOD", "Sampled", "excess_of", "find_missed", "sample_distributions", "shortfalls", "speed_rows"]
-
 METHOD = "randomised quasi-Monte Carlo"
 #: what is said of an accuracy that failed rows prevent
 FOR_FAILED = Cost(" (the failed evaluations leave that open, and no further ones would narrow it)")

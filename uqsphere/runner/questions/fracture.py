@@ -37,8 +37,6 @@ from uqsphere.uq.points import random_generator
 from uqsphere.uq.sample import Sample
 from uqsphere.uq.union import Breaking, Union, draw_breaking, make_union, share_of, weighted_quantile
 
-__all__ = ["find_fracture"]
-
 #: orders that are listed
 ORDERS: Final = 8
 #: share of specimens whose loading could not be followed, above which nothing is said

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from uqsphere.arrays import Array
 from uqsphere.model import is_answered
 from uqsphere.results import SpeedRow
 from uqsphere.runner.campaign import (
@@ -125,24 +126,8 @@ if TYPE_CHECKING:
     from uqsphere.uq.indices import Surrogate
     from uqsphere.uq.shapley import SubsetDesign
 
-__all__ = [
-    "Pairs",
-    "Sensitivity",
-    "Shared",
-    "blocks_of",
-    "dependent_names",
-    "find_sensitivity",
-    "helpers_of",
-    "lost_designs",
-    "pick_and_freeze",
-    "share_heavy",
-    "shares_with_tails",
-    "surrogate_outputs",
-]
-
 # --- The design of pick and freeze for a study: which blocks, their outputs, and what failures leave of them.
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 

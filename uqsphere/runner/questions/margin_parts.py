@@ -28,8 +28,6 @@ from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.sample import Sample
 
-__all__ = ["YIELD_FACTOR", "Where", "describe_margin", "study_at"]
-
 #: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
 YIELD_FACTOR: Final = 1.6
 #: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit

@@ -39,8 +39,6 @@ from uqsphere.uq.estimate import Estimate, absent
 if TYPE_CHECKING:
     from uqsphere.mechanics.outputs import Answers
 
-__all__ = ["MarginAnswer", "find_margins", "judge_answers", "unmoved_margins"]
-
 #: share of the budget of evaluations that all curves together may take
 SHARE: Final = 0.1
 #: scenes that are checked at each answer

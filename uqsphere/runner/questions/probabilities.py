@@ -38,28 +38,6 @@ from uqsphere.uq.rare.auto import RareAnswer, find_probability
 from uqsphere.uq.rare.form import DesignPoint, FormAnswer, find_design_points
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction
 
-__all__ = [
-    "DOUBTFUL",
-    "MOST_CALLS",
-    "Demand",
-    "DesignFound",
-    "Learned",
-    "LimitSpace",
-    "complement",
-    "find_design",
-    "learn_limits",
-    "learnable",
-    "limit_space",
-    "narrower",
-    "physical_values",
-    "refine_limits",
-    "reserve",
-    "search_failures",
-    "tied_strength",
-    "with_design",
-    "with_surrogate_design",
-]
-
 METHOD: Final = "importance sampling"
 #: calls of the model that one limit may take, and the least that are worth a beginning
 MOST_CALLS: Final = 200

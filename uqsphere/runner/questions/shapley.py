@@ -26,8 +26,6 @@ from uqsphere.uq.shapley import (
     subset_points,
 )
 
-__all__ = ["TASK", "orders_at", "share_variance"]
-
 TASK = "shapley"
 METHOD = "pairs of runs"
 

@@ -15,8 +15,6 @@ from uqsphere.study.document import ToleranceRequest
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.tolerance import tolerance_limits
 
-__all__ = ["find_tolerance"]
-
 
 @dataclass(kw_only=True)
 class Tolerance:

@@ -29,8 +29,6 @@ from uqsphere.uq.expansion.germs import (
 )
 from uqsphere.uq.expansion.solvers import SOLVERS, Task, neglected, solve_rows, steadied
 
-__all__ = ["Basis", "Contest", "Found", "compete", "deal", "lowered", "prepare", "spread_of"]
-
 #: hyperbolic norms of the bases that are tried
 NORMS: Final = (1.0, 0.75, 0.5)
 _ENOUGH: Final = 1e-18  # of the variance: a larger basis would only cost time

@@ -17,21 +17,6 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.uq.expansion.germs import GermLike, Indices, orthonormal_slopes, orthonormal_values, products
 
-__all__ = [
-    "BORDERS",
-    "TRANSFORMS",
-    "Border",
-    "Chaos",
-    "Piece",
-    "Side",
-    "Transform",
-    "gradients",
-    "identity",
-    "possible_transforms",
-    "predict",
-    "score_features",
-]
-
 #: what can be expanded in place of an output y, with t = sign (y - origin) > 0
 TRANSFORMS: Final = ("identity", "log", "shifted log", "square root", "reciprocal")
 

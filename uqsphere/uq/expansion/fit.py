@@ -18,18 +18,6 @@ from uqsphere.uq.expansion.shares import law_points
 from uqsphere.uq.expansion.solvers import blended, leaned, neglected, refits, solve_rows, steadied
 from uqsphere.uq.expansion.splits import Split, find_split
 
-__all__ = [
-    "Forecast",
-    "Verdict",
-    "enrichment",
-    "fit_again",
-    "fit_chaos",
-    "fit_outputs",
-    "forecast",
-    "judge",
-    "validation_error",
-]
-
 #: an error above this is not told from 1 by the best of a few dozen trials
 _NOTHING: Final = 0.9
 #: an output that leaves more than this is taken for a rough one

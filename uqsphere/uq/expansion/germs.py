@@ -20,25 +20,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
-__all__ = [
-    "GERMS",
-    "HIGHEST_DEGREE",
-    "Combination",
-    "Germ",
-    "GermLike",
-    "Indices",
-    "germ_name",
-    "germ_points",
-    "grown",
-    "hyperbolic_indices",
-    "law_germ",
-    "nested",
-    "orthonormal_slopes",
-    "orthonormal_values",
-    "products",
-    "skipping",
-]
-
 #: germs known by name: each follows the distribution of chaospy of that name
 GERMS = ("normal", "uniform")
 

@@ -23,19 +23,6 @@ from uqsphere.uq.expansion.expansion import Chaos, predict
 from uqsphere.uq.expansion.germs import Combination, GermLike, germ_points, nested, orthonormal_values, products
 from uqsphere.uq.points import sobol_points
 
-__all__ = [
-    "Companion",
-    "active_inputs",
-    "chaos_indices",
-    "chaos_moments",
-    "error_with_tails",
-    "index_of",
-    "indices_of_order",
-    "law_points",
-    "law_shares",
-    "sampled_moments",
-]
-
 _POINTS: Final = 8192
 #: points that a companion is fitted to, its degree and terms, and what it may leave of the variance elsewhere
 _FITTED: Final = 4096

@@ -25,22 +25,6 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
-__all__ = [
-    "SOLVERS",
-    "Neglected",
-    "Path",
-    "Refits",
-    "Solver",
-    "Task",
-    "blended",
-    "leaned",
-    "left_one_out",
-    "neglected",
-    "refits",
-    "solve_rows",
-    "steadied",
-]
-
 Order: TypeAlias = npt.NDArray[np.intp]
 
 _ROUNDING: Final = 1e-15  # of the norm of the outputs: what is left is rounding

@@ -20,8 +20,6 @@ from uqsphere.uq.expansion.expansion import Border, Side, score_features
 from uqsphere.uq.expansion.germs import Indices
 from uqsphere.uq.expansion.solvers import Task, forward_selection, left_one_out, solve_rows, steadied
 
-__all__ = ["PROPOSALS", "Split", "find_split"]
-
 Samples: TypeAlias = npt.NDArray[np.intp]
 
 _LEAST_SHARE: Final = 0.08  # of the samples on either side

@@ -12,9 +12,6 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.families.family import Distances, Family, LawError, Posterior, between
 
-__all__ = ["FAMILIES"]
-
-
 # --- uniform and loguniform ----------------------------------------------------------------------------
 
 

@@ -16,16 +16,6 @@ import numpy as np
 from uqsphere.arrays import Array, Places
 from uqsphere.uq.families.family import Family
 
-__all__ = [
-    "FAMILIES",
-    "bandwidth",
-    "kernel_density",
-    "kernel_from_score",
-    "kernel_score",
-    "steps_ppf",
-    "steps_share_below",
-]
-
 #: Beyond this many observations a kernel density has nothing to add to the step function.
 MOST_KERNELS = 5000
 _REACH = 37.5  # normal scores beyond this are below the smallest floating-point probability

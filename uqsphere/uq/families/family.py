@@ -20,8 +20,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags
 
-__all__ = ["Distances", "Family", "LawError", "Posterior", "Strength", "between", "positive_mean"]
-
 Shapes: TypeAlias = tuple[float, ...]
 Standard: TypeAlias = Callable[[Array, Shapes], Array]
 Parameters: TypeAlias = Mapping[str, float]

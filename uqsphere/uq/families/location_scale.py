@@ -16,8 +16,6 @@ import numpy as np
 from uqsphere.arrays import Array, Flags
 from uqsphere.uq.families.family import Distances, Family, LawError, Strength, positive_mean
 
-__all__ = ["FAMILIES", "MOMENTS", "extreme_pivots", "scaled_fit", "weibull_estimates"]
-
 MOMENTS: Final = (("mean", "sd"), ("mean", "cov"))
 #: logarithmic scatter below which closed forms of a lognormal law tell whether it is sound
 _PLAIN_SPREAD: Final = 5.0

@@ -12,8 +12,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.families.family import Distances, Family, Posterior, positive_mean
 from uqsphere.uq.families.location_scale import MOMENTS, scaled_fit
 
-__all__ = ["FAMILIES"]
-
 #: steps of the logarithm of a shape between which the distribution of a distance is the same for all purposes
 _STEPS: Final = 20.0
 #: largest degrees of freedom that are tried: what cannot be told from a normal law

@@ -24,18 +24,6 @@ from uqsphere.uq.rare.importance import wide_mixture
 from uqsphere.uq.rare.mixture import Component, Mixture, allocate, draw_mixture, joined, log_density
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction, Spent, log_normal_density
 
-__all__ = [
-    "METHOD",
-    "ActiveAnswer",
-    "Kriging",
-    "fit_kriging",
-    "learn_probability",
-    "predict",
-    "predict_reduced",
-    "reduced",
-    "through",
-]
-
 # --- a small Gaussian process: constant mean, Matérn 5/2, a length for every variable, by likelihood --
 
 _NUGGET = 1e-8

@@ -38,12 +38,6 @@ from uqsphere.uq.rare.mixture import Mixture, Radial, component_densities, fit_m
 from uqsphere.uq.rare.problem import Evaluator, LimitFunction, log_normal_density
 from uqsphere.uq.rare.subset import SubsetAnswer, subset_simulation
 
-__all__ = [
-    "RareAnswer",
-    "count_modes",
-    "find_probability",
-]
-
 Indices = npt.NDArray[np.int64]
 
 

@@ -19,8 +19,6 @@ from uqsphere.arrays import Array
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
-__all__ = ["DesignPoint", "FormAnswer", "find_design_points"]
-
 #: step of the central differences, in standard deviations
 STEP = 0.03
 #: iterations of one search

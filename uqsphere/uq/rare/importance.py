@@ -39,21 +39,6 @@ from uqsphere.uq.rare.mixture import (
 )
 from uqsphere.uq.rare.problem import Evaluator, Spent, log_normal_density
 
-__all__ = [
-    "ImportanceAnswer",
-    "Pool",
-    "adapt",
-    "around_design_points",
-    "blended",
-    "collect",
-    "defended",
-    "importance_sampling",
-    "pooled_weights",
-    "refit",
-    "tail_shape",
-    "wide_mixture",
-]
-
 #: independent randomisations that an interval rests on
 REPLICATES = 16
 #: least standard error on a hard limit, over that of independent points

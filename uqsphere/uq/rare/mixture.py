@@ -20,21 +20,6 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.uq.points import sobol_points
 
-__all__ = [
-    "Component",
-    "Mixture",
-    "Radial",
-    "allocate",
-    "draw_mixture",
-    "draw_radial",
-    "fit_mixture",
-    "fit_radial",
-    "log_density",
-    "radial_density",
-    "widened",
-    "widened_radial",
-]
-
 _GRID = 4097
 
 

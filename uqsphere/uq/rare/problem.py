@@ -15,8 +15,6 @@ import numpy as np
 
 from uqsphere.arrays import Array
 
-__all__ = ["Evaluator", "FailedEvaluation", "LimitFunction", "Spent", "log_normal_density"]
-
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 

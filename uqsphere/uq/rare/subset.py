@@ -19,8 +19,6 @@ from uqsphere.uq.estimate import Absent, Estimate, Why, absent, student
 from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
-__all__ = ["SubsetAnswer", "subset_simulation"]
-
 #: share of a level that seeds the next
 SHARE = 0.1
 #: rate of acceptance that the steps aim at
