@@ -33,6 +33,9 @@ UNITS: Final[dict[str, dict[str, float]]] = {
     "volume": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
     "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
     "strain_rate": {"1/s": 1.0},
+    "mass": {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+    "stiffness": {"N/m": 1.0, "N/um": 1e6, "kN/mm": 1e6, "MN/m": 1e6},
     "number": {"": 1.0},
 }
 
