@@ -56,6 +56,8 @@ def _materials() -> tuple[Rows, str]:
                         "property": key,
                         "value": entry.value,
                         "cov": entry.cov,
+                        **({} if entry.range is None else {"low": entry.range[0], "high": entry.range[1]}),
+                        **entry.further,
                         "source": entry.source,
                         "source_seen": entry.seen,
                     }
