@@ -116,6 +116,9 @@ def scene_of(
         first_loading_only=study.model.first_loading_only,
         horizon=study.model.horizon,
         demands=study.demands,
+        contact_law=str(study.options.get("contact.law", "hertz")),
+        contact_dynamics="elastic" if study.options.get("contact.dynamics") == "elastic" else "path",
+        hardness_at_onset=study.options.get("contact.hardness") == "onset",
         record=study.record,
     )
 

@@ -24,7 +24,7 @@ from uqsphere.mechanics.pulses import (
     build_pulse,
     noise_names,
 )
-from uqsphere.mechanics.yielding import Face
+from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
 from uqsphere.units import Quantity
 
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
@@ -37,6 +37,10 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="radius of the sphere"),
     Quantity(name="sphere.density", symbol="rho", dimension="density", display="kg/m3", plausible=(500.0, 2e4),
              meaning="density of the sphere"),
+    Quantity(name="sphere.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
+             meaning="contact pressure at which the sphere begins to yield or to crush"),
+    Quantity(name="sphere.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
+             meaning="mean pressure at which the sphere flows or crushes fully (indentation hardness)"),
     Quantity(name="bars.E", symbol="E_b", dimension="pressure", display="GPa", plausible=(1e9, 6e11),
              meaning="Young's modulus of the bars"),
     Quantity(name="bars.nu", symbol="nu_b", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
@@ -57,6 +61,14 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              meaning="radius of rounded bar ends (flat ends: absent)"),
     Quantity(name="bars.yield_strength", symbol="Y_b", dimension="pressure", display="MPa", plausible=(1e7, 5e9),
              meaning="yield strength of the bars"),
+    Quantity(name="bars.insert_E", symbol="E_i", dimension="pressure", display="GPa", plausible=(1e9, 1.2e12),
+             meaning="Young's modulus of inserts between bars and sphere"),
+    Quantity(name="bars.insert_nu", symbol="nu_i", dimension="number", lower=-1.0, upper=0.5, plausible=(0.05, 0.45),
+             meaning="Poisson ratio of the inserts"),
+    Quantity(name="bars.insert_yield_strength", symbol="Y_i", dimension="pressure", display="MPa",
+             plausible=(1e7, 1e10), meaning="yield strength of the inserts"),
+    Quantity(name="bars.insert_thickness", symbol="t_i", dimension="length", display="mm", plausible=(1e-4, 0.2),
+             meaning="thickness of the inserts"),
     Quantity(name="striker.speed", symbol="v_0", dimension="speed", display="m/s", plausible=(1e-3, 50.0),
              meaning="speed of the striker"),
     Quantity(name="striker.length", symbol="l_0", dimension="length", display="m", plausible=(0.01, 5.0),
@@ -89,20 +101,23 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              plausible=(0.2, 1.0), meaning="largest product fineness t10"),
     Quantity(name="product.b", symbol="b", dimension="mass_per_energy", display="t/kWh",
              plausible=(0.1 / 3600.0, 10.0 / 3600.0), meaning="how fast the product fineness rises with the energy"),
-    *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
-               meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
-      for j, name in enumerate(noise_names(), start=1)),
-)}  # fmt: skip
-
-#: The law of faces that yield: numbers that a scene may have beside `INPUTS`; no study file has them yet.
-FACE_INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="contact.onset_pressure", symbol="p_y", dimension="pressure", display="GPa", plausible=(1e8, 2e10),
              meaning="centre pressure at which a face begins to yield or to crush"),
     Quantity(name="contact.hardness", symbol="H", dimension="pressure", display="GPa", plausible=(1e8, 5e10),
              meaning="mean pressure of a face that flows fully (indentation hardness)"),
     Quantity(name="contact.pile_up", symbol="C", dimension="number", lower=1.0, upper=3.0, closed=True,
              plausible=(1.0, 3.0), meaning="pile-up: a² over r times the approach, far beyond yield"),
+    Quantity(name="contact.gamma", symbol="gamma", dimension="number", lower=2.0, upper=8.0, closed=True,
+             plausible=(2.0, 8.0), meaning="exponent of the sphere's damage"),
+    Quantity(name="contact.fracture_energy", symbol="E_f", dimension="specific_energy", display="J/kg",
+             plausible=(0.1, 1e5), meaning="specific fracture energy of the sphere"),
+    *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
+               meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
+      for j, name in enumerate(noise_names(), start=1)),
 )}  # fmt: skip
+
+#: Laws of the contact: elastic, with yield of the softer body, with damage of the sphere.
+CONTACT_LAWS: Final = ("hertz", "plastic", "damage")
 
 #: what the status of a row means; only rows of 0 and of 7 have numbers
 STATUS: dict[int, str] = {
@@ -132,6 +147,11 @@ _NEEDED: Final = (
     "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
 )  # fmt: skip
 _NEEDED_FINITE: Final = ("bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end")
+#: columns that serve validity checks only where nothing yields
+_CHECKED_ONLY: Final = frozenset({
+    "bars.yield_strength", "bars.insert_yield_strength", "bars.insert_thickness",
+    "sphere.onset_pressure", "sphere.hardness",
+})  # fmt: skip
 #: what makes a striker another bar than the others
 STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
@@ -177,6 +197,12 @@ class Scene:
         End of the record [s]; None: the rule of docs/theory.md.
     demands : mapping of str to (str, mapping)
         Further quantities: name -> criterion of `uqsphere.mechanics.criteria` and its parameters.
+    contact_law : str
+        A key of `CONTACT_LAWS`.
+    contact_dynamics : str
+        Of a law that yields: ``path``, inside the equations of motion, or ``elastic``, from the largest force alone.
+    hardness_at_onset : bool
+        The hardness is the onset, row by row (Thornton's law).
     record : MeasuredPulse or None
         The pulse of the shape ``measured``, the same in every row but for its noise and gain; `striker.speed` is
         then 2 c0 times its peak strain and gain.
@@ -194,18 +220,23 @@ class Scene:
     first_loading_only: bool = False
     horizon: float | None = None
     demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
+    contact_law: str = "hertz"
+    contact_dynamics: str = "path"
+    hardness_at_onset: bool = False
     record: MeasuredPulse | None = None
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES and self.record is None:
             raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
+        if self.contact_law not in CONTACT_LAWS:
+            raise ValueError(f"unknown contact law {self.contact_law!r} (allowed: {', '.join(CONTACT_LAWS)})")
         if (self.shape == "measured") != (self.record is not None):
             raise ValueError("a record belongs to the shape 'measured', and that shape needs one")
         if self.shape not in STRIKER_SHAPES and not STRIKER_COLUMNS.isdisjoint(self.columns):
             raise ValueError(f"a {self.shape} pulse does not follow from the striker's material or diameter")
         if missing := [name for name in self._needed if name not in self.columns]:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
-        if unknown := [name for name in self.columns if name not in INPUTS | FACE_INPUTS]:
+        if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
         if self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse never ends: the record needs a horizon")
@@ -303,7 +334,11 @@ class Scene:
         c = self.columns
         with np.errstate(all="ignore"):
             modulus = contact.reduced_modulus(
-                c["sphere.E"], c["sphere.nu"], c["bars.E"], c["bars.nu"], rigid_bars=self.rigid_contact
+                c["sphere.E"],
+                c["sphere.nu"],
+                c.get("bars.insert_E", c["bars.E"]),
+                c.get("bars.insert_nu", c["bars.nu"]),
+                rigid_bars=self.rigid_contact,
             )
             radius = contact.effective_radius(c["sphere.radius"], self.column("bars.end_radius", np.inf))
             beta = contact.hertz_constant(modulus, radius)
@@ -334,15 +369,35 @@ class Scene:
             )
 
     @cached_property
+    def bodies(self) -> tuple[Body, Body]:
+        """What yields at a face: bar end or insert, and sphere; (n,) each, an onset that is not given infinite."""
+        strength = self.column("bars.insert_yield_strength") if self.inserted else self.column("bars.yield_strength")
+        bar = metal_body(strength, self.columns.get("bars.insert_nu", self.columns["bars.nu"]))
+        if self.rigid_contact:
+            bar = bar._replace(onset=np.full(len(self), np.inf))
+        sphere = Body(
+            self.column("sphere.onset_pressure", np.inf),
+            self.column("sphere.hardness", np.inf),
+            np.full(len(self), CAP_PILE_UP),
+        )
+        return bar, sphere
+
+    @property
+    def inserted(self) -> bool:
+        """Whether inserts with a yield strength of their own stand between bars and sphere."""
+        return "bars.insert_yield_strength" in self.columns
+
+    @cached_property
     def faces(self) -> Face | None:
-        """The law of both faces where the scene has one, (n,) each; None: elastic."""
-        if "contact.onset_pressure" not in self.columns:
+        """The law of both faces where they yield, (n,) each: that of the softer body, but for what [contact] gives."""
+        if self.contact_law != "plastic":
             return None
-        onset, scales = self.columns["contact.onset_pressure"], self.scales
+        c, own, scales = self.columns, softer(*self.bodies), self.scales
+        onset = c.get("contact.onset_pressure", own.onset)
         return Face(
             onset=onset,
-            hardness=self.columns.get("contact.hardness", onset),
-            pile_up=self.column("contact.pile_up", 1.0),
+            hardness=onset if self.hardness_at_onset else c.get("contact.hardness", own.hardness),
+            pile_up=c.get("contact.pile_up", own.pile_up),
             modulus=scales.modulus,
             effective_radius=scales.effective_radius,
         )
@@ -352,9 +407,9 @@ class Scene:
         """Status of every row before anything is integrated, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
         for name, column in self.columns.items():
-            if name == "bars.yield_strength":  # serves a validity check only
+            if name in _CHECKED_ONLY and self.contact_law == "hertz":
                 continue
-            bound = INPUTS.get(name) or FACE_INPUTS[name]
+            bound = INPUTS[name]
             inside = (column >= bound.lower) & (column <= bound.upper)
             if not bound.closed:
                 inside &= (column != bound.lower) & (column != bound.upper)
@@ -372,6 +427,7 @@ class Scene:
             if (faces := self.faces) is not None:
                 # b between 0 and 0.2 has a singularity near onset; above 100 the face is Hertz's but for rounding
                 b = faces.softening
+                codes[~((faces.pile_up >= 1.0) & (faces.onset > 0.0) & (faces.hardness >= faces.onset))] = 1
                 codes[~((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))] = 1
             brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
             codes[brief.any(axis=1)] = 1

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,9 @@ _NEAR: Final = 0.3
 _STEPS: Final = 60
 #: mean pressure over yield strength of a metal that flows fully (Jackson and Green 2005)
 FLOW: Final = 2.84
+#: pile-up C of a perfectly plastic body (Jackson and Green 2005), and of a cap cut off flat: a² = 2 r alpha
+METAL_PILE_UP: Final = 8.0 / 3.0
+CAP_PILE_UP: Final = 2.0
 
 
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
@@ -40,6 +43,30 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
     1.615
     """
     return np.asarray(1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength)
+
+
+class Body(NamedTuple):
+    """What one body of a face has of the law: onset p_y [Pa] (infinite: elastic), hardness H [Pa], pile-up C; (n,)."""
+
+    onset: Array
+    hardness: Array
+    pile_up: Array
+
+
+def metal_body(yield_strength: Array, nu: Array) -> Body:
+    """A metal by its yield strength [Pa] and Poisson ratio; a strength that is not a number is none."""
+    onset = metal_onset(yield_strength, nu)
+    known = np.isfinite(onset)
+    return Body(
+        np.where(known, onset, np.inf), FLOW * np.asarray(yield_strength), np.full(np.shape(onset), METAL_PILE_UP)
+    )
+
+
+def softer(one: Body, other: Body) -> Body:
+    """Of two bodies that meet the one whose onset is lower, row by row: all three numbers are its own."""
+    first = one.onset <= other.onset
+    onset, hardness, pile_up = (np.where(first, a, b) for a, b in zip(one, other, strict=True))
+    return Body(onset, hardness, pile_up)
 
 
 def _bend(t: Array, moment: int = 0) -> Array:

@@ -18,6 +18,7 @@ from pydantic.dataclasses import dataclass
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS
+from uqsphere.mechanics.scene import CONTACT_LAWS
 from uqsphere.study.faults import Misplaced, Raw, one_of, shown
 from uqsphere.study.tables import (
     MOST_LISTED,
@@ -38,7 +39,7 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
 
 #: tables of a scene whose numbers are entries of `uqsphere.quantities.INPUTS`
-SCENE: Final = ("sphere", "bars", "striker", "pulse", "product")
+SCENE: Final = ("sphere", "bars", "striker", "pulse", "contact", "product")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
@@ -137,6 +138,12 @@ class SphereTable:
     E: Number = key("Young's modulus", default_is="from the material")
     nu: Number = key("Poisson ratio, below 0.5", default_is="from the material")
     density: Number = key("density", default_is="from the material")
+    onset_pressure: Number = key(
+        "contact pressure at which the sphere yields or crushes", default_is="from the material, else it does not"
+    )
+    hardness: Number = key(
+        "mean pressure at which it flows or crushes fully; needed with `onset_pressure`", default_is="from the material"
+    )
     radius: Number = key(
         "radius, not diameter; the sphere must fit its bars", due='add radius = "10 mm", half the diameter'
     )
@@ -150,7 +157,9 @@ class BarsTable:
     E: Number = key("as for the sphere", default_is="from the material")
     nu: Number = key("as for the sphere", default_is="from the material")
     density: Number = key("as for the sphere", default_is="from the material")
-    yield_strength: Number = key("only for the validity checks", default_is="from the material")
+    yield_strength: Number = key(
+        "for the validity checks, and for the law of the contact where it is `plastic`", default_is="from the material"
+    )
     diameter: Number = key("diameter of the bars", due='add diameter = "40 mm"')
     incident_length: Number = key(
         "length; with `infinite` it serves a validity check alone", default_is="required unless `infinite`"
@@ -166,6 +175,13 @@ class BarsTable:
         "`impedance_imag` [kg/s] of the far end"
     )
     end_radius: Number = key("radius of rounded ends at the sphere", default_is="flat")
+    insert_E: Number = key(
+        "Young's modulus of inserts that stand between bars and sphere; their waves are left out",
+        default_is="no insert",
+    )
+    insert_nu: Number = key("Poisson ratio of the inserts", default_is="that of the bars")
+    insert_yield_strength: Number = key("yield strength of the inserts", default_is="that of the bars")
+    insert_thickness: Number = key("thickness of the inserts, for a validity check")
     infinite: Flag = key("no reflections", False)
     rigid_contact: Flag = key("leaves the bars out of the contact stiffness, `1/E* = (1 - nu²)/E`", False)
 
@@ -212,6 +228,38 @@ class PulseTable:
     gauge_distance: Length | None = key("distance of the gauge from the sphere")
     gain: Number = None
     noise: Flag | None = key("the noise of the record becomes random inputs")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class ContactTable:
+    """What a face does beyond Hertz: the softer of two bodies yields or crushes, or the sphere is damaged."""
+
+    law: Annotated[Text, among(CONTACT_LAWS)] = key(
+        '`"hertz"`; `"plastic"`: the softer body yields or crushes; `"damage"`: the sphere softens (Tavares)', "hertz"
+    )
+    dynamics: Annotated[Text, among(("auto", "elastic", "path"))] = key(
+        '`"path"`: the law inside the equations of motion; `"elastic"`: the force by Hertz, the rest from the largest '
+        'force; `"auto"`: by the rule of `[model] fidelity`',
+        "auto",
+    )
+    onset_pressure: Number = key(
+        "centre pressure at which a face begins to yield or to crush", default_is="that of the softer body"
+    )
+    hardness: Number = key(
+        'mean pressure of a face that flows fully; `"onset"`: the same as the onset',
+        default_is="that of the softer body",
+    )
+    pile_up: Number = key(
+        "`a²` over `r` times the approach, far beyond yield: 1 to 3", default_is="`8/3` where a metal yields, else `2`"
+    )
+    gamma: Number = key("`damage`: exponent of the damage, 2 to 8", default_is="required by `damage`")
+    fracture_energy: Number = key(
+        '`damage`: specific fracture energy of the sphere; `{ same_as = "limits.NAME.strength" }` for a fixed one',
+        default_is="required by `damage`",
+    )
+    blows: Annotated[Whole, within(1, 1000, closed=True)] = key(
+        "`damage`: equal blows, each with the stiffness and fracture energy that the last has left", 1
+    )
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -291,6 +339,11 @@ class LimitTable:
     strength: Number = key(
         "what it is held against: value or distribution, in the unit of the quantity",
         due='add a number such as "4 GPa", or a distribution',
+    )
+    strength_is: Annotated[Text, among(("hertz", "pressure"))] | None = key(
+        'which pressure the strength of a limit on pressure is: `"hertz"` (computed from a force by Hertz) or '
+        '`"pressure"` (true)',
+        default_is='required where the contact is `"plastic"`',
     )
     aim: Annotated[Text, among(("survive", "break"))] = key(
         '`"survive"`: the quantity must stay below the strength; `"break"`: it must exceed it', "survive"
@@ -495,6 +548,7 @@ class Document:
     bars: BarsTable | None = None
     striker: StrikerTable | None = None
     pulse: PulseTable | None = None
+    contact: ContactTable | None = None
     product: ProductTable | None = None
     model: ModelChoice | None = None
     inputs: Mapping[Text, Number] | None = None

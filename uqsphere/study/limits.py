@@ -11,10 +11,11 @@ from typing import Final
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
 from uqsphere.mechanics.outputs import PATHS
 from uqsphere.quantities import OUTPUTS, lookup
+from uqsphere.study.contact import compared_pressure
 from uqsphere.study.document import LimitTable
-from uqsphere.study.faults import Findings, Place, one_of, shown, suggestion
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_number
-from uqsphere.study.scene import Scene
+from uqsphere.study.scene import Scene, worded
 from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_sphere_tests
 from uqsphere.study.study import Limit
 from uqsphere.units import Quantity
@@ -92,6 +93,8 @@ def read_limits(
         else:
             demand = _criterion_demand(table, name, outputs is not None, findings)
         strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings)
+        if demand is not None and outputs is None:
+            demand = replace(demand, quantity=compared_pressure(demand.quantity, table, name, scene, findings))
         if demand is not None:
             demand = _with_modulus_of(strength, demand, name, findings)
         factor = None
@@ -219,3 +222,21 @@ def _with_modulus_of(strength: Reading | None, demand: Demand, name: str, findin
         said = "the strength of a weakest link is a Weibull law of its modulus; with another the probability is not"
         findings.warn(("limits", name), f"{said} that of the flaws")
     return replace(demand, parameters={"modulus": float(modulus), **demand.parameters})
+
+
+def share_fracture_energy(raw: Raw, limits: Sequence[LimitReading], scene: Scene, findings: Findings) -> None:
+    """Put the strength of a limit in place of ``{ same_as = "limits.NAME.strength" }``."""
+    if not worded("contact", "fracture_energy", raw) or scene.options.get("contact.law") != "damage":
+        return
+    place = ("contact", "fracture_energy", "same_as")
+    named = {f"limits.{limit.name}.strength": limit for limit in limits}
+    limit = named.get(raw["same_as"]) if isinstance(raw["same_as"], str) else None
+    if limit is None:
+        findings.add(place, f"found {shown(raw['same_as'])}: the strength of a limit is due, limits.NAME.strength")
+    elif limit.quantity not in ("specific_energy", "energy_sphere", "specific_energy_sphere"):
+        findings.add(place, f"limits.{limit.name} is no limit on a specific energy")
+    elif limit.strength is not None and isinstance(limit.strength.value, Law):
+        said = "its strength scatters and is averaged over, not drawn, so that no row could share it"
+        findings.add(place, f"limits.{limit.name}: {said}; give fracture_energy a law of its own")
+    elif limit.strength is not None:
+        scene.readings["contact.fracture_energy"] = Reading(value=limit.strength.value)

@@ -22,6 +22,7 @@ from uqsphere.study.document import (
     SCENE,
     Analysis,
     BarsTable,
+    ContactTable,
     Dependence,
     Document,
     EmpiricalTable,
@@ -46,6 +47,7 @@ TABLES: Final = {
     "## [sphere]": SphereTable,
     "## [bars]": BarsTable,
     "## [striker]": StrikerTable,
+    "## [contact]": ContactTable,
     "## [product]": ProductTable,
     "## [[gauges]]": Gauge,
     "## [model]": ModelChoice,
@@ -139,6 +141,9 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     for section, kind in (("sphere", "sphere"), ("bars", "bars"), ("striker", "bars")):
         tables[names[section]]["properties"]["material"]["enum"] = list(material_names(kind))
     tables["StrikerTable"]["required"] = ["speed"]
+    tables["ContactTable"]["properties"]["hardness"]["anyOf"].insert(0, {"const": "onset"})
+    same = {"type": "object", "properties": {"same_as": {"type": "string"}}, "additionalProperties": False}
+    tables["ContactTable"]["properties"]["fracture_energy"]["anyOf"].append(same)
     limit = tables["LimitTable"]
     strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
     choices = [choice for name in strengths for choice in _number_or_law(name)["anyOf"]]

@@ -10,6 +10,7 @@ from typing import Final
 from uqsphere.errors import StudyError
 from uqsphere.quantities import INPUTS
 from uqsphere.study.axis import strength_name
+from uqsphere.study.contact import check_contact, read_contact
 from uqsphere.study.document import (
     SCENE,
     Analysis,
@@ -19,7 +20,7 @@ from uqsphere.study.document import (
     ToleranceRequest,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
-from uqsphere.study.limits import LimitReading, known_quantity, read_limits, valid_name
+from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
@@ -99,8 +100,12 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         _read_inputs(document, scene, findings)
     elif black_box is not None:
         scene = read_scene(document, data, findings)
+        read_contact(document.contact, scene, findings)
         check_scene(scene, model, findings)
+        check_contact(scene, model, findings)
     limits = read_limits(document.limits, outputs, findings, scene)
+    if document.contact is not None:
+        share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)
     analysis = _read_analysis(document, outputs, limits, findings)
     parts: dict[str, Raw] = {}
     if black_box is not None:

@@ -57,6 +57,8 @@ _GIVES: Final = {
     "bars": ("bars", ("E", "nu", "density", "yield_strength")),
     "striker": ("bars", ("E", "density")),
 }
+#: ... and beside where faces yield
+_GIVES_OF_YIELD: Final = {"sphere": ("onset_pressure", "hardness")}
 
 
 @dataclass(kw_only=True)
@@ -64,7 +66,7 @@ class Scene:
     """The numbers of a scene by dotted path, the random ones in file order, and what they came with."""
 
     readings: dict[str, Reading] = field(default_factory=dict)
-    options: dict[str, str | bool] = field(default_factory=dict)
+    options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Source] = field(default_factory=dict)
     record: MeasuredPulse | None = None
@@ -109,11 +111,21 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
             continue
         for key in data[section]:
             name = f"{section}.{key}"
-            if name in INPUTS and getattr(table, key, None) is not None:
-                reading = read_number(getattr(table, key), (section, key), INPUTS[name], findings)
+            raw = getattr(table, key, None)
+            if name in INPUTS and raw is not None and not worded(section, key, raw):
+                reading = read_number(raw, (section, key), INPUTS[name], findings)
                 if reading is not None:
                     scene.readings[name] = reading
                     _warn_of_odd(name, reading, findings)
+
+
+def worded(section: str, key: str, raw: Raw) -> bool:
+    """Whether a number of [contact] is written in words: ``hardness = "onset"``, ``{ same_as = … }``."""
+    if section != "contact":
+        return False
+    return (key == "hardness" and raw == "onset") or (
+        key == "fracture_energy" and isinstance(raw, Mapping) and "same_as" in raw
+    )
 
 
 def _check_striker(document: Document, scene: Scene, findings: Findings) -> None:
@@ -153,6 +165,8 @@ def _fill_from_library(document: Document, section: str, scene: Scene, findings:
     if table is None:
         return
     kind, keys = _GIVES[section]
+    if document.contact is not None and document.contact.law == "plastic":
+        keys = (*keys, *_GIVES_OF_YIELD.get(section, ()))
     known = library()[kind]
     name = table.material
     if name is None:

@@ -115,7 +115,7 @@ class Study:
     fixed: Mapping[str, float]
     random: Mapping[str, Law]
     given: Mapping[str, Mapping[str, float]]
-    options: Mapping[str, str | bool]
+    options: Mapping[str, str | bool | int]
     materials: Mapping[str, str]
     sources: Mapping[str, Source]
     model: ModelChoice

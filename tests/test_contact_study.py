@@ -1,0 +1,142 @@
+"""The table [contact] of a study: what it takes, what it refuses, and which pressure a strength is."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uqsphere.errors import StudyError
+from uqsphere.model import scene_of
+from uqsphere.study import load_study
+
+BASE = """
+[sphere]
+E = "52 GPa"
+nu = 0.25
+density = "2650 kg/m3"
+radius = "10 mm"
+[bars]
+E = "205 GPa"
+nu = 0.3
+density = "7850 kg/m3"
+yield_strength = "1000 MPa"
+diameter = "40 mm"
+infinite = true
+[striker]
+speed = "0.5 m/s"
+length = "0.8 m"
+[limits.crushing]
+quantity = "p_max"
+strength = "4 GPa"
+strength_is = "pressure"
+[contact]
+law = "plastic"
+"""
+
+
+def load(tmp_path: Path, *settings: str, text: str = BASE):
+    (tmp_path / "study.toml").write_text(text)
+    return load_study(tmp_path / "study.toml", settings)
+
+
+def faces(study, **columns):
+    return scene_of(study, {name.replace("__", "."): np.array(values) for name, values in columns.items()}, None).faces
+
+
+def test_the_softer_body_gives_all_three_numbers(tmp_path):
+    study = load(tmp_path, "sphere.onset_pressure='1.5 GPa'", "sphere.hardness='4 GPa'")
+    found = faces(study, bars__yield_strength=[0.8e9, 1.2e9])
+    assert found.onset == pytest.approx([1.295 * np.exp(0.736 * 0.3) * 0.8e9, 1.5e9])
+    assert found.hardness == pytest.approx([2.84 * 0.8e9, 4e9])
+    assert found.pile_up == pytest.approx([8.0 / 3.0, 2.0])
+
+
+def test_what_contact_gives_goes_first_and_inserts_stand_for_the_bars(tmp_path):
+    study = load(tmp_path, "contact.hardness='3 GPa'", "bars.insert_E='550 GPa'", "bars.insert_nu=0.22",
+                 "bars.insert_yield_strength='1.2 GPa'")  # fmt: skip
+    found, scales = faces(study), scene_of(study, {}, 1).scales
+    assert found.onset == pytest.approx(1.295 * np.exp(0.736 * 0.22) * 1.2e9)
+    assert found.hardness == pytest.approx(3e9)
+    assert 1.0 / scales.modulus == pytest.approx((1 - 0.25**2) / 52e9 + (1 - 0.22**2) / 550e9)
+    assert scales.impedance == pytest.approx(np.sqrt(205e9 * 7850.0) * np.pi * 0.02**2)
+
+
+def test_thornton_has_its_hardness_at_the_onset_in_every_row(tmp_path):
+    study = load(tmp_path, "contact.pile_up=1", "contact.onset_pressure={ dist='normal', mean='1.5 GPa', cov=0.1 }")
+    found = faces(study, contact__onset_pressure=[1.2e9, 1.9e9])
+    assert np.array_equal(found.hardness, found.onset)
+    assert np.array_equal(found.softening, [0.0, 0.0])
+
+
+def test_a_study_without_contact_is_what_it_was(tmp_path):
+    plain = load(tmp_path, text=BASE.replace("[contact]", "").replace('law = "plastic"', ""))
+    hertz = load(tmp_path, "contact.law=hertz", "contact.pile_up=2")
+    assert plain.hash == hertz.hash
+    assert not any(key.startswith("contact") for key in plain.options)
+    assert scene_of(plain, {}, 1).faces is None
+    assert hertz.warnings == ('contact.pile_up: not used: it belongs to law = "plastic"',)
+
+
+@pytest.mark.parametrize(
+    ("meant", "quantity"), [("hertz", "p_hertz"), ("pressure", "p_max")], ids=["by a force", "true"]
+)
+def test_a_strength_says_which_pressure_it_is(tmp_path, meant, quantity):
+    assert load(tmp_path, f"limits.crushing.strength_is={meant}").limits[0].quantity == quantity
+    assert load(tmp_path, f"limits.crushing.strength_is={meant}", "contact.law=hertz").limits[0].quantity == "p_max"
+
+
+def test_it_has_no_default_where_a_face_yields(tmp_path):
+    with pytest.raises(StudyError) as raised:
+        load(tmp_path, text=BASE.replace('strength_is = "pressure"', ""))
+    (problem,) = raised.value.problems
+    assert problem.path == "limits.crushing.strength_is"
+    assert len(problem.message.splitlines()) == 2
+
+
+@pytest.mark.parametrize(("settings", "path", "said"), [
+    (("contact.hardness='1 GPa'",), "contact.hardness", "cannot flow at less than its onset"),
+    (("contact.hardness='200 GPa'",), "contact.hardness", 'law = "hertz"'),
+    (("contact.hardness='0 GPa'",), "contact.hardness", "above 0"),
+    (("contact.hardness='-2 GPa'",), "contact.hardness", "above 0"),
+    (("contact.onset_pressure='nan GPa'",), "contact.onset_pressure", "nan"),
+    (("contact.pile_up=1.05", "contact.hardness='1.62 GPa'"), "contact.pile_up", "pile_up = 1.197 or more"),
+    (("contact.pile_up=3.5",), "contact.pile_up", "from 1 to 3"),
+    (("contact.law=soft",), "contact.law", "allowed"),
+    (("model.fidelity=linear",), "model.fidelity", "no law of the contact"),
+    (("bars.rigid_contact=true",), "bars.rigid_contact", "rigid bars do not yield"),
+    (("sphere.onset_pressure='1 GPa'",), "sphere.hardness", "hardness is missing"),
+    (("bars.insert_nu=0.2",), "bars.insert_nu", "insert_E is missing"),
+    (("bars.insert_E='500 GPa'", "bars.rigid_contact=true"), "bars.insert_E", "rigid_contact"),
+    (("limits.crushing.quantity=P_max", "limits.crushing.strength='5 kN'"), "limits.crushing.strength_is",
+     "not on P_max"),
+    (("contact.law=damage", "contact.fracture_energy='50 J/kg'"), "contact.gamma", "gamma is missing"),
+    (("contact.law=damage", "contact.gamma=9", "contact.fracture_energy='50 J/kg'"), "contact.gamma", "from 2 to 8"),
+    (("contact.law=damage", "contact.gamma=5", "contact.fracture_energy={ same_as='limits.crushing.strength' }"),
+     "contact.fracture_energy.same_as", "no limit on a specific energy"),
+    (("contact.law=damage", "contact.gamma=5", "contact.fracture_energy='5 J/kg'", "contact.blows=0"),
+     "contact.blows", "from 1 to 1000"),
+])  # fmt: skip
+def test_bad_numbers_are_refused_with_the_way_out(tmp_path, settings, path, said):
+    with pytest.raises(StudyError) as raised:
+        load(tmp_path, *settings)
+    assert {problem.path: problem.message for problem in raised.value.problems}.get(path, "").find(said) >= 0
+
+
+def test_a_law_without_its_numbers_is_refused(tmp_path):
+    text = BASE.replace('yield_strength = "1000 MPa"\n', "")
+    with pytest.raises(StudyError, match=r"give bars\.yield_strength, bars\.insert_yield_strength or contact"):
+        load(tmp_path, text=text)
+    with pytest.raises(StudyError, match="hardness is missing"):
+        load(tmp_path, "contact.onset_pressure='1 GPa'", text=text)
+    study = load(tmp_path, "contact.onset_pressure='1 GPa'", "contact.hardness=onset", "contact.pile_up=2", text=text)
+    assert faces(study).softening == pytest.approx(1.0)
+
+
+def test_rows_without_a_law_have_status_1(tmp_path):
+    scene = scene_of(load(tmp_path), {"contact.hardness": np.array([1e9, 2e9, 1e12])}, None)
+    assert scene.status.tolist() == [1, 0, 1]
+
+
+def test_the_base_is_toml():
+    assert tomllib.loads(BASE)["contact"]["law"] == "plastic"

@@ -1,0 +1,198 @@
+"""The table [contact] of a study: which law the faces follow, with which numbers, and whether they make one."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from uqsphere.mechanics.yielding import CAP_PILE_UP, FLOW, METAL_PILE_UP, metal_onset
+from uqsphere.quantities import format_value
+from uqsphere.study.document import ContactTable, LimitTable, ModelChoice
+from uqsphere.study.faults import Findings
+from uqsphere.study.scene import Scene
+from uqsphere.study.sphere_tests import is_sphere_tests
+from uqsphere.uq.law import Law
+
+#: numbers of [contact] by the law that they belong to
+_NUMBERS: Final = {"plastic": ("onset_pressure", "hardness", "pile_up"), "damage": ("gamma", "fracture_energy")}
+#: softening b between Thornton's 0 and this has a singularity near onset; above the other the face is Hertz's
+_LEAST_SOFTENING, _MOST_SOFTENING = 0.2, 100.0
+#: what four digits of a number in a message take or add at most
+_ROUNDED: Final = 1.001
+
+
+def read_contact(table: ContactTable | None, scene: Scene, findings: Findings) -> None:
+    """The law of the contact as options of a scene; numbers of another law are left out, with a warning."""
+    law = "hertz" if table is None else table.law
+    for other, keys in _NUMBERS.items():
+        for key in keys if other != law and findings.clean(("contact", "law")) else ():
+            if getattr(table, key, None) is not None:
+                scene.readings.pop(f"contact.{key}", None)
+                findings.warn(("contact", key), f'not used: it belongs to law = "{other}"')
+    _read_inserts(scene, findings)
+    if table is None or law == "hertz":
+        return
+    scene.options["contact.law"] = law
+    if law == "damage":
+        scene.options["contact.blows"] = table.blows
+        return
+    scene.options["contact.dynamics"] = table.dynamics
+    thornton = _fixed(scene, "contact.pile_up") == 1.0 and table.hardness is None
+    if table.hardness == "onset" or thornton:
+        scene.options["contact.hardness"] = "onset"
+    for key in ("onset_pressure", "hardness"):
+        source = scene.sources.get(f"sphere.{key}")
+        if source is not None and not source.seen:
+            said = "from the library, where it was not seen in its source (see its note): measure it"
+            findings.warn(
+                ("sphere", key), f"{format_value(scene.mean(f'sphere.{key}') or 0.0, f'sphere.{key}')} {said}"
+            )
+
+
+def _fixed(scene: Scene, name: str) -> float | None:
+    reading = scene.readings.get(name)
+    return None if reading is None or isinstance(reading.value, Law) else reading.value
+
+
+def _read_inserts(scene: Scene, findings: Findings) -> None:
+    """Inserts have a modulus, and stand before bars that give way."""
+    parts = [
+        key for key in ("insert_nu", "insert_yield_strength", "insert_thickness") if f"bars.{key}" in scene.readings
+    ]
+    if "bars.insert_E" in scene.readings:
+        if scene.options.get("bars.rigid_contact"):
+            findings.add(("bars", "insert_E"), "rigid_contact = true leaves inserts out as well: leave one of them out")
+        findings.warn(("bars", "insert_E"), "inserts enter the contact alone: the impedance stays that of the bars")
+    elif parts and findings.clean(("bars", "insert_E")):
+        findings.add(("bars", parts[0]), 'insert_E is missing (the modulus of the inserts): add insert_E = "210 GPa"')
+
+
+# --- whether the numbers make a law -------------------------------------------------------------------
+
+
+def check_contact(scene: Scene, model: ModelChoice, findings: Findings) -> None:
+    """Note what a law of the contact lacks, and numbers that make none; random ones at their nominal means."""
+    law = scene.options.get("contact.law", "hertz")
+    if law == "hertz":
+        return
+    if model.fidelity == "linear":
+        said = f'the linear model has no law of the contact: leave it out, or contact.law = "{law}"'
+        findings.add(("model", "fidelity"), said)
+    if law == "damage":
+        for key, example in (("gamma", "5"), ("fracture_energy", '"50 J/kg"')):
+            if f"contact.{key}" not in scene.readings and findings.clean(("contact", key)):
+                findings.add(("contact", key), f'{key} is missing: law = "damage" needs it, such as {key} = {example}')
+        return
+    numbers = _law_at_means(scene)
+    if numbers is None:
+        given = "bars.yield_strength, bars.insert_yield_strength or contact.onset_pressure"
+        if all(findings.clean(place) for place in (("bars",), ("contact",), ("sphere",))):
+            findings.add(("contact", "law"), f"nothing says what yields: give {given}")
+        return
+    onset, hardness, pile_up, bar_yields = numbers
+    if bar_yields and scene.options.get("bars.rigid_contact"):
+        findings.add(
+            ("bars", "rigid_contact"), "rigid bars do not yield: leave rigid_contact or bars.yield_strength out"
+        )
+    elif hardness is None or pile_up is None:
+        key = "hardness" if hardness is None else "pile_up"
+        where = "contact" if bar_yields or "contact.onset_pressure" in scene.readings else "sphere"
+        if findings.clean((where, key)):
+            example = '"2 GPa"' if key == "hardness" else "2"
+            findings.add((where, key), f"{key} is missing beside the onset: add {key} = {example} to [{where}]")
+    else:
+        _check_softening(onset, hardness, pile_up, findings)
+
+
+def _law_at_means(scene: Scene) -> tuple[float, float | None, float | None, bool] | None:
+    """Onset, hardness and pile-up of the faces at the nominal means, and whether it is the bar that yields.
+
+    The same as `uqsphere.mechanics.scene.Scene.faces` row by row; None where nothing has an onset.
+    """
+    strength, nu = (
+        scene.mean(f"bars.insert_{key}") if f"bars.insert_{key}" in scene.readings else scene.mean(f"bars.{key}")
+        for key in ("yield_strength", "nu")
+    )
+    bar = math.inf if strength is None or nu is None else float(metal_onset(strength, nu))
+    sphere, own = scene.mean("sphere.onset_pressure"), scene.mean("contact.onset_pressure")
+    sphere = math.inf if sphere is None else sphere
+    bar_yields = bar <= sphere and bar < math.inf
+    onset = min(bar, sphere) if own is None else own
+    if onset == math.inf:
+        return None
+    hardness: float | None
+    pile_up: float | None
+    if bar_yields and strength is not None:
+        hardness, pile_up = FLOW * strength, METAL_PILE_UP
+    else:
+        hardness, pile_up = scene.mean("sphere.hardness"), CAP_PILE_UP if sphere < math.inf else None
+    if scene.options.get("contact.hardness") == "onset":
+        hardness = onset
+    elif "contact.hardness" in scene.readings:
+        hardness = scene.mean("contact.hardness")
+    if "contact.pile_up" in scene.readings:
+        pile_up = scene.mean("contact.pile_up")
+    return onset, hardness, pile_up, bar_yields and own is None
+
+
+def _check_softening(onset: float, hardness: float, pile_up: float, findings: Findings) -> None:
+    """Note a hardness below the onset, and a softening b = C H/p_y - 1 that the law is not made for."""
+    place = ("contact", "hardness")
+    found, begin = (format_value(value, "contact.hardness") for value in (hardness, onset))
+    b = pile_up * hardness / onset - 1.0
+    if hardness < onset:
+        findings.add(
+            place, f"the hardness {found} is below the onset {begin}: a face cannot flow at less than its onset"
+        )
+    elif b > _MOST_SOFTENING:
+        most = format_value((1.0 + _MOST_SOFTENING) * onset / pile_up / _ROUNDED, "contact.hardness")
+        findings.add(
+            place, f'a hardness of {found} for an onset of {begin} is Hertz: give at most {most}, or law = "hertz"'
+        )
+    elif 1e-12 < b < _LEAST_SOFTENING:
+        least = (1.0 + _LEAST_SOFTENING) * _ROUNDED
+        findings.add(
+            ("contact", "pile_up"),
+            f"pile_up = {pile_up:.4g} with hardness {found} and onset {begin} makes b = C H/p_y - 1 = {b:.2g}, which "
+            f"must be 0 or from {_LEAST_SOFTENING:g} to {_MOST_SOFTENING:g}: give pile_up = "
+            f"{least * onset / hardness:.4g} or more, a hardness of "
+            f"{format_value(least * onset / pile_up, 'contact.hardness')} or more, or "
+            'pile_up = 1 with hardness = "onset"',
+        )
+
+
+# --- which pressure a strength is ---------------------------------------------------------------------
+
+#: quantities that are one pressure by Hertz and another where a face yields, and what a force is by Hertz
+_BY_HERTZ: Final = {"p_max": "p_hertz", "first_peak": None}
+
+
+def compared_pressure(quantity: str, table: LimitTable, name: str, scene: Scene, findings: Findings) -> str:
+    """The quantity that a strength is held against, by what the limit says of its pressure."""
+    place = ("limits", name, "strength_is")
+    meant = table.strength_is
+    if quantity not in _BY_HERTZ:
+        if meant is not None and quantity != "p_hertz":
+            findings.add(
+                place, f"strength_is belongs to a limit on p_max or first_peak, not on {quantity}: leave it out"
+            )
+        return quantity
+    if scene.options.get("contact.law") != "plastic":
+        return quantity
+    if meant is None:
+        if findings.clean(place):
+            findings.add(
+                place,
+                'strength_is is missing: "hertz" if the strength was computed from a failure force by Hertz, as nearly '
+                'all tabulated contact strengths are;\n"pressure" if it is a true pressure, which never exceeds the '
+                "hardness: the probabilities can differ by decades",
+            )
+        return quantity
+    if meant == "pressure":
+        if is_sphere_tests(table.strength):
+            said = 'forces at failure become pressures by Hertz: strength_is = "hertz" is what they are'
+            findings.add(place, said)
+        return quantity
+    if _BY_HERTZ[quantity] is None:
+        findings.add(place, f'{quantity} is a true pressure where faces yield: strength_is = "pressure", or p_max')
+    return _BY_HERTZ[quantity] or quantity
