@@ -19,19 +19,15 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.rigs import MOST_YIELDING
 from uqsphere.mechanics.yielding import Face
 
-#: largest lam of the table: beyond it the plate is punched, not struck
-MOST_YIELDING: Final = 3.0
 #: t_c = _DURATION (M²/(beta² v))^0.2, (R11): 2 * integral of dx/sqrt(1 - x^2.5) from 0 to 1, times 1.25^0.4
 _DURATION: Final = 3.218065487
 #: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner; Miller and Pursey 1954)
 _RADIATION: Final = 0.1486
 #: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
 _PULSE: Final = 3.80584
-#: gravity [m/s²]; drag of a sphere and density of air [kg/m³], for falls of metres (not measured here)
-GRAVITY: Final = 9.80665
-_DRAG, _AIR = 0.45, 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,11 +43,6 @@ class Blow:
 def reduced_mass(mass: Any, partner: Any = math.inf) -> Array:
     """M* = M m/(M + m) [kg] of a sphere and a free partner; a partner that does not move has m = inf. (R6)."""
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
-
-
-def plate_impedance(E: Any, nu: Any, density: Any, thickness: Any) -> Array:
-    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate: it gives way at P/Z. (R2)."""
-    return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * np.sqrt(density * E / (1.0 - nu * nu)))
 
 
 @cache
@@ -124,10 +115,3 @@ def wave_loss(hertz_constant: Any, mass: Any, speed: Any, density: Any, shear_sp
     """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys. Solids 5 (1957) 162."""
     compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
     return np.asarray(_PULSE * compliance * np.asarray(hertz_constant) ** 1.2 * mass**-0.2 * np.asarray(speed) ** 0.6)
-
-
-def drop_speed(height: Any, radius: Any, density: Any) -> Array:
-    """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is 6 % of v² at 8 m."""
-    terminal = 8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)
-    lost = np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal)
-    return np.asarray(np.sqrt(-terminal * lost))

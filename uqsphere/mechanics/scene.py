@@ -13,8 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.partners import Partner
 from uqsphere.mechanics.pulses import (
     PARAMETERS,
     SHAPES,
@@ -24,8 +25,96 @@ from uqsphere.mechanics.pulses import (
     build_pulse,
     noise_names,
 )
-from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
+from uqsphere.mechanics.rigs import RIGS, closing_speed, needed, outside, partners_of, speeds_at_touch
+from uqsphere.mechanics.yielding import Face
 from uqsphere.units import Quantity
+
+#: one degree of an angle [rad]
+_DEGREE: Final = math.pi / 180.0
+#: tables of partners -> what their symbols have as index, and what they are called
+_BODIES: Final = {
+    "target": ("t", "target"), "anvil": ("a", "anvil"), "other": ("2", "other sphere"), "hammer": ("h", "weight"),
+    "rod": ("r", "rod"), "platens": ("p", "platens"),
+}  # fmt: skip
+
+
+def _numbers_of(table: str) -> tuple[Quantity, ...]:
+    """What every partner of a rig can have: its material, and the law of its face."""
+    index, name = _BODIES[table]
+    return (
+        Quantity(name=f"{table}.E", symbol=f"E_{index}", dimension="pressure", display="GPa", plausible=(1e6, 1e12),
+                 meaning=f"Young's modulus of the {name}"),
+        Quantity(name=f"{table}.nu", symbol=f"nu_{index}", dimension="number", lower=-1.0, upper=0.5,
+                 plausible=(0.05, 0.5), meaning=f"Poisson ratio of the {name}"),
+        Quantity(name=f"{table}.density", symbol=f"rho_{index}", dimension="density", display="kg/m3",
+                 plausible=(500.0, 2e4), meaning=f"density of the {name}"),
+        Quantity(name=f"{table}.yield_strength", symbol=f"Y_{index}", dimension="pressure", display="MPa",
+                 plausible=(1e6, 1e10), meaning=f"yield strength of the {name}"),
+        *_law_of(table, index, name),
+    )  # fmt: skip
+
+
+def _law_of(table: str, index: str, name: str) -> tuple[Quantity, ...]:
+    """The three numbers of a face that yields."""
+    return (
+        Quantity(name=f"{table}.onset_pressure", symbol=f"p_y,{index}", dimension="pressure", display="GPa",
+                 plausible=(1e8, 2e10),
+                 meaning=f"centre pressure at which the {name} begins to yield or to crush"),
+        Quantity(name=f"{table}.hardness", symbol=f"H_{index}", dimension="pressure", display="GPa",
+                 plausible=(1e8, 5e10), meaning=f"mean pressure of the {name} that flows fully (its hardness)"),
+        Quantity(name=f"{table}.pile_up", symbol=f"C_{index}", dimension="number", lower=1.0, upper=3.0, closed=True,
+                 plausible=(1.0, 3.0), meaning=f"pile-up of the {name}: a²/(r alpha) far beyond yield"),
+    )  # fmt: skip
+
+
+def _struck(table: str) -> tuple[Quantity, ...]:
+    """What a target or an anvil can have beside: its shape, by its kind."""
+    index, name = _BODIES[table]
+    return (
+        *_numbers_of(table),
+        Quantity(name=f"{table}.thickness", symbol=f"h_{index}", dimension="length", display="mm",
+                 plausible=(1e-4, 1.0), meaning=f"thickness of the {name}, a plate"),
+        Quantity(name=f"{table}.width", symbol=f"w_{index}", dimension="length", display="mm", plausible=(1e-2, 10.0),
+                 meaning=f"width of the {name}, a plate (for a check alone)"),
+        *_rod(table),
+        _heavy(table),
+        _rounded(table),
+    )  # fmt: skip
+
+
+def _rod(table: str) -> tuple[Quantity, ...]:
+    index, name = _BODIES[table]
+    return (
+        Quantity(name=f"{table}.diameter", symbol=f"d_{index}", dimension="length", display="mm",
+                 plausible=(1e-3, 0.5), meaning=f"diameter of the {name}"),
+        Quantity(name=f"{table}.length", symbol=f"l_{index}", dimension="length", display="m", plausible=(0.05, 30.0),
+                 meaning=f"length of the {name}, a bar (absent: nothing comes back)"),
+        Quantity(name=f"{table}.end", symbol=f"R_{index}", dimension="number", lower=-1.0, upper=1.0, closed=True,
+                 plausible=(-1.0, 1.0), meaning=f"velocity reflection coefficient of the {name}'s far end"),
+    )  # fmt: skip
+
+
+def _heavy(table: str) -> Quantity:
+    index, name = _BODIES[table]
+    return Quantity(name=f"{table}.mass", symbol=f"m_{index}", dimension="mass", display="kg", lower=1e-6, upper=1e5,
+                    closed=True, plausible=(1e-3, 1e4), meaning=f"mass of the {name}")  # fmt: skip
+
+
+def _rounded(table: str) -> Quantity:
+    index, name = _BODIES[table]
+    return Quantity(name=f"{table}.face_radius", symbol=f"R_f,{index}", dimension="length", display="mm",
+                    plausible=(1e-3, 1e3), meaning=f"radius of the {name}'s rounded face (flat: absent)")  # fmt: skip
+
+
+def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
+    """A speed, or the height of a fall."""
+    return (
+        Quantity(name=f"{table}.speed", symbol=symbol, dimension="speed", display="m/s", lower=1e-3, upper=300.0,
+                 closed=True, plausible=(1e-2, 150.0), meaning=meaning),
+        Quantity(name=f"{table}.drop_height", symbol="h_drop", dimension="length", display="m", lower=1e-6, upper=1e3,
+                 closed=True, plausible=(1e-3, 100.0), meaning="height of the fall, in place of the speed"),
+    )  # fmt: skip
+
 
 #: Every number of a scene that a study can fix or scatter, by its dotted path in the study file.
 INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
@@ -111,6 +200,34 @@ INPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              plausible=(2.0, 8.0), meaning="exponent of the sphere's damage"),
     Quantity(name="contact.fracture_energy", symbol="E_f", dimension="specific_energy", display="J/kg",
              plausible=(0.1, 1e5), meaning="specific fracture energy of the sphere"),
+    *_moving("rig", "v", "speed at which the bodies close"),
+    Quantity(name="rig.angle", symbol="phi", dimension="angle", display="deg", lower=5.0 * _DEGREE,
+             upper=90.0 * _DEGREE, closed=True, plausible=(20.0 * _DEGREE, 90.0 * _DEGREE),
+             meaning="angle between the path and the surface, 90 deg: square on"),
+    *_struck("target"),
+    *_struck("anvil"),
+    *_numbers_of("other"),
+    Quantity(name="other.radius", symbol="r_2", dimension="length", display="mm", plausible=(1e-4, 0.1),
+             meaning="radius of the other sphere"),
+    *_moving("hammer", "v_h", "speed of the weight"),
+    *_numbers_of("hammer"),
+    _heavy("hammer"),
+    Quantity(name="hammer.diameter", symbol="d_h", dimension="length", display="mm", plausible=(1e-3, 0.5),
+             meaning="diameter of a ball that falls"),
+    _rounded("hammer"),
+    *_numbers_of("rod"),
+    *_rod("rod"),
+    *_numbers_of("platens"),
+    Quantity(name="platens.force", symbol="F", dimension="force", display="kN", plausible=(1.0, 1e6),
+             meaning="force up to which the platens press"),
+    Quantity(name="platens.displacement", symbol="delta", dimension="length", display="um", plausible=(1e-6, 1e-2),
+             meaning="way of the crosshead from first touch, in place of the force"),
+    Quantity(name="platens.speed", symbol="v_p", dimension="speed", display="mm/s", plausible=(1e-8, 1.0),
+             meaning="speed at which the platens close"),
+    Quantity(name="platens.loading_rate", symbol="dF/dt", dimension="loading_rate", display="kN/s",
+             plausible=(1.0, 1e7), meaning="rate of the force at its end, in place of the speed"),
+    Quantity(name="platens.machine_stiffness", symbol="k", dimension="stiffness", display="kN/mm",
+             plausible=(1e5, 1e10), meaning="stiffness of the machine (absent: rigid)"),
     *(Quantity(name=name, symbol=f"xi_{j}", dimension="number", lower=-math.inf, plausible=(-8.0, 8.0),
                meaning=f"noise of a measured pulse, mode {j}, over its standard deviation")
       for j, name in enumerate(noise_names(), start=1)),
@@ -122,18 +239,22 @@ CONTACT_LAWS: Final = ("hertz", "plastic", "damage")
 #: what the status of a row means; only rows of 0 and of 7 have numbers
 STATUS: dict[int, str] = {
     0: "ok",
-    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar)",
+    1: "outside the domain of the model (a size, modulus, ratio or pulse without meaning, a sphere wider than its bar, "
+    "a plate that is punched)",
     2: "the pulse is longer than the round trip of the incident bar, so the striker is still on it",
     3: "the integrator could not reach the tolerance",
     4: "too many reflections before the end of the record",
     5: "too many steps before the end of the record",
     6: "the answer is not finite",
     7: "an event comes at one of several times, and less than the tolerance decides which: the answer may jump",
+    11: "the bodies never close: a speed that is not positive",
+    12: "the record ended while the bodies were still pressed: give a later horizon",
 }
 #: shortest pulse and round trip over t_c: a double tells times of the record apart to 1e-16 of it
 _SHORTEST: Final = 1e-9
-#: the status of a row that has two answers
+#: the status of a row that has two answers, and of one whose bodies never meet
 UNDECIDED: Final = 7
+NEVER_CLOSE: Final = 11
 
 
 def answered(status: Places) -> Flags:
@@ -147,18 +268,20 @@ _NEEDED: Final = (
     "bars.E", "bars.nu", "bars.density", "bars.diameter", "striker.speed",
 )  # fmt: skip
 _NEEDED_FINITE: Final = ("bars.incident_length", "bars.receiving_length", "bars.incident_end", "bars.receiving_end")
-#: columns that serve validity checks only where nothing yields
-_CHECKED_ONLY: Final = frozenset({
-    "bars.yield_strength", "bars.insert_yield_strength", "bars.insert_thickness",
-    "sphere.onset_pressure", "sphere.hardness",
-})  # fmt: skip
+#: last parts of columns that serve validity checks only, where nothing yields
+_CHECKED_ONLY: Final = (
+    "yield_strength", "insert_yield_strength", "insert_thickness", "width", "onset_pressure", "hardness", "pile_up",
+)  # fmt: skip
 #: what makes a striker another bar than the others
 STRIKER_COLUMNS: Final = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """Scale factors and similarity numbers of n rows, theory (8) and (10); SI."""
+    """Scale factors and similarity numbers of n rows, theory (8) and (10), (R4) to (R6); SI.
+
+    `modulus`, `effective_radius` and `hertz_constant` are those of the face that is struck first, A if both are.
+    """
 
     modulus: Array
     effective_radius: Array
@@ -170,6 +293,7 @@ class Scales:
     time: Array
     mass_number: Array
     duration: Array
+    speed: Array
 
     @property
     def pulse_number(self) -> Array:
@@ -197,6 +321,10 @@ class Scene:
         End of the record [s]; None: the rule of docs/theory.md.
     demands : mapping of str to (str, mapping)
         Further quantities: name -> criterion of `uqsphere.mechanics.criteria` and its parameters.
+    rig : str
+        A name of `uqsphere.mechanics.rigs.RIGS`; shape, infinite, first_loading_only and record belong to `bars`.
+    options : mapping of str to str
+        Words of the study: ``target.kind``, ``anvil.kind``, ``hammer.shape`` (``ball``).
     contact_law : str
         A key of `CONTACT_LAWS`.
     contact_dynamics : str
@@ -224,8 +352,12 @@ class Scene:
     contact_dynamics: str = "path"
     hardness_at_onset: bool = False
     record: MeasuredPulse | None = None
+    rig: str = "bars"
+    options: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.rig not in RIGS:
+            raise ValueError(f"unknown rig {self.rig!r} (allowed: {', '.join(RIGS)})")
         if self.shape not in SHAPES and self.record is None:
             raise ValueError(f"unknown pulse shape {self.shape!r} (allowed: {', '.join(SHAPES)})")
         if self.contact_law not in CONTACT_LAWS:
@@ -238,7 +370,7 @@ class Scene:
             raise ValueError(f"the scene lacks {', '.join(missing)}")
         if unknown := [name for name in self.columns if name not in INPUTS]:
             raise ValueError(f"unknown numbers of a scene: {', '.join(unknown)}")
-        if self.shape == "step" and self.horizon is None and self.infinite:
+        if self.rig == "bars" and self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse never ends: the record needs a horizon")
         if self.horizon is not None and not 0.0 < self.horizon < np.inf:
             raise ValueError(f"the horizon must be positive and finite, found {self.horizon!r} s")
@@ -249,6 +381,8 @@ class Scene:
     @property
     def _needed(self) -> tuple[str, ...]:
         """Columns without which there is no such scene."""
+        if self.rig != "bars":
+            return needed(RIGS[self.rig], self.options, self.columns)
         timed = self.shape in ("step", "measured") or "pulse.duration" in self.columns
         return (
             *_NEEDED,
@@ -260,14 +394,18 @@ class Scene:
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def column(self, name: str, default: float = np.nan) -> Array:
+    def column(self, name: str, default: Values = np.nan) -> Array:
         """A column, or `default` in every row."""
         found = self.columns.get(name)
         return np.full(len(self), default) if found is None else np.asarray(found, dtype=float)
 
     @cached_property
     def pulse(self) -> Pulse:
-        """The incident pulse of every row, times in seconds."""
+        """The incident pulse of every row, times in seconds; one that is nothing where no wave comes in."""
+        if self.rig != "bars":
+            none = np.zeros(len(self))
+            return Pulse(breaks=np.zeros((len(self), 2)), coefficients=np.zeros((len(self), 1, 4)), frequency=none,
+                         valid=none == 0.0)  # fmt: skip
         if self.record is not None:
             return self.record.pulse(len(self), self.columns)
         numbers = {
@@ -299,7 +437,10 @@ class Scene:
 
     @cached_property
     def round_trips(self) -> Array:
-        """Round trips of incident and receiving bar, (n, 2) [s]; infinite where a bar has no length."""
+        """Round trips of the bars at A and B, (n, 2) [s]; infinite where there is no bar, or one without length."""
+        if self.rig != "bars":
+            none = np.full(len(self), np.inf)
+            return np.stack([none if one is None else one.round_trip for one in self.partners], axis=1)
         E, density = self.columns["bars.E"], self.columns["bars.density"]
         lengths = [self.column(f"bars.{bar}_length", np.inf) for bar in ("incident", "receiving")]
         with np.errstate(all="ignore"):
@@ -307,7 +448,10 @@ class Scene:
 
     @cached_property
     def reflections(self) -> Array:
-        """Velocity reflection coefficients of the far ends, (n, 2); 0 on infinite bars."""
+        """Velocity reflection coefficients of the far ends, (n, 2); 0 where nothing comes back."""
+        if self.rig != "bars":
+            none = np.zeros(len(self))
+            return np.stack([none if one is None else one.reflection for one in self.partners], axis=1)
         if self.infinite:
             return np.zeros((len(self), 2))
         return np.stack([self.column("bars.incident_end"), self.column("bars.receiving_end")], axis=1)
@@ -319,118 +463,136 @@ class Scene:
 
     @cached_property
     def record_end(self) -> Array:
-        """End of the record, (n,) [s]; infinite where the rule of infinite bars ends it."""
+        """End of the record, (n,) [s]; infinite where the rule of infinite bars, or parting, ends it."""
         if self.horizon is not None:
             ends = np.full(len(self), self.horizon)
-        elif self.infinite:
+        elif self.infinite or self.rig != "bars":
             ends = np.full(len(self), np.inf)
         else:
             ends = 8.0 * self.round_trips.max(axis=1)
         return np.minimum(ends, self.first_echo) if self.first_loading_only else ends
 
     @cached_property
-    def scales(self) -> Scales:
-        """Scale factors of every row; not finite where a row has no meaning."""
-        c = self.columns
-        with np.errstate(all="ignore"):
-            modulus = contact.reduced_modulus(
-                c["sphere.E"],
-                c["sphere.nu"],
-                c.get("bars.insert_E", c["bars.E"]),
-                c.get("bars.insert_nu", c["bars.nu"]),
-                rigid_bars=self.rigid_contact,
-            )
-            radius = contact.effective_radius(c["sphere.radius"], self.column("bars.end_radius", np.inf))
-            beta = contact.hertz_constant(modulus, radius)
-            mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-            impedance = bars.impedance(c["bars.E"], c["bars.density"], c["bars.diameter"])
-            speed = c["striker.speed"]
-            force = 0.5 * impedance * speed
-            approach = contact.approach_at_force(force, beta)
-            time = 2.0 * approach / speed
-            if self.shape == "step":
-                duration = np.full(len(self), np.inf)
-            elif self.record is not None:
-                duration = np.full(len(self), self.record.duration)
-            else:
-                wave_speed = bars.wave_speed(*self._striker)
-                duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
-            return Scales(
-                modulus=modulus,
-                effective_radius=radius,
-                hertz_constant=beta,
-                mass=mass,
-                impedance=impedance,
-                force=force,
-                approach=approach,
-                time=time,
-                mass_number=mass / (impedance * time),
-                duration=duration,
-            )
-
-    @cached_property
-    def bodies(self) -> tuple[Body, Body]:
-        """What yields at a face: bar end or insert, and sphere; (n,) each, an onset that is not given infinite."""
-        strength = self.column("bars.insert_yield_strength") if self.inserted else self.column("bars.yield_strength")
-        bar = metal_body(strength, self.columns.get("bars.insert_nu", self.columns["bars.nu"]))
-        if self.rigid_contact:
-            bar = bar._replace(onset=np.full(len(self), np.inf))
-        sphere = Body(
-            self.column("sphere.onset_pressure", np.inf),
-            self.column("sphere.hardness", np.inf),
-            np.full(len(self), CAP_PILE_UP),
-        )
-        return bar, sphere
+    def partners(self) -> tuple[Partner | None, Partner | None]:
+        """What stands behind the sphere (pole A) and ahead of it (B); None: nothing."""
+        return partners_of(self)
 
     @property
-    def inserted(self) -> bool:
-        """Whether inserts with a yield strength of their own stand between bars and sphere."""
-        return "bars.insert_yield_strength" in self.columns
+    def struck(self) -> Partner:
+        """The partner whose face the scale factors are those of: the one that is struck first, A if both are."""
+        return next(one for one in self.partners if one is not None)
 
     @cached_property
-    def faces(self) -> Face | None:
-        """The law of both faces where they yield, (n,) each: that of the softer body, but for what [contact] gives."""
-        if self.contact_law != "plastic":
-            return None
-        c, own, scales = self.columns, softer(*self.bodies), self.scales
-        onset = c.get("contact.onset_pressure", own.onset)
-        return Face(
-            onset=onset,
-            hardness=onset if self.hardness_at_onset else c.get("contact.hardness", own.hardness),
-            pile_up=c.get("contact.pile_up", own.pile_up),
-            modulus=scales.modulus,
-            effective_radius=scales.effective_radius,
+    def closing_speed(self) -> Array:
+        """Speed at which the bodies of a blow meet, square to the face, (n,) [m/s]."""
+        return closing_speed(self)
+
+    @cached_property
+    def start(self) -> Array:
+        """Speeds of sphere and partners A and B at first touch, (n, 3) [m/s], positive from A to B."""
+        return speeds_at_touch(self)
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Scale factors of every row; not finite where a row has no meaning."""
+        with np.errstate(all="ignore"):
+            return self._scales_of_bars() if self.rig == "bars" else self._scales_of_blow()
+
+    def _scales_of_bars(self) -> Scales:
+        c = self.columns
+        face = self.struck
+        mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
+        speed = c["striker.speed"]
+        force = 0.5 * face.impedance * speed
+        approach = contact.approach_at_force(force, face.hertz_constant)
+        time = 2.0 * approach / speed
+        if self.shape == "step":
+            duration = np.full(len(self), np.inf)
+        elif self.record is not None:
+            duration = np.full(len(self), self.record.duration)
+        else:
+            wave_speed = bars.wave_speed(*self._striker)
+            duration = self.columns.get("pulse.duration", 2.0 * self.column("striker.length") / wave_speed)
+        return Scales(
+            modulus=face.modulus,
+            effective_radius=face.effective_radius,
+            hertz_constant=face.hertz_constant,
+            mass=mass,
+            impedance=face.impedance,
+            force=force,
+            approach=approach,
+            time=time,
+            mass_number=mass / (face.impedance * time),
+            duration=duration,
+            speed=0.5 * speed,
         )
+
+    def _scales_of_blow(self) -> Scales:
+        """(R5): P_c = beta^0.4 m^0.6 V_c^1.2, m the reduced mass of the sphere, or that of the weight; platens alone
+        have none of it, and the force of theirs."""
+        face, (behind, ahead) = self.struck, self.partners
+        radius, beta = self.columns["sphere.radius"], face.hertz_constant
+        mass = contact.sphere_mass(radius, self.columns["sphere.density"])
+        if self.rig == "platens":
+            speed = np.ones(len(self))
+            force = beta * radius**1.5
+        else:
+            speed = self.closing_speed
+            moved = mass / (1.0 + mass / face.mass) if behind is None else behind.mass
+            force = beta**0.4 * moved**0.6 * speed**1.2
+        approach = contact.approach_at_force(force, beta)
+        time = approach / speed
+        return Scales(
+            modulus=face.modulus,
+            effective_radius=face.effective_radius,
+            hertz_constant=beta,
+            mass=mass,
+            impedance=(ahead or face).impedance,
+            force=force,
+            approach=approach,
+            time=time,
+            mass_number=mass * speed / (force * time),
+            duration=np.full(len(self), np.inf),
+            speed=speed,
+        )
+
+    @property
+    def faces(self) -> Face | None:
+        """The law of the face that is struck first, of both of `bars`, where it yields, (n,) each; None: elastic."""
+        return self.struck.face
 
     @cached_property
     def status(self) -> Places:
         """Status of every row before anything is integrated, (n,): see `STATUS`."""
         codes = np.zeros(len(self), dtype=np.int64)
         for name, column in self.columns.items():
-            if name in _CHECKED_ONLY and self.contact_law == "hertz":
+            if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
                 continue
             bound = INPUTS[name]
             inside = (column >= bound.lower) & (column <= bound.upper)
             if not bound.closed:
                 inside &= (column != bound.lower) & (column != bound.upper)
-            if name == "bars.end_radius":
+            if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
                 inside |= column == np.inf
             codes[~inside] = 1
         with np.errstate(all="ignore"):
-            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
             scales = self.scales
             for number in (scales.mass_number, scales.force, scales.approach, scales.time):
                 codes[~(np.isfinite(number) & (number > 0.0))] = 1
-            codes[~self.pulse.valid] = 1
             # what is shorter than this beside t_c is lost in the rounding of the times
             codes[scales.duration < _SHORTEST * scales.time] = 1
-            if (faces := self.faces) is not None:
-                # b between 0 and 0.2 has a singularity near onset; above 100 the face is Hertz's but for rounding
-                b = faces.softening
-                codes[~((faces.pile_up >= 1.0) & (faces.onset > 0.0) & (faces.hardness >= faces.onset))] = 1
-                codes[~((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))] = 1
+            for partner in self.partners:
+                if partner is not None and partner.face is not None:
+                    codes[~partner.face.valid] = 1
             brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
             codes[brief.any(axis=1)] = 1
+            if self.rig != "bars":
+                codes[outside(self)] = 1
+                if RIGS[self.rig].blow:
+                    codes[self.closing_speed <= 0.0] = NEVER_CLOSE
+                return codes
+            codes[2.0 * self.columns["sphere.radius"] > self.columns["bars.diameter"]] = 1
+            codes[~self.pulse.valid] = 1
             if not self.infinite:
                 too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
                 codes[(codes == 0) & too_long & (self.reflections[:, 0] != 0.0)] = 2

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
 _TERMS: Final = 40
@@ -121,6 +121,14 @@ class Face:
     def softening(self) -> Array:
         """b of (C3): 0 for Thornton, infinite for Hertz."""
         return np.asarray(self.pile_up * self.hardness / self.onset - 1.0)
+
+    @property
+    def valid(self) -> Flags:
+        """Rows whose numbers make a law: no b between 0 and 0.2, where it has a singularity near onset, and none above
+        100, where the face is Hertz's but for rounding."""
+        b = self.softening
+        ordered = (self.pile_up >= 1.0) & (self.onset > 0.0) & (self.hardness >= self.onset)
+        return np.asarray(ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0))))
 
     @property
     def onset_approach(self) -> Array:

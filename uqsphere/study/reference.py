@@ -131,6 +131,8 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
         section, key = path.split(".")
         if section not in names or path in noise_names():
             continue
+        if key not in tables[names[section]]["properties"]:
+            continue  # a number that no study has yet
         node = _number_or_law(quantity.dimension)
         if quantity.symbol in ("R_1", "R_3"):
             node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})

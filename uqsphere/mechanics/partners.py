@@ -1,0 +1,160 @@
+"""What stands at a pole of the sphere: a bar, a plate, a thick block, a free mass or a platen.
+
+A partner gives way by its impedance (a bar, a thin plate), by its mass, or not at all (a thick block, a platen); its
+contact with the sphere has a reduced modulus, a radius and, where it yields, a law of its own.  Numbering (R...) and
+(C...) of docs/theory.md; SI.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Values
+from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.scene import Scene
+
+#: kinds of partners that a study may choose for a target or an anvil, and those that a rig chooses itself
+KINDS: Final = ("thick", "plate", "bar", "mass")
+#: the three numbers of the law of a face, by their keys
+_LAW: Final = ("onset_pressure", "hardness", "pile_up")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Partner:
+    """What stands at one pole; (n,) each.
+
+    Attributes
+    ----------
+    table, kind : str
+        Table of the study that its numbers stand in; `bar`, `plate`, `thick`, `mass` or `platen`.
+    modulus, effective_radius, hertz_constant : (n,) arrays
+        E* [Pa], r_eff [m] and beta [N/m^1.5] of this face.
+    share : (n,) array
+        chi = E* (1 - nu²)/E, the sphere's share of the elastic energy of this face, (R22).
+    impedance, mass : (n,) arrays
+        Z [kg/s], infinite where it does not give way; mass [kg], infinite where it is not free.
+    speed : (n,) array
+        V at first touch [m/s], positive from pole A to pole B.
+    round_trip, reflection : (n,) arrays
+        Of a bar [s] and of its far end; infinite and 0 where nothing returns.
+    face : Face or None
+        The law of a face that yields; None: elastic.
+    """
+
+    table: str
+    kind: str
+    modulus: Array
+    effective_radius: Array
+    hertz_constant: Array
+    share: Array
+    impedance: Array
+    mass: Array
+    speed: Array
+    round_trip: Array
+    reflection: Array
+    face: Face | None
+
+
+def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
+    """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate: it gives way at P/Z. (R2).
+
+    Source: C. Zener, Phys. Rev. 59 (1941) 669, from memory.
+    """
+    return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * np.sqrt(density * E / (1.0 - nu * nu)))
+
+
+def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
+    """The partner whose numbers stand in a table of the scene; not finite where a row has no meaning."""
+    c = scene.columns
+    face_E, face_nu = (scene.column(f"{table}.insert_{key}", scene.column(f"{table}.{key}")) for key in ("E", "nu"))
+    with np.errstate(all="ignore"):
+        modulus = contact.reduced_modulus(
+            c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
+        )
+        radius = contact.effective_radius(c["sphere.radius"], _face_radius(scene, table))
+        return Partner(
+            table=table,
+            kind=kind,
+            modulus=modulus,
+            effective_radius=radius,
+            hertz_constant=contact.hertz_constant(modulus, radius),
+            share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
+            impedance=_impedance(scene, table, kind),
+            mass=_mass(scene, table) if kind == "mass" else np.full(len(scene), np.inf),
+            speed=np.zeros(len(scene)) if speed is None else speed,
+            face=_law(scene, table, face_nu, modulus, radius),
+            **_echo(scene, table, kind),
+        )
+
+
+def _face_radius(scene: Scene, table: str) -> Array:
+    if table == "bars":
+        return scene.column("bars.end_radius", np.inf)
+    if table == "other":
+        return scene.column("other.radius")
+    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
+        return 0.5 * scene.column("hammer.diameter")
+    return scene.column(f"{table}.face_radius", np.inf)
+
+
+def _impedance(scene: Scene, table: str, kind: str) -> Array:
+    E, nu, density = (scene.column(f"{table}.{key}") for key in ("E", "nu", "density"))
+    if kind == "bar":
+        return np.asarray(bars.impedance(E, density, scene.column(f"{table}.diameter")))
+    if kind == "plate":
+        return plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
+    return np.full(len(scene), np.inf)
+
+
+def _mass(scene: Scene, table: str) -> Array:
+    """Mass of a free partner: as given, or that of the ball it is."""
+    if table == "other":
+        return np.asarray(contact.sphere_mass(scene.column("other.radius"), scene.column("other.density")))
+    if table == "hammer" and scene.options.get("hammer.shape") == "ball":
+        radius = 0.5 * scene.column("hammer.diameter")
+        return np.asarray(contact.sphere_mass(radius, scene.column("hammer.density")))
+    return scene.column(f"{table}.mass")
+
+
+def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
+    """Round trip and reflection of a bar of a rig; those of the two bars of `bars` are columns of their own."""
+    if kind != "bar" or table == "bars" or f"{table}.length" not in scene.columns:
+        return {"round_trip": np.full(len(scene), np.inf), "reflection": np.zeros(len(scene))}
+    E, density, length = (scene.column(f"{table}.{key}") for key in ("E", "density", "length"))
+    # a far end that nobody names is free, as that of a rod that stands on nothing
+    reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
+    return {"round_trip": np.asarray(bars.round_trip(length, E, density)), "reflection": reflection}
+
+
+def body_of(scene: Scene, table: str, nu: Array) -> Body:
+    """What the partner of a table has of the law of its face: given, or that of a metal; infinite where rigid."""
+    insert = f"{table}.insert_yield_strength"
+    metal = metal_body(scene.column(insert if insert in scene.columns else f"{table}.yield_strength"), nu)
+    found = Body(*(scene.columns.get(f"{table}.{key}", own) for key, own in zip(_LAW, metal, strict=True)))
+    return found._replace(onset=np.full(len(scene), np.inf)) if scene.rigid_contact else found
+
+
+def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> Face | None:
+    """The law of a face that yields: that of its softer body, row by row, but for what [contact] gives."""
+    if scene.contact_law != "plastic":
+        return None
+    usual = (np.full(len(scene), np.inf), np.full(len(scene), np.inf), np.full(len(scene), CAP_PILE_UP))
+    sphere = Body(*(scene.columns.get(f"sphere.{key}", own) for key, own in zip(_LAW, usual, strict=True)))
+    own = softer(body_of(scene, table, nu), sphere)
+    onset, hardness, pile_up = (scene.columns.get(f"contact.{key}", of) for key, of in zip(_LAW, own, strict=True))
+    if np.isinf(onset).all():
+        return None
+    return Face(
+        onset=onset,
+        hardness=onset if scene.hardness_at_onset else hardness,
+        pile_up=pile_up,
+        modulus=modulus,
+        effective_radius=radius,
+    )

@@ -1,0 +1,183 @@
+"""The rigs: what stands at the two poles of the sphere, who moves at first touch, and which numbers that takes.
+
+A new rig is one entry of `RIGS`; everything else asks the entry.  Numbering (R...) of docs/theory.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from uqsphere.arrays import Array, Values
+from uqsphere.mechanics.partners import Partner, partner_of
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.scene import Scene
+
+#: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³], for falls of metres (from memory)
+GRAVITY: Final = 9.80665
+_DRAG, _AIR = 0.45, 1.2
+#: largest lam = Z-scaled force of a plate or bar end that is struck: beyond it the plate is punched, (R13)
+MOST_YIELDING: Final = 3.0
+#: ranges in which the equations are solved: M/m_A and kappa (rigs.md section 8)
+MASS_RATIO: Final = (1e-7, 1e3)
+STIFFNESS_RATIO: Final = (1e-3, 1e3)
+#: columns that a partner needs by its kind, beside E and nu of its face
+_PARTS: Final = {
+    "thick": (), "platen": (),
+    "plate": ("density", "thickness"),
+    "bar": ("density", "diameter"),
+    "mass": ("mass",),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """One rig.
+
+    Attributes
+    ----------
+    name, meaning : str
+    behind, ahead : str
+        Tables of the partners at pole A and at pole B; empty: nothing stands there.
+    kinds : (str, str)
+        Their kinds; empty where the study chooses (`target.kind`, `anvil.kind`).
+    mover : str
+        Table that has the speed of the blow: `rig` (of the sphere), `hammer`, or empty.
+    blow : bool
+        Bodies that meet with a speed; their records end at parting, not at the first loss of contact.
+    """
+
+    name: str
+    meaning: str
+    behind: str
+    ahead: str
+    kinds: tuple[str, str]
+    mover: str = ""
+    blow: bool = True
+
+    @property
+    def contacts(self) -> int:
+        """Faces at which the sphere is pressed."""
+        return 2 if self.behind else 1
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Tables of a study that belong to this rig."""
+        found = dict.fromkeys((self.behind, self.ahead))
+        return tuple(name for name in found if name)
+
+    def kind(self, pole: int, options: Values) -> str:
+        """Kind of the partner at a pole; `thick` where the study does not choose."""
+        return self.kinds[pole] or str(options.get(f"{(self.behind, self.ahead)[pole]}.kind", "thick"))
+
+
+RIGS: Final[dict[str, Rig]] = {rig.name: rig for rig in (
+    Rig(name="bars", meaning="a sphere between two bars, one of which a striker hits", behind="bars", ahead="bars",
+        kinds=("bar", "bar"), mover="striker", blow=False),
+    Rig(name="impact", meaning="a sphere strikes a thick block, a plate, the end of a bar or a free mass",
+        behind="", ahead="target", kinds=("", ""), mover="rig"),
+    Rig(name="sphere_on_sphere", meaning="a sphere strikes another one", behind="", ahead="other",
+        kinds=("", "mass"), mover="rig"),
+    Rig(name="drop_weight", meaning="a weight falls on a sphere that rests on an anvil", behind="hammer",
+        ahead="anvil", kinds=("mass", ""), mover="hammer"),
+    Rig(name="load_cell", meaning="a weight falls on a sphere that rests on a long rod with a gauge", behind="hammer",
+        ahead="rod", kinds=("mass", "bar"), mover="hammer"),
+    Rig(name="platens", meaning="a sphere is pressed slowly between two platens", behind="platens", ahead="platens",
+        kinds=("platen", "platen"), blow=False),
+)}  # fmt: skip
+
+
+def drop_speed(height: Values, radius: Values, density: Values) -> Array:
+    """Speed [m/s] of a sphere that fell by h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²)); drag is 6 % of v² at 8 m."""
+    terminal = terminal_speed(radius, density) ** 2
+    return np.asarray(np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal)))
+
+
+def terminal_speed(radius: Values, density: Values) -> Array:
+    """v_t [m/s] of a sphere that falls in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
+    return np.asarray(np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)))
+
+
+def needed(rig: Rig, options: Values, columns: Values) -> tuple[str, ...]:
+    """Columns without which there is no scene of a rig other than bars."""
+    names = ["sphere.E", "sphere.nu", "sphere.radius", "sphere.density"]
+    for pole, table in enumerate((rig.behind, rig.ahead)):
+        if not table:
+            continue
+        parts = _PARTS[rig.kind(pole, options)]
+        if table == "other":
+            parts = ("density", "radius")
+        elif table == "hammer" and options.get("hammer.shape") == "ball":
+            parts = ("density", "diameter")
+        names += [f"{table}.{key}" for key in ("E", "nu", *parts)]
+    for table, one, other in (
+        (rig.mover, "speed", "drop_height"),
+        ("platens" * (rig.name == "platens"), "force", "displacement"),
+    ):
+        if table and f"{table}.{other}" not in columns:
+            names.append(f"{table}.{one}")
+    return tuple(dict.fromkeys(names))
+
+
+def closing_speed(scene: Scene) -> Array:
+    """Speed at which the bodies meet, square to the face, (n,) [m/s]: given, or of a fall."""
+    rig, c = RIGS[scene.rig], scene.columns
+    with np.errstate(all="ignore"):
+        if f"{rig.mover}.drop_height" not in c:
+            speed = scene.column(f"{rig.mover}.speed")
+        elif rig.mover == "rig":
+            speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
+        else:
+            # drag on a weight of any shape is not known; it is small
+            speed = np.sqrt(2.0 * GRAVITY * c[f"{rig.mover}.drop_height"])
+        return np.asarray(speed * np.sin(c["rig.angle"]) if "rig.angle" in c else speed)
+
+
+def partners_of(scene: Scene) -> tuple[Partner | None, Partner | None]:
+    """Partners behind (A) and ahead (B) of the sphere; None where nothing stands."""
+    rig = RIGS[scene.rig]
+    if rig.behind == rig.ahead:
+        one = partner_of(scene, rig.behind, rig.kinds[0])
+        if rig.name != "bars":
+            return one, one
+        trips, ends = scene.round_trips, scene.reflections
+        both = [replace(one, round_trip=trips[:, k], reflection=ends[:, k]) for k in (0, 1)]
+        return both[0], both[1]
+    ahead = partner_of(scene, rig.ahead, rig.kind(1, scene.options))
+    if not rig.behind:
+        return None, ahead
+    return partner_of(scene, rig.behind, rig.kind(0, scene.options), scene.closing_speed), ahead
+
+
+def speeds_at_touch(scene: Scene) -> Array:
+    """Speeds of sphere and partners A and B when they first touch, (n, 3) [m/s], positive from A to B. (R7)."""
+    rig = RIGS[scene.rig]
+    start = np.zeros((len(scene), 3))
+    if rig.mover in ("rig", "hammer"):
+        start[:, 0 if rig.mover == "rig" else 1] = scene.closing_speed
+    return start
+
+
+def outside(scene: Scene) -> Array:
+    """Rows that the equations of a rig other than bars do not stand for, (n,) of bool: see rigs.md section 8."""
+    rig = RIGS[scene.rig]
+    scales, found = scene.scales, np.zeros(len(scene), dtype=bool)
+    behind, ahead = scene.partners
+    with np.errstate(all="ignore"):
+        for partner in (behind, ahead):
+            if partner is not None and (partner.kind == "plate" or (rig.contacts == 1 and partner.kind == "bar")):
+                found |= ~(scales.force / (partner.impedance * scales.speed) <= MOST_YIELDING)
+        if behind is not None and ahead is not None:
+            found |= _beyond(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
+            if rig.mover == "hammer":
+                found |= _beyond(scales.mass / behind.mass, MASS_RATIO)
+        if "platens.displacement" in scene.columns:
+            found |= scene.columns["platens.displacement"] >= scene.columns["sphere.radius"]
+    return found
+
+
+def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
+    return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
