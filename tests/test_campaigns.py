@@ -15,7 +15,7 @@ import pytest
 from docs.figures import errata
 from docs.figures.instability import MU, exact_difference, fixed_steps
 from reports import publish
-from tests.campaigns import chaos, coverage, given, links
+from tests.campaigns import chaos, coverage, given, links, mutate
 from tests.campaigns.coverage import LEAST, POOLED, QUANTILES, coverage_models, coverage_rows, pooled, reference
 from uqsphere.errors import UsageError
 from uqsphere.given import analyse_data
@@ -29,6 +29,13 @@ from uqsphere.uq.expansion import fit_chaos, judge
 
 MODELS = {model.name: model for model in coverage_models()}
 KEPT = Path(__file__).parent.parent / "reports"
+
+
+def test_every_mutant_has_its_file_its_line_and_its_tests() -> None:
+    for one in mutate.read_mutants():
+        assert one.before in (mutate.ROOT / "uqsphere" / one.file).read_text(encoding="utf-8"), one
+        assert all((mutate.ROOT / "tests" / test.partition("::")[0]).is_file() for test in one.tests.split()), one
+
 
 # --- coverage -------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from uqsphere.report.contents import read_contents
 from uqsphere.report.margins import margin_verdicts
 from uqsphere.study import ENERGY
 from uqsphere.uq.curve import fit_lognormal_curve, interpolate_rows
-from uqsphere.uq.whatif import roots
+from uqsphere.uq.whatif import root
 
 GRID = np.geomspace(0.3, 5.0, 40)
 SMALL = (
@@ -114,11 +114,14 @@ def test_no_lognormal_curve_is_said(table: np.ndarray, says: str) -> None:
     assert "positive" in str(fit_lognormal_curve(GRID - 1.0, table, evaluations=1))
 
 
-def test_roots_of_many_laws() -> None:
+def test_the_root_of_a_curve() -> None:
     places = np.linspace(-2.0, 2.0, 81)
     curves = np.array([ndtr(places - 0.5), ndtr(places), ndtr(places - 9.0)])
-    assert roots(places, curves, 0.3, True) == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
-    assert roots(places, 1.0 - curves, 0.3, False)[:2] == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
+    rising = [root(places, curve.__getitem__, 0.3, True) for curve in curves]
+    assert rising == pytest.approx([ndtri(0.3) + 0.5, ndtri(0.3), math.inf], abs=1e-3)
+    falling = [root(places, (1.0 - curve).__getitem__, 0.3, False) for curve in curves[:2]]
+    assert falling == pytest.approx([ndtri(0.7) + 0.5, ndtri(0.7)], abs=1e-3)
+    assert root(places, curves[0].__getitem__, 1e-9, True) == -math.inf
 
 
 def test_a_run_finds_a_curve_that_is_known(tmp_path: Path) -> None:

@@ -37,14 +37,17 @@ from uqsphere.uq.whatif import (
     is_decided,
     logit,
     probability_of_logit,
-    roots,
+    root,
     sides,
 )
 
 #: laws in place of every fitted one, and rows of the sample that they are tried on
 LAWS: Final = 400
 ROWS: Final = 8192
-#: laws for every number of tests, or along a curve, rows of each replicate, and values of the free scalar
+#: laws for the range of a value and its sure end.  Twenty tests of limestone, eight seeds each: one standard error of
+#: the sure end is 5 % of the value (0.08 of the range) with 200 laws, 2.5 % with 800, 1.1 % with these
+MANY_LAWS: Final = 4000
+#: laws for every number of tests, rows of each replicate, and values of the free scalar
 FEW_LAWS: Final = 200
 FEW_ROWS: Final = 32
 VALUES: Final = 25
@@ -414,7 +417,8 @@ def margin_left_open(
         else:
             known = rows
             left = value_range(
-                strength, laws_of(work, limit, strength), lambda values, count: known.states(limit, values, count),
+                strength, laws_of(work, limit, strength, MANY_LAWS),
+                lambda values, count: known.states(limit, values, count),
                 (rows.grid[0], rows.grid[-1]), probability=probability, value=value.value, rising=rising,
                 survive=limit.aim == "survive",
             )  # fmt: skip
@@ -442,14 +446,17 @@ def value_range(
     values = spaced(*ends, VALUES)
     places = np.log(values) if logarithmic else np.array(values)
     states = states_at(values, FEW_ROWS)
-    curves = curves_under(states, laws)
-    found = roots(places, curves, probability, rising)
+
+    def under(some: Sequence[Law]) -> float:
+        return root(places, lambda j: float(curves_under([states[j]], some).mean()), probability, rising)
+
     # on these few rows the law itself answers a little differently: what is known better is kept
-    own = float(roots(places, curves_under(states, [strength]), probability, rising)[0])
+    own = under([strength])
     shift = 0.0 if value is None or not math.isfinite(own) else (math.log(value) if logarithmic else value) - own
+    found = np.array([under([law]) for law in laws])
     low, high = np.quantile(found, [0.025, 0.975], method="nearest") + shift
     sure = float(np.quantile(found, 1.0 - SURE if survive == rising else SURE, method="nearest")) + shift
-    mean_law = float(roots(places, curves.mean(axis=0)[None, :], probability, rising)[0]) + shift
+    mean_law = under(laws) + shift
     known = found[np.isfinite(found)]
 
     def told(place: float) -> float | None:
