@@ -39,7 +39,28 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.joint import COPULAS, LEAST_DOF, MOST_DOF
 
 #: tables of a scene whose numbers are entries of `uqsphere.quantities.INPUTS`
-SCENE: Final = ("sphere", "bars", "striker", "pulse", "contact", "product")
+SCENE: Final = (
+    "sphere", "bars", "striker", "pulse", "contact", "product",
+    "rig", "target", "anvil", "other", "hammer", "rod", "platens",
+)  # fmt: skip
+#: what a sphere is loaded by, and the tables that belong to each
+RIG_TABLES: Final[dict[str, tuple[str, ...]]] = {
+    "bars": ("bars", "striker", "pulse"),
+    "impact": ("target",),
+    "sphere_on_sphere": ("other",),
+    "drop_weight": ("hammer", "anvil"),
+    "load_cell": ("hammer", "rod"),
+    "platens": ("platens",),
+    "none": (),
+}
+#: what a strength in J/kg can mean, and the quantity that is then held against it
+ENERGY_OF: Final = {
+    "contact": "specific_energy",
+    "sphere": "specific_energy_sphere",
+    "input": "specific_impact_energy",
+}
+#: what a target or an anvil is
+PARTNERS: Final = ("thick", "plate", "bar", "mass")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
@@ -58,10 +79,23 @@ def _signal_units() -> Iterable[str]:
     return SIGNAL_UNITS
 
 
-def _platens() -> Iterable[str]:
+def platen_words() -> tuple[str, ...]:
+    """What a strength can have been measured between, but for a table of `E` and `nu`."""
     from uqsphere.materials import library
 
     return "bars", "rigid", *library()["bars"]
+
+
+def _platens(value: Raw) -> Raw:
+    if not isinstance(value, Mapping):
+        return among(platen_words).look(value)
+    if set(value) != {"E", "nu"}:
+        raise ValueError(f"found a table of {one_of(list(value)) if value else 'nothing'}: E and nu are due")
+    return value
+
+
+def _platens_schema() -> Node:
+    return {"anyOf": [{"enum": list(platen_words())}, {"type": "object", "required": ["E", "nu"]}]}
 
 
 def _in_order(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -115,6 +149,7 @@ Names = Annotated[tuple[Text, ...], several(1, "names")]
 Seconds = Annotated[float, _fixed("time", "t")]
 #: an instant of a record, which may begin before 0
 Instant = Annotated[float, _fixed("time", "t", -math.inf)]
+Platens = Annotated[Raw, Check(_platens, _platens_schema, first=True)]
 Length = Annotated[float, _fixed("length", "d", display="m")]
 Methods = Annotated[
     tuple[Annotated[Text, among((*METHODS, "auto"))], ...],
@@ -271,6 +306,108 @@ class ProductTable:
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class RigTable:
+    """What loads the sphere; one of `speed` and `drop_height` where the sphere itself moves."""
+
+    kind: Annotated[Text, among(tuple(RIG_TABLES))] = key(
+        f"what loads the sphere: {one_of([f'`{shown(name)}`' for name in RIG_TABLES])}; the last where strengths come "
+        "from laws or tests alone and a `[service.NAME]` asks",
+        "bars",
+    )
+    speed: Number = key("closing speed; `impact` and `sphere_on_sphere` take it, or `drop_height`")
+    drop_height: Number = key("height that the sphere falls from through air")
+    angle: Number = key("between path and surface, above 5 deg; 90 deg is square on", default_is='`"90 deg"`')
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class PartnerTable:
+    """What every body that touches the sphere has."""
+
+    material: Text | None = key("fills `E`, `nu`, `density`, `yield_strength` that are not given")
+    E: Number = key("Young's modulus", default_is="from the material")
+    nu: Number = key("Poisson ratio", default_is="from the material")
+    density: Number = key("density", default_is="from the material")
+    yield_strength: Number = key("only for the validity checks", default_is="from the material")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class TargetTable(PartnerTable):
+    """What a sphere is thrown at, or lies on."""
+
+    kind: Annotated[Text, among(PARTNERS)] = key(
+        'a `"thick"` body, a `"plate"` that bends, the end of a `"bar"`, or a free `"mass"`', "thick"
+    )
+    thickness: Number = key("of a plate", default_is="required for a plate")
+    width: Number = key("of a plate, for the check of its edges")
+    mass: Number = key("of a free mass", default_is="required for a mass")
+    diameter: Number = key("of a bar", default_is="required for a bar")
+    length: Number = key("of a bar; without it nothing returns from its far end")
+    end: Number = key("far end of a bar, as the ends of bars", default_is='`"free"`')
+    face_radius: Number = key('radius of a rounded face; `"flat"` is flat', default_is="flat")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class OtherTable(PartnerTable):
+    """The other sphere, which is not judged."""
+
+    radius: Number = key("radius of the other sphere", due='add radius = "10 mm"')
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class HammerTable(PartnerTable):
+    """The weight that falls on the sphere, without drag; it is caught after the first blow."""
+
+    mass: Number = key("mass of the weight", default_is="required, or a ball")
+    shape: Annotated[Text, among(("ball",))] | None = key('`"ball"`: mass and `face_radius` follow from the `diameter`')
+    diameter: Number = key("of a ball")
+    face_radius: Number = key('radius of a rounded face; `"flat"` is flat', default_is="flat")
+    speed: Number = key("speed at the sphere", default_is="one of `speed` and `drop_height`")
+    drop_height: Number = key("height that the weight falls from", default_is="one of `speed` and `drop_height`")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class RodTable(PartnerTable):
+    """The rod of a load cell."""
+
+    diameter: Number = key("diameter; the rod may be thinner than the sphere", due='add diameter = "20 mm"')
+    length: Number = key("length", due='add length = "1.5 m"')
+    end: Number = key("far end, as the ends of bars", default_is='`"free"`')
+    gauge: Length | None = key("distance of the gauge from the sphere, for `history` alone")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class PlatensTable(PartnerTable):
+    """Two platens that press slowly."""
+
+    force: Number = key("largest force", default_is="one of `force` and `displacement`")
+    displacement: Number = key("largest approach of both contacts", default_is="one of `force` and `displacement`")
+    speed: Number = key("speed of the crosshead, for rates")
+    loading_rate: Number = key("loading rate in its place")
+    machine_stiffness: Number = key("stiffness of the machine in series", default_is="rigid")
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
+class ServiceTable(RigTable):
+    """A machine that the answer is wanted for: a rig with its tables nested."""
+
+    kind: Annotated[Text, among(tuple(name for name in RIG_TABLES if name not in ("bars", "none")))] = key(
+        "a rig but `bars`", "impact", due='add kind = "impact"'
+    )
+    target: TargetTable | None = key("as [target]")
+    anvil: TargetTable | None = key("as [anvil]")
+    other: OtherTable | None = key("as [other]")
+    hammer: HammerTable | None = key("as [hammer]")
+    rod: RodTable | None = key("as [rod]")
+    platens: PlatensTable | None = key("as [platens]")
+    solve: Text | None = key(
+        'the number of the service that is free, as in [margins]: `"drop_height"`, `"hammer.drop_height"`'
+    )
+    between: Annotated[tuple[Raw, ...], Check(_ends, lambda: {"minItems": 2, "maxItems": 2})] | None = key(
+        "two values with units, in order", default_is="required with `solve`"
+    )
+
+
+@dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class Gauge:
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
@@ -316,6 +453,7 @@ def _parameter(name: str) -> Fixed:
 class LimitTable:
     """A strength, and the quantity or criterion that is held against it."""
 
+    service: Text | None = key("service that it is asked of", default_is="the rig itself", named="in")
     quantity: Text | None = key("a quantity of `uqsphere list quantities`", default_is="required, or `criterion`")
     criterion: Annotated[Text, Check(lambda name: name, lambda: {"enum": list(CRITERIA)})] | None = key(
         "in place of `quantity`: a criterion of `uqsphere list criteria`, for the impact model"
@@ -336,8 +474,19 @@ class LimitTable:
     rate_0: Annotated[float, _parameter("rate_0")] | None = key(
         "strain rate at which the strength has doubled: strengths in tension then grow with the rate of each sample"
     )
+    energy_is: Annotated[Text, among(tuple(ENERGY_OF))] | None = key(
+        'what a strength in J/kg means: energy stored in both bodies of all contacts, `"contact"`, the sphere\'s share '
+        'of it, `"sphere"`, or what was offered, `"input"`',
+        default_is="required with a rig that is not `bars`",
+    )
+    platens: Platens | None = key(
+        "what a strength that is a law was measured between: `bars`, `rigid`, a material of bars, or a table of `E` "
+        "and `nu`",
+        default_is="the bars of the study, else `rigid`",
+    )
     strength: Number = key(
-        "what it is held against: value or distribution, in the unit of the quantity",
+        "what it is held against: value or distribution, in the unit of the quantity; or that of another limit, "
+        '`{ same_as = "limits.NAME.strength" }`',
         due='add a number such as "4 GPa", or a distribution',
     )
     strength_is: Annotated[Text, among(("hertz", "pressure"))] | None = key(
@@ -478,7 +627,7 @@ class MarginsTable:
     """The inverse question."""
 
     solve: Text = key(
-        'the number that is free, such as `"striker.speed"`',
+        'the number that is free, such as `"striker.speed"`, `"hammer.drop_height"`, `"service.chute.drop_height"`',
         due='add the number that is free, such as solve = "striker.speed"',
     )
     between: Annotated[tuple[Raw, ...], Check(_ends, lambda: {"minItems": 2, "maxItems": 2})] = key(
@@ -515,18 +664,21 @@ class EmpiricalTable:
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
 class SphereTestsTable:
-    """A strength from the forces at which spheres broke."""
+    """A strength from the forces, or the energies, at which spheres broke."""
 
     dist: Text = "empirical"
     file: Text = key("CSV beside the study", due='add file = "tests.csv"')
-    force: Text = key("column of forces at failure of spheres, in place of column", due='add force = "F"')
-    force_unit: Annotated[Text, among(tuple(UNITS["force"]))] = key("unit of the forces", due='add force_unit = "kN"')
+    force: Text | None = key("column of forces at failure of spheres, in place of column")
+    force_unit: Annotated[Text, among(tuple(UNITS["force"]))] | None = key("unit of the forces")
+    energy: Text | None = key("column of energies at failure of spheres, in place of force")
+    energy_unit: Annotated[Text, among(tuple(UNITS["energy"]))] | None = key("unit of the energies")
+    energy_is: Annotated[Text, among(tuple(ENERGY_OF))] | None = key("what the energies are, as of the limit")
     diameter: Text = key("column of diameters, or one length", due='add a column, or a value: diameter = "16 mm"')
     diameter_unit: Annotated[Text, among(tuple(UNITS["length"]))] | None = key("unit of the diameters")
     rate: Text | None = key("column of loading rates")
     rate_unit: Annotated[Text, among(tuple(UNITS["loading_rate"]))] | None = key("unit of the loading rates")
     censored: Text | None = key("column of flags: tests stopped before a failure")
-    platens: Annotated[Text, among(_platens)] = key("`bars`, `rigid`, or a material of bars", "bars")
+    platens: Platens = key("`bars`, `rigid`, a material of bars, or a table of `E` and `nu`", "bars")
     fit: Text = key("the law that is fitted to the strengths", "weibull")
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
 
@@ -550,6 +702,14 @@ class Document:
     pulse: PulseTable | None = None
     contact: ContactTable | None = None
     product: ProductTable | None = None
+    rig: RigTable | None = None
+    target: TargetTable | None = None
+    anvil: TargetTable | None = None
+    other: OtherTable | None = None
+    hammer: HammerTable | None = None
+    rod: RodTable | None = None
+    platens: PlatensTable | None = None
+    service: Mapping[Text, ServiceTable] = Field(default_factory=dict)
     model: ModelChoice | None = None
     inputs: Mapping[Text, Number] | None = None
     outputs: OutputsTable | None = None
@@ -558,3 +718,8 @@ class Document:
     gauges: tuple[Gauge, ...] = ()
     analysis: Analysis = Analysis()
     margins: MarginsTable | None = None
+
+    @property
+    def rig_kind(self) -> str:
+        """What loads the sphere, a key of `RIG_TABLES`."""
+        return "bars" if self.rig is None else self.rig.kind

@@ -23,7 +23,9 @@ from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestio
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
+from uqsphere.study.rigs import read_rig, refuse_other_tables
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
+from uqsphere.study.services import split
 from uqsphere.study.study import Margins, Study, tie_of
 from uqsphere.study.tables import read_table
 from uqsphere.study.text import apply_overrides, drop_unusable_numbers, locate, parse_text, read_text
@@ -91,7 +93,22 @@ def _refuse_parts_of_no_limit(
 
 
 def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) -> Study | None:
-    """The study of a table of plain values; None, with every fault noted, where there is none."""
+    """The study of a table of plain values with its services; None, with every fault noted, where there is none."""
+    own, parts = split(data, findings)
+    study, services = _resolve_part(own, findings, path, text), dict[str, Study]()
+    for part in parts:
+        found = Findings(folder=findings.folder)
+        made = _resolve_part(part.data, found, path, part.text)
+        part.report(found, findings)
+        if made is not None:
+            services[part.name] = made
+    if study is None or findings.faults:
+        return None
+    return replace(study, services=services) if services else study
+
+
+def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: str) -> Study | None:
+    """The study of one rig."""
     document = read_table(Document, data, findings)
     black_box = _kind(data, findings)
     scene, outputs, model = Scene(), None, document.model or ModelChoice()
@@ -100,9 +117,13 @@ def _resolve(data: dict[str, Raw], findings: Findings, path: Path, text: str) ->
         _read_inputs(document, scene, findings)
     elif black_box is not None:
         scene = read_scene(document, data, findings)
+        refuse_other_tables(document, data, findings)
         read_contact(document.contact, scene, findings)
-        check_scene(scene, model, findings)
-        check_contact(scene, model, findings)
+        if document.rig_kind == "bars":
+            check_scene(scene, model, findings)
+            check_contact(scene, model, findings)
+        else:
+            read_rig(document, scene, findings)
     limits = read_limits(document.limits, outputs, findings, scene)
     if document.contact is not None:
         share_fracture_energy(document.contact.fracture_energy, limits, scene, findings)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.materials import KINDS, library
+from uqsphere.materials import KINDS, Material, library
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES, MeasuredPulse, noise_names, striker_steps
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study.columns import inside_folder, open_observations
@@ -45,6 +45,8 @@ DEFAULT_VALLEY: Final = 0.75
 _NOTABLE: Final = 0.005
 #: frequency [Hz], impedance [kg/s] with the time factor exp(+i 2 pi f t)
 DAMPER_COLUMNS: Final = ("frequency", "impedance_real", "impedance_imag")
+#: a face without a radius
+FLAT: Final = "flat"
 #: two lengths that are meant to be equal differ by nothing but rounding
 _ROUNDING: Final = 1.0 + 1e-9
 _EXAMPLES: Final = {
@@ -86,9 +88,17 @@ class Scene:
 
 
 def read_scene(document: Document, data: Mapping[str, Raw], findings: Findings) -> Scene:
-    """Scene of the tables [sphere], [bars], [striker], [pulse] and [product]; what is missing or faulty is noted."""
+    """Scene of the tables [sphere], [bars], [striker], [pulse] and [product]; what is missing or faulty is noted.
+
+    Of another rig than `bars` the sphere and the numbers as they are given: `uqsphere.study.rigs` has the rest.
+    """
     scene = Scene()
     _read_numbers(document, data, scene, findings)
+    if document.rig_kind != "bars":
+        if document.sphere is None and not findings.touched(("sphere",)):
+            findings.add(("sphere",), "the table [sphere] is missing")
+        _fill_from_library(document, "sphere", scene, findings)
+        return scene
     measured = document.pulse is not None and document.pulse.shape == "measured"
     for section in ("sphere", "bars", "striker"):
         optional = section == "striker" and measured
@@ -112,7 +122,7 @@ def _read_numbers(document: Document, data: Mapping[str, Raw], scene: Scene, fin
         for key in data[section]:
             name = f"{section}.{key}"
             raw = getattr(table, key, None)
-            if name in INPUTS and raw is not None and not worded(section, key, raw):
+            if name in INPUTS and raw not in (None, FLAT) and not worded(section, key, raw):
                 reading = read_number(raw, (section, key), INPUTS[name], findings)
                 if reading is not None:
                     scene.readings[name] = reading
@@ -137,10 +147,10 @@ def _check_striker(document: Document, scene: Scene, findings: Findings) -> None
                 said = "the record says what the striker did: leave it out, or use pulse.gain"
                 findings.add(tuple(name.split(".")), said)
     elif document.striker is not None:
-        _require(scene, findings, "striker.speed", '"0.5 m/s"')
+        require(scene, findings, "striker.speed", '"0.5 m/s"')
         needs_length = shape not in (None, "step") and "pulse.duration" not in scene.readings
         if needs_length and not findings.touched(("pulse", "duration")):
-            _require(scene, findings, "striker.length", '"0.8 m"', ": it sets the duration of the pulse")
+            require(scene, findings, "striker.length", '"0.8 m"', ": it sets the duration of the pulse")
 
 
 def _warn_of_odd(name: str, reading: Reading, findings: Findings) -> None:
@@ -151,7 +161,7 @@ def _warn_of_odd(name: str, reading: Reading, findings: Findings) -> None:
         findings.warn(tuple(name.split(".")), f"{found} is unusual (usual: {usual}); is the unit right?")
 
 
-def _require(scene: Scene, findings: Findings, name: str, example: str, why: str = "") -> None:
+def require(scene: Scene, findings: Findings, name: str, example: str, why: str = "") -> None:
     place: Place = tuple(name.split("."))
     if name not in scene.readings and findings.clean(place):
         key = place[-1]
@@ -172,16 +182,23 @@ def _fill_from_library(document: Document, section: str, scene: Scene, findings:
     if name is None:
         if section in _EXAMPLES and not findings.touched((section, "material")):
             for key, example in _EXAMPLES[section].items():
-                _require(scene, findings, f"{section}.{key}", example, ', or a material = "…" to take it from')
+                require(scene, findings, f"{section}.{key}", example, ', or a material = "…" to take it from')
         return
     if name not in known:
         elsewhere = next((other for other in KINDS if name in library()[other]), None)
         near = f" ({shown(name)} is for {elsewhere})" if elsewhere else suggestion(name, known)
         findings.add((section, "material"), f"unknown material {shown(name)}, known for {kind}: {one_of(known)}{near}")
         return
-    scene.materials[section] = name
+    take_from_library(scene, findings, section, known[name], keys)
+
+
+def take_from_library(
+    scene: Scene, findings: Findings, section: str, material: Material, keys: tuple[str, ...]
+) -> None:
+    """The numbers of a table that a material gives and the file does not."""
+    scene.materials[section] = material.name
     for key in keys:
-        found = known[name].properties.get(key)
+        found = material.properties.get(key)
         path = f"{section}.{key}"
         if found is not None and path not in scene.readings and findings.clean((section, key)):
             scene.readings[path] = Reading(value=found.value)
@@ -195,7 +212,7 @@ def _read_bars(bars: BarsTable | None, scene: Scene, findings: Findings) -> None
     scene.options["bars.rigid_contact"] = bars.rigid_contact
     if not bars.infinite and findings.clean(("bars", "infinite")):
         for key in ("incident_length", "receiving_length"):
-            _require(scene, findings, f"bars.{key}", '"1.5 m"', ", finite unless infinite = true")
+            require(scene, findings, f"bars.{key}", '"1.5 m"', ", finite unless infinite = true")
     for key, word in (("incident_end", "free"), ("receiving_end", "absorbing")):
         if findings.clean(("bars", key)):
             scene.readings.setdefault(f"bars.{key}", Reading(value=BAR_ENDS[word]))
@@ -249,7 +266,7 @@ def _check_keys(pulse: PulseTable, shape: str, scene: Scene, findings: Findings)
             findings.add(("pulse", key), f"{shown(key)} does not belong to a {shape} pulse, which takes {takes}")
             scene.readings.pop(f"pulse.{key}", None)
         elif key in needed and shape != "measured":
-            _require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
+            require(scene, findings, f"pulse.{key}", "0.5" if key.startswith("level") else '"25 us"')
 
 
 def _read_record(pulse: PulseTable, scene: Scene, findings: Findings) -> MeasuredPulse | None:

@@ -105,6 +105,8 @@ class Study:
         Where `uqsphere history` puts gauges; no answer of a run depends on them.
     receiving_damper : EndImpedance or None
         The receiving bar's far end against frequency, which only `uqsphere history` can follow.
+    services : mapping of str to Study
+        The machines that are asked, each a study of its own.
     """
 
     title: str
@@ -129,6 +131,17 @@ class Study:
     record: MeasuredPulse | None = None
     gauges: tuple[Gauge, ...] = ()
     receiving_damper: EndImpedance | None = None
+    services: Mapping[str, Study] = field(default_factory=dict)
+
+    @property
+    def rig(self) -> str:
+        """What loads the sphere: `bars`, `impact`, ..., or `none` where only the services are run."""
+        return str(self.options.get("rig.kind", "bars"))
+
+    @property
+    def parts(self) -> dict[str, Study]:
+        """Every study that is run: the rig's own by an empty name, where it has one, and the services."""
+        return {**({} if self.rig == "none" else {"": self}), **self.services}
 
     @property
     def hash(self) -> str:
@@ -185,6 +198,7 @@ class Study:
             **({} if self.record is None else {"record": _lists(asdict(self.record))}),
             **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
             **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
+            **({"services": {name: own.hash for name, own in self.services.items()}} if self.services else {}),
         }
 
 

@@ -187,14 +187,16 @@ def several(least: int, what: str, most: int = MOST_LISTED) -> Check:
     return Check(look, lambda: {"minItems": least})
 
 
-def key(meaning: str, default: Raw = None, *, default_is: str = "", due: str = "") -> Raw:
+def key(meaning: str, default: Raw = None, *, default_is: str = "", due: str = "", named: str | None = None) -> Raw:
     """A key of a table.
 
     meaning : one clause, for the reference and for editors
     default_is : the default in words, where its value does not say it
     due : the key must be given: what to add where it is missing
+    named : the key in the file, where it is no name in Python
     """
-    return Field(default=default, description=meaning, json_schema_extra={"default_is": default_is, "due": due})
+    told = {"default_is": default_is, "due": due}
+    return Field(default=default, description=meaning, json_schema_extra=told, alias=named)
 
 
 # --- reading --------------------------------------------------------------------------------------------
@@ -236,7 +238,7 @@ def read_table(kind: type[Table], data: Mapping[str, Raw], findings: Findings, p
 
 def declared(kind: Raw) -> dict[str, FieldInfo]:
     """The keys of a table and what is declared of each."""
-    return dict(kind.__pydantic_fields__)
+    return {entry.alias or name: entry for name, entry in kind.__pydantic_fields__.items()}
 
 
 def due_of(entry: FieldInfo) -> str:
@@ -295,7 +297,7 @@ def _note_missing(table: Raw, raw: Raw, place: Place, findings: Findings) -> Non
     elif isinstance(table, tuple):
         parts = dict(enumerate(table))
     else:
-        parts = {name: getattr(table, name) for name in declared(table)}
+        parts = {name: getattr(table, name, None) for name in declared(table)}
         for name, entry in declared(table).items():
             if (due := due_of(entry)) and name not in raw and findings.clean((*place, name)):
                 findings.add((*place, name), f"{name} is missing: {due}")

@@ -1,0 +1,360 @@
+"""Services: machines that a study asks of, each made into a study file of its own.
+
+The file of a service has the sphere, the analysis and the seed of the study, the service as its rig, and the limits
+that are asked of it.  It is read as every study is, and what is wrong with it is said where it stands in the file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Final
+
+from uqsphere.materials import library
+from uqsphere.study.document import RIG_TABLES, RigTable
+from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
+from uqsphere.study.sphere_tests import is_sphere_tests
+from uqsphere.study.tables import declared
+
+#: tables that every service has as the study has them, and their keys that speak of the study's own rig
+_SHARED: Final = ("seed", "sphere", "product", "contact", "model", "analysis")
+_OWN_RIG: Final = {"model": ("first_loading_only", "compare_with_paper", "horizon")}
+#: tables that can stand in a service, and what it asks of the free scalar
+_NESTED: Final = tuple(
+    dict.fromkeys(table for name, tables in RIG_TABLES.items() if name != "bars" for table in tables)
+)
+_ASKED: Final = ("solve", "between")
+#: keys of [margins] that hold for every service that is solved
+_FOR_ALL: Final = ("for_probability", "for_survival", "for_fracture")
+_BEGINNING: Final = "service."
+_SAME: Final = "same_as"
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """The study file of a service as plain values; `dependences` are the places of its dependences in the file."""
+
+    name: str
+    data: dict[str, Raw]
+    dependences: tuple[int, ...] = ()
+    solved_here: bool = True
+
+    def home(self, place: Place) -> Place:
+        """Where something of the service stands in the file.
+
+        >>> Service(name="chute", data={}).home(("rig", "speed"))
+        ('service', 'chute', 'speed')
+        """
+        if not place or place[0] in (*_SHARED, "limits"):
+            return place
+        here: Place = ("service", self.name)
+        if place[0] == "rig":
+            return (*here, *place[1:])
+        if place[0] == "dependence" and len(place) > 1:
+            return ("dependence", self.dependences[int(place[1])], *place[2:])
+        if place[0] == "margins":
+            if not self.solved_here or (place[1:2] and place[1] in _FOR_ALL):
+                return place
+            return (*here, *(place[1:] or ("solve",)))
+        return (*here, *place)
+
+    def report(self, found: Findings, findings: Findings) -> None:
+        """Note what was found in the service at its place in the file."""
+        for place, message in found.faults:
+            findings.add(self.home(place), message)
+
+    @property
+    def text(self) -> str:
+        """The study file."""
+        return as_toml(self.data)
+
+
+def split(data: Mapping[str, Raw], findings: Findings) -> tuple[dict[str, Raw], list[Service]]:
+    """The study of the rig itself, and those of its services."""
+    tables = {name: table for name, table in _table(data, "service").items() if isinstance(table, Mapping)}
+    own = _without_references(data, findings)
+    limits = _table(own, "limits")
+    homes = {name: _home_of(name, table, tables, findings) for name, table in limits.items()}
+    made = [_service(name, table, own, homes) for name, table in tables.items()]
+    if "limits" in own and isinstance(own["limits"], Mapping):
+        own["limits"] = {name: table for name, table in limits.items() if homes[name] is None}
+        if not own["limits"]:
+            del own["limits"]
+    margins = _table(own, "margins")
+    if str(margins.get("solve", "")).startswith(_BEGINNING) or ("solve" not in margins and tables):
+        _check_named(margins, tables, findings)
+        own.pop("margins", None)
+    _share_dependence(own, made, _list(own, "dependence"), findings)
+    _share_budget(made, own)
+    return own, made
+
+
+def _table(data: Mapping[str, Raw], key: str) -> dict[str, Raw]:
+    found = data.get(key)
+    return dict(found) if isinstance(found, Mapping) else {}
+
+
+def _list(data: Mapping[str, Raw], key: str) -> list[Raw]:
+    found = data.get(key)
+    return list(found) if isinstance(found, list) else []
+
+
+def _home_of(name: str, table: Raw, services: Mapping[str, Raw], findings: Findings) -> str | None:
+    """The service that a limit is asked of; None for the rig itself."""
+    asked = table.get("in") if isinstance(table, Mapping) else None
+    if not isinstance(asked, str):
+        return None
+    if asked in services:
+        return asked
+    known = f"known: {one_of(list(services))}{suggestion(asked, services)}" if services else "the study has none"
+    findings.add(("limits", name, "in"), f"no service {shown(asked)}, {known}: add [service.NAME], or leave in out")
+    return None
+
+
+# --- strengths that are those of another limit ----------------------------------------------------------
+
+
+def _without_references(data: Mapping[str, Raw], findings: Findings) -> dict[str, Raw]:
+    """The file with every strength written out where it is needed."""
+    own = dict(data)
+    limits = {name: dict(t) if isinstance(t, Mapping) else t for name, t in _table(data, "limits").items()}
+    for name, table in limits.items():
+        if not isinstance(table, dict) or not _is_reference(table.get("strength")):
+            continue
+        source = _source_of(name, _table(data, "limits"), findings)
+        if source is None:
+            del table["strength"]
+            findings.spoiled.add(("limits", name, "strength"))
+            continue
+        table["strength"] = deepcopy(source["strength"])
+        if "platens" in source:
+            table.setdefault("platens", source["platens"])
+    if limits:
+        own["limits"] = limits
+    return own
+
+
+def _is_reference(raw: Raw) -> bool:
+    return isinstance(raw, Mapping) and _SAME in raw
+
+
+def _source_of(name: str, limits: Mapping[str, Raw], findings: Findings) -> dict[str, Raw] | None:
+    """The limit whose strength is meant in the end; None, with the fault noted, where there is none."""
+    place: Place = ("limits", name, "strength", _SAME)
+    seen = [name]
+    while True:
+        table = _table(limits, seen[-1])
+        strength: Raw = table.get("strength")
+        if strength is None:
+            findings.add(place, f"limit {shown(seen[-1])} has no strength: give one, or name another limit")
+            return None
+        if not _is_reference(strength):
+            return table
+        path = str(strength[_SAME])
+        other = path.removeprefix("limits.").removesuffix(".strength")
+        if not path.startswith("limits.") or not path.endswith(".strength") or other not in limits:
+            paths = [f"limits.{one}.strength" for one in limits if one != name]
+            known = f"known: {one_of(paths)}{suggestion(path, paths)}" if paths else "there is no other"
+            findings.add(place, f"found {shown(path)}, which is no strength of this file; {known}")
+            return None
+        if len(strength) > 1:
+            findings.add(place, "a strength that is that of another limit has no other key: leave the rest out")
+            return None
+        if other in seen:
+            chain = " → ".join([*seen, other])
+            findings.add(place, f"the strengths refer to each other in a circle, {chain}: write one of them out")
+            return None
+        seen.append(other)
+
+
+# --- the file of a service --------------------------------------------------------------------------------
+
+
+def _service(name: str, table: Mapping[str, Raw], own: Mapping[str, Raw], homes: Mapping[str, str | None]) -> Service:
+    """The study file of one service."""
+    data: dict[str, Raw] = {"title": f"{own.get('title', 'Untitled study')}: {name}"}
+    for key in _SHARED:
+        if key in own:
+            data[key] = deepcopy(own[key])
+            if isinstance(data[key], dict):
+                data[key] = {part: value for part, value in data[key].items() if part not in _OWN_RIG.get(key, ())}
+    rig = {key: table[key] for key in declared(RigTable) if key in table}
+    data["rig"] = {"kind": "impact", **rig}
+    data |= {key: deepcopy(table[key]) for key in _NESTED if key in table}
+    limits = {one: dict(t) for one, t in _table(own, "limits").items() if homes[one] == name}
+    for limit in limits.values():
+        limit.pop("in", None)
+        _say_platens(limit, _table(own, "bars"))
+    if limits:
+        data["limits"] = limits
+    margins, here = _margins(name, table, _table(own, "margins"))
+    if margins:
+        data["margins"] = margins
+    return Service(name=name, data=data, solved_here=here)
+
+
+def _say_platens(limit: dict[str, Raw], bars: Mapping[str, Raw]) -> None:
+    """Say what a strength was measured between, which the file leaves to the bars that it has."""
+    strength = limit.get("strength")
+    if is_sphere_tests(strength):
+        assert isinstance(strength, Mapping)
+        if strength.get("platens", "bars") == "bars" and bars:
+            limit["strength"] = {**strength, "platens": _as_platens(bars)}
+    elif limit.get("platens", "bars") == "bars":
+        limit["platens"] = _as_platens(bars) if bars else limit.get("platens", "rigid")
+
+
+def _as_platens(bars: Mapping[str, Raw]) -> Raw:
+    """The bars of a study as platens: their material, or E and nu at their means."""
+    material = bars.get("material")
+    if isinstance(material, str) and "E" not in bars and "nu" not in bars:
+        return material
+    known = library()["bars"].get(str(material))
+    found: dict[str, Raw] = {}
+    for key, unit in (("E", " Pa"), ("nu", "")):
+        raw = bars.get(key)
+        if raw is None and known is not None:
+            value = known.properties[key].value
+            raw = f"{value!r}{unit}" if unit else value
+        found[key] = raw.get("mean") if isinstance(raw, Mapping) else raw
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _margins(name: str, table: Mapping[str, Raw], margins: Mapping[str, Raw]) -> tuple[dict[str, Raw], bool]:
+    """What is solved for in a service, and whether the service says so itself."""
+    common = {key: margins[key] for key in _FOR_ALL if key in margins}
+    beginning = f"{_BEGINNING}{name}."
+    path = str(margins.get("solve", ""))
+    if path.startswith(beginning):
+        return {**margins, "solve": _path(path.removeprefix(beginning))}, False
+    asked = {key: table[key] for key in _ASKED if key in table}
+    if isinstance(asked.get("solve"), str):
+        asked["solve"] = _path(asked["solve"])
+    return ({**common, **asked} if asked else {}), True
+
+
+def _path(path: str) -> str:
+    """A number of a service by its path in the file of the service.
+
+    >>> _path("drop_height"), _path("hammer.drop_height")
+    ('rig.drop_height', 'hammer.drop_height')
+    """
+    return path if "." in path else f"rig.{path}"
+
+
+def _check_named(margins: Mapping[str, Raw], services: Mapping[str, Raw], findings: Findings) -> None:
+    """Note a [margins] that names no service, or that says what a service is to say."""
+    path = str(margins.get("solve", ""))
+    name = path.removeprefix(_BEGINNING).partition(".")[0]
+    if path and name not in services:
+        known = f"known: {one_of(list(services))}{suggestion(name, services)}" if services else "the study has none"
+        findings.add(("margins", "solve"), f"found {shown(path)}: no service {shown(name)}, {known}")
+    if not path and not any("solve" in table for table in services.values()):
+        findings.add(("margins", "solve"), "solve is missing: add the number that is free, here or in a service")
+
+
+# --- what the parts share -----------------------------------------------------------------------------------
+
+
+def _share_dependence(own: dict[str, Raw], made: list[Service], ties: Sequence[Raw], findings: Findings) -> None:
+    """Give every part the dependences between the numbers that it has."""
+    if not made or not ties:
+        return
+    mine: list[Raw] = []
+    theirs: dict[str, list[tuple[int, Raw]]] = {service.name: [] for service in made}
+    for index, tie in enumerate(ties):
+        names = tie.get("of") if isinstance(tie, Mapping) else None
+        if not isinstance(names, list) or len(names) < 2:
+            mine.append(tie)
+            continue
+        ours = [name for name in names if _has(own, name)]
+        if len(ours) > 1:
+            mine.append({**tie, "of": ours})
+        shared = len(ours) > 1
+        for service in made:
+            kept = [_local(name, service.name) for name in names if _has(service.data, name, service.name)]
+            if len(kept) > 1:
+                theirs[service.name].append((index, {**tie, "of": kept}))
+                shared = True
+        found = {name for name in names if _has(own, name) or any(_has(s.data, name, s.name) for s in made)}
+        for at, name in enumerate(names):
+            if name not in found:
+                findings.add(("dependence", index, "of", at), f"unknown random input {shown(name)} in every part")
+        if not shared and len(found) == len(names):
+            said = "no part of the study has two of these numbers: a dependence is between numbers of one rig"
+            findings.add(("dependence", index, "of"), said)
+    own["dependence"] = mine
+    for at, service in enumerate(made):
+        given = theirs[service.name]
+        if given:
+            made[at] = replace(service, data={**service.data, "dependence": [tie for _, tie in given]},
+                               dependences=tuple(index for index, _ in given))  # fmt: skip
+
+
+def _local(path: Raw, service: str) -> str:
+    """A path of the file as the file of a service has it."""
+    beginning = f"{_BEGINNING}{service}."
+    text = str(path)
+    return _path(text.removeprefix(beginning)) if text.startswith(beginning) else text
+
+
+def _has(data: Mapping[str, Raw], path: Raw, service: str = "") -> bool:
+    """Whether something stands at a path."""
+    node: Raw = data
+    for part in _local(path, service).split("."):
+        if not isinstance(node, Mapping) or part not in node:
+            return False
+        node = node[part]
+    return True
+
+
+def _share_budget(made: Sequence[Service], own: Mapping[str, Raw]) -> None:
+    """Divide the budget among the parts that are run, so that what each does is settled by its own file."""
+    budget = _table(_table(own, "analysis"), "budget")
+    parts = len(made) + (_table(own, "rig").get("kind") != "none")
+    for service in made:
+        share = dict(budget)
+        most = share.get("evaluations", 2_000_000)
+        if isinstance(most, int) and not isinstance(most, bool) and most > 0:
+            share["evaluations"] = max(most // parts, 1)
+        analysis = _table(service.data, "analysis")
+        service.data["analysis"] = {**analysis, "budget": share}
+
+
+# --- writing ------------------------------------------------------------------------------------------------
+
+
+def as_toml(data: Mapping[str, Raw]) -> str:
+    """Plain values as a TOML text: a table for each table at the top, everything below in one line.
+
+    >>> print(as_toml({"seed": 1, "sphere": {"E": {"dist": "normal", "sd": 0.5}}}), end="")
+    seed = 1
+    <BLANKLINE>
+    [sphere]
+    E = {dist = "normal", sd = 0.5}
+    """
+    lines = [f"{_key(name)} = {_value(value)}" for name, value in data.items() if not isinstance(value, Mapping)]
+    for name, table in data.items():
+        if isinstance(table, Mapping):
+            lines += ["", f"[{_key(name)}]", *(f"{_key(key)} = {_value(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else _value(name)
+
+
+def _value(value: Raw) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(name)} = {_value(part)}" for name, part in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return repr(value) if isinstance(value, (int, float)) else str(value)
