@@ -110,9 +110,11 @@ def scene_of(
         columns["striker.speed"] = 2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
     return Scene(
         columns=columns,
-        shape=str(study.options["pulse.shape"]),
-        infinite=bool(study.options["bars.infinite"]),
-        rigid_contact=bool(study.options["bars.rigid_contact"]),
+        rig=study.rig,
+        options={name: str(word) for name, word in study.options.items()},
+        shape=str(study.options.get("pulse.shape", "rectangular")),
+        infinite=bool(study.options.get("bars.infinite")),
+        rigid_contact=bool(study.options.get("bars.rigid_contact")),
         first_loading_only=study.model.first_loading_only,
         horizon=study.model.horizon,
         demands=study.demands,

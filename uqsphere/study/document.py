@@ -327,7 +327,10 @@ class PartnerTable:
     E: Number = key("Young's modulus", default_is="from the material")
     nu: Number = key("Poisson ratio", default_is="from the material")
     density: Number = key("density", default_is="from the material")
-    yield_strength: Number = key("only for the validity checks", default_is="from the material")
+    yield_strength: Number = key("for the validity checks and a face that yields", default_is="from the material")
+    onset_pressure: Number = key('centre pressure at which the face yields, with a contact that is "plastic"')
+    hardness: Number = key("mean pressure of the face that flows fully")
+    pile_up: Number = key("pile-up of the face far beyond yield")
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)

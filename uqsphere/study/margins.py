@@ -18,7 +18,7 @@ from uqsphere.uq.families import LawError
 
 #: what curves can be had over beside the free scalar, and the scalars that go with it
 IMPOSED: Final = "specific_energy"
-SETS_ENERGY: Final = (SPEED, ENERGY)
+SETS_ENERGY: Final = (SPEED, ENERGY, "rig.speed", "rig.drop_height", "hammer.speed", "hammer.drop_height")
 
 
 def read_margins(

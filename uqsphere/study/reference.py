@@ -27,16 +27,23 @@ from uqsphere.study.document import (
     Document,
     EmpiricalTable,
     Gauge,
+    HammerTable,
     LimitTable,
     MarginsTable,
     ModelChoice,
+    OtherTable,
+    PlatensTable,
     ProductTable,
+    RigTable,
+    RodTable,
+    ServiceTable,
     SphereTable,
     SphereTestsTable,
     StrikerTable,
+    TargetTable,
 )
 from uqsphere.study.faults import Raw
-from uqsphere.study.tables import BAR_ENDS, Node, declared
+from uqsphere.study.tables import BAR_ENDS, Node, declared, far_end
 from uqsphere.units import UNITS, units_of
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.fitting import FITS
@@ -49,6 +56,13 @@ TABLES: Final = {
     "## [striker]": StrikerTable,
     "## [contact]": ContactTable,
     "## [product]": ProductTable,
+    "## [rig]": RigTable,
+    "## [target], [anvil]": TargetTable,
+    "## [other]": OtherTable,
+    "## [hammer]": HammerTable,
+    "## [rod]": RodTable,
+    "## [platens]": PlatensTable,
+    "## [service.NAME]": ServiceTable,
     "## [[gauges]]": Gauge,
     "## [model]": ModelChoice,
     "## [limits.NAME]": LimitTable,
@@ -74,13 +88,15 @@ def build_schema() -> Node:
     dimensions = sorted(UNITS)
     measured = {"pulse": {"properties": {"shape": {"const": "measured"}}, "required": ["shape"]}}
     driven = [{"required": ["striker"]}, {"properties": measured, "required": ["pulse"]}]
-    scene = {"required": ["sphere", "bars"], "anyOf": driven, "not": {"anyOf": _present("inputs", "outputs")}}
+    no_box = {"not": {"anyOf": _present("inputs", "outputs")}}
+    scene = {"required": ["sphere", "bars"], "anyOf": driven, **no_box}
+    rig = {"required": ["sphere", "rig"], **no_box}
     parts = _present(*SCENE, "model", "gauges")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "uqsphere study",
         **made,
-        "anyOf": [scene, {"required": ["inputs", "outputs"], "not": {"anyOf": parts}}],
+        "anyOf": [scene, rig, {"required": ["inputs", "outputs"], "not": {"anyOf": parts}}],
         "$defs": {
             **tables,
             **{name: _dimension(name) for name in dimensions},
@@ -126,7 +142,8 @@ def _worth_telling(default: Raw) -> bool:
 
 def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     """Put in what a declaration leaves open: numbers of the scene by their quantity, and what a name can be."""
-    names = {section: f"{section.capitalize()}Table" for section in SCENE}
+    # a target and an anvil are declared once, and what a rig says of speeds a service says too
+    names = {section: f"{section.capitalize()}Table" for section in SCENE if section != "anvil"}
     for path, quantity in INPUTS.items():
         section, key = path.split(".")
         if section not in names or path in noise_names():
@@ -134,12 +151,14 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
         if key not in tables[names[section]]["properties"]:
             continue  # a number that no study has yet
         node = _number_or_law(quantity.dimension)
-        if quantity.symbol in ("R_1", "R_3"):
+        if far_end(quantity):
             node["anyOf"].insert(0, {"enum": list(BAR_ENDS)})
         keys = tables[names[section]]["properties"]
         unit = f" [{quantity.unit}]" if quantity.unit else ""
         told = keys[key].get("description", quantity.meaning)
         keys[key] = node | {"description": f"{told}, {quantity.symbol}{unit}"}
+        if section == "rig":
+            tables["ServiceTable"]["properties"][key] = keys[key]
     for section, kind in (("sphere", "sphere"), ("bars", "bars"), ("striker", "bars")):
         tables[names[section]]["properties"]["material"]["enum"] = list(material_names(kind))
     tables["StrikerTable"]["required"] = ["speed"]
@@ -148,13 +167,17 @@ def _add_numbers(made: Node, tables: dict[str, Node]) -> None:
     tables["ContactTable"]["properties"]["fracture_energy"]["anyOf"].append(same)
     limit = tables["LimitTable"]
     strengths = sorted({quantity.dimension for quantity in OUTPUTS.values()})
-    choices = [choice for name in strengths for choice in _number_or_law(name)["anyOf"]]
+    choices = [*(choice for name in strengths for choice in _number_or_law(name)["anyOf"]), same]
     limit["properties"]["strength"] |= {"anyOf": choices}
     limit["properties"]["model_factor"] |= _number_or_law("number")
     limit["oneOf"] = _present("quantity", "criterion")
     tables["Dependence"]["oneOf"] = _present("spearman", "kendall")
     tables["OutputsTable"]["required"] = ["names"]
-    for name, item in (("inputs", _number_or_law("number")), ("limits", {"$ref": "#/$defs/LimitTable"})):
+    for name, item in (
+        ("inputs", _number_or_law("number")),
+        ("limits", {"$ref": "#/$defs/LimitTable"}),
+        ("service", {"$ref": "#/$defs/ServiceTable"}),
+    ):
         made["properties"][name] = {"type": "object", "patternProperties": {_NAME: item}, "additionalProperties": False}
     made["properties"]["inputs"]["minProperties"] = 1
 

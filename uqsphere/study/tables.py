@@ -54,7 +54,7 @@ _MOST_SUGGESTIONS: Final = 50
 
 def fixed_value(raw: object, quantity: Quantity) -> float:
     """SI value of a fixed number; raises UnitError where it is none, or outside the bounds of its meaning."""
-    if isinstance(raw, str) and quantity.symbol in ("R_1", "R_3"):
+    if isinstance(raw, str) and far_end(quantity):
         if raw in BAR_ENDS:
             return BAR_ENDS[raw]
         near = suggestion(raw, BAR_ENDS)
@@ -63,6 +63,11 @@ def fixed_value(raw: object, quantity: Quantity) -> float:
     if not quantity.allows(value):
         raise UnitError(f"found {shown(raw)}: {bounds_in_words(quantity)}")
     return value
+
+
+def far_end(quantity: Quantity) -> bool:
+    """Whether a number is what the far end of a bar does to a wave, which words say as well."""
+    return quantity.name.endswith(("_end", ".end"))
 
 
 def number_value(raw: object, quantity: Quantity) -> float:
@@ -195,7 +200,7 @@ def key(meaning: str, default: Raw = None, *, default_is: str = "", due: str = "
     due : the key must be given: what to add where it is missing
     named : the key in the file, where it is no name in Python
     """
-    told = {"default_is": default_is, "due": due}
+    told: dict[str, Raw] = {"default_is": default_is, "due": due}
     return Field(default=default, description=meaning, json_schema_extra=told, alias=named)
 
 
