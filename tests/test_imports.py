@@ -18,7 +18,6 @@ HEAVY = ("scipy.stats", "pandas", "chaospy", "SALib", "matplotlib", "numba")
 HOMES = {
     "chaospy": {"uq/expansion/germs.py"},
     "numpoly": {"uq/expansion/germs.py"},
-    "SALib": {"uq/sensitivity.py"},
     "numba": {"mechanics/integrator/compiled.py", "mechanics/integrator/vectors.py"},
 }
 

@@ -101,7 +101,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     from uqsphere.runner.questions.indices import pick_and_freeze
     from uqsphere.uq.control import controlled_indices, describe_controlled
     from uqsphere.uq.describe import describe
-    from uqsphere.uq.sensitivity import sobol_indices
+    from uqsphere.uq.indices import Blocks, index_estimates
 
     study = uqsphere.load_study(path)
     full = Work(study=study, store=None, ledger=Ledger(), fidelity="full", threads=1)
@@ -109,7 +109,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
     rows = [draw(full.drawn, seed=study.seed, task="sampling", start=0, count=points * k) for k in (1, 8)]
     dear, many = (evaluate_sample(work, "gains", each).answers for work, each in zip((full, cheap), rows, strict=True))
     designs = [pick_and_freeze(work, "gains", 0, n)[0] for work, n in ((full, index_points), (cheap, 4 * index_points))]
-    found = {}
+    blocks, found = Blocks(inputs_count=len(full.scene_names)), {}
     for k, name in enumerate(full.quantities):
         asked = study.analysis.quantiles
         line = float(np.polyfit(many[:, :points, k].ravel(), dear[..., k].ravel(), 1)[0])
@@ -121,7 +121,7 @@ def gains(path: str | Path, *, points: int = 256, index_points: int = 128) -> di
         with_it = controlled_indices(designs[0][..., k], at[:, :index_points], at, method="")
         found[name] = {
             "quantiles": max(plain[p].half_width for p in told) / max(sharp[p].half_width for p in told),
-            "indices": width(sobol_indices(designs[0][..., k])) / width(with_it),
+            "indices": width(index_estimates(designs[0][..., k], blocks, "saltelli")) / width(with_it),
         }
     return found
 

@@ -388,7 +388,6 @@ _MEANING = (
     ("active learning", "a Gaussian process that is refined where the limit is passed"),
     ("Jansen", "Jansen’s estimator, accurate for small shares"),
     ("Saltelli", "Saltelli’s estimator"),
-    ("Owen", "Owen’s estimator, accurate for small first-order shares"),
     ("Azzini", "the estimator of Azzini and Rosati, accurate for large shares"),
     ("controlled by a surrogate", "the polynomial chaos as control variate: it narrows intervals and cannot bias them"),
     ("times as many", "a cheaper model as control variate: it narrows intervals and cannot bias them"),

@@ -20,13 +20,7 @@ from uqsphere.study import Limit
 from uqsphere.study.axis import limit_of
 from uqsphere.uq.beyond_variance import delta_estimates, pawn_estimates
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
-from uqsphere.uq.fitting import count_tests
-from uqsphere.uq.indices import Blocks, sampled_indices
-from uqsphere.uq.law import Law
-from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
-from uqsphere.uq.points import random_generator
-from uqsphere.uq.sample import Sample, without
-from uqsphere.uq.target import (
+from uqsphere.uq.failure_indices import (
     explained_share,
     given_failure,
     indicator_indices,
@@ -35,6 +29,12 @@ from uqsphere.uq.target import (
     specimens_for_share,
     sway_estimates,
 )
+from uqsphere.uq.fitting import count_tests
+from uqsphere.uq.indices import Blocks, sampled_indices, uniform_halves
+from uqsphere.uq.law import Law
+from uqsphere.uq.limit_state import LimitState, score_given_inputs, tails
+from uqsphere.uq.points import random_generator
+from uqsphere.uq.sample import Sample, without
 
 if TYPE_CHECKING:
     from uqsphere.uq.shapley import SubsetDesign
@@ -223,7 +223,6 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
     """Dependent normal scores (R, count, rows, d) of a paired design: made again, since they are not kept."""
     from scipy.special import ndtri
 
-    from uqsphere.uq.sensitivity import mix, saltelli_halves
     from uqsphere.uq.shapley import subset_scores
 
     seed, names = work.study.seed, work.scene_names
@@ -232,11 +231,11 @@ def _scores(work: Work, subsets: SubsetDesign | None, count: int) -> Array:
         return np.stack(
             [subset_scores(subsets, inputs, count=count, seed=seed, task=TASK, replicate=r) for r in range(REPLICATES)]
         )
-    blocks = []
-    for r in range(REPLICATES):
-        a, b = saltelli_halves(inputs_count=len(names), count=count, seed=seed, task="sensitivity", replicate=r)
-        blocks.append(np.asarray(ndtri(mix(a, b))))
-    return np.stack(blocks)
+    blocks = Blocks(inputs_count=len(names))
+    halves = [
+        uniform_halves(blocks, count=count, seed=seed, task="sensitivity", replicate=r) for r in range(REPLICATES)
+    ]
+    return np.stack([np.asarray(ndtri(blocks.mix(*pair))) for pair in halves])
 
 
 # --- what the inputs look like where the aim is missed ----------------------------------------------------

@@ -34,7 +34,7 @@ from uqsphere.study.axis import limit_of, quantity_of
 from uqsphere.uq.estimate import Estimate
 
 SCHEMA_VERSION: Final = 1
-_DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "SALib", "pandas", "matplotlib")
+_DEPENDENCIES = ("numpy", "scipy", "numba", "chaospy", "pandas", "matplotlib")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -182,7 +182,7 @@ def controlled_indices(dear: Array, cheap: Array, cheap_many: Array, *, method: 
     Parameters
     ----------
     dear, cheap : (R, N, d + 2) arrays
-        Outputs of both models at the same base points, in the blocks of `uqsphere.uq.sensitivity.mix`.
+        Outputs of both models at the same base points, in the blocks of `uqsphere.uq.indices.Blocks`.
     cheap_many : (R, M, d + 2) array
         The cheap model at the base points continued.
     """

@@ -1,13 +1,27 @@
-"""What a failure hangs on: shares of the inputs in where the failures lie, in standard normal space."""
+"""What a failure hangs on: which input drives it, what inputs look like where it happens, which to measure first.
+
+Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement, the strength being
+integrated.  Indices of the failure indicator itself follow from T at pairs of runs without drawing the strength:
+with the same strength S, both of two runs fail with probability min(T, T'), just one of them with |T - T'|; with
+strengths of their own, both fail with probability T T'.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.uq.estimate import Estimate, absent, from_replicates, student
+from uqsphere.uq.joint import Joint
 
+#: failures, in samples of equal weight, below which their inputs are not described: a dozen for each of 16 replicates,
+#: as the intervals are those of ratios
+LEAST_FAILURES: Final = 200.0
 BY_DIRECTION: Final = "squared direction of the centre of failures in standard normal space"
 BY_INFORMATION: Final = "how much a failure tells of each input by itself: failures lie in several directions"
 
@@ -15,6 +29,206 @@ BY_INFORMATION: Final = "how much a failure tells of each input by itself: failu
 _ONE_SIDED: Final = 0.7
 #: equally probable classes of an input, of which the failures take up some more than others
 _CLASSES: Final = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenFailure:
+    """One input where failure happens: its moments and 5, 50 and 95 % quantiles."""
+
+    mean: Estimate
+    sd: Estimate
+    quantiles: dict[float, Estimate]
+
+
+# --- which input drives failure -------------------------------------------------------------------------
+
+
+def _ratio(numerators: Array, denominators: Array, method: str, evaluations: int) -> Estimate:
+    """Ratio of two means over replicates (R,), with the interval of the linearised ratio."""
+    scale = float(denominators.mean())
+    value = float(numerators.mean()) / scale
+    return from_replicates(value + (numerators - value * denominators) / scale, method, evaluations, value)
+
+
+def indicator_indices(probabilities: Array) -> dict[str, list[Estimate]]:
+    """First and total Sobol' indices of the failure indicator from T (R, N, d + 2) at the blocks of `mix`.
+
+    The last of each list is the strength's, which must be independent of the inputs; a fixed strength gives T of 0
+    and 1 and itself an index of 0.  For input i, with A, AB_i, B the blocks and p the probability of failure,
+
+        first: (E[T_B T_ABi] - p²)/(p (1 - p)),   total: E|T_A - T_ABi|/(2 p (1 - p)),
+        strength, first: (E[min(T_A, T_B)] - p²)/(p (1 - p)),   total: E[T (1 - T)]/(p (1 - p)).
+
+    Raises ValueError for probabilities outside [0, 1] or a shape that does not fit.
+    """
+    t = np.asarray(probabilities, dtype=float)
+    if t.ndim != 3 or t.shape[2] < 3 or t.shape[0] < 2:
+        raise ValueError(f"probabilities must have shape (R, N, d + 2), R >= 2; found {t.shape}")
+    if not (t.min() >= 0.0 and t.max() <= 1.0):
+        raise ValueError("probabilities must lie in [0, 1]")
+    method = "pick and freeze of the failure indicator, strength integrated"
+    d = t.shape[2] - 2
+    a, b = t[:, :, 0], t[:, :, d + 1]
+    both = 0.5 * (a + b)
+    p = float(both.mean())
+    variance = both.mean(axis=1) * (1.0 - 2.0 * p) + p * p
+    if p * (1.0 - p) <= 0.0:
+        nothing = [absent("no sample decides: all fail, or none", method, t.size)] * (d + 1)
+        return {"first": nothing, "total": list(nothing)}
+
+    def common(y: Array, z: Array) -> Array:
+        return np.asarray(((y - p) * (z - p)).mean(axis=1))
+
+    first = [_ratio(common(b, t[:, :, 1 + j]), variance, method, t.size) for j in range(d)]
+    total = [_ratio(0.5 * np.abs(a - t[:, :, 1 + j]).mean(axis=1), variance, method, t.size) for j in range(d)]
+    same = np.minimum(a, b).mean(axis=1) - 2.0 * p * both.mean(axis=1) + p * p
+    own = 0.5 * (a * (1.0 - a) + b * (1.0 - b)).mean(axis=1)
+    if np.any((t > 0.0) & (t < 1.0)):
+        return {
+            "first": [*first, _ratio(same, variance, method, t.size)],
+            "total": [*total, _ratio(own, variance, method, t.size)],
+        }
+    idle = from_replicates(np.zeros(t.shape[0]), "a fixed strength", t.size)
+    return {"first": [*first, idle], "total": [*total, idle]}
+
+
+def explained_share(probabilities: Array) -> Estimate:
+    """Share of the failure indicator's variance that the inputs decide: Var(T)/(p (1 - p)), the rest the strength's.
+
+    >>> explained_share(np.array([[0.0, 1.0], [1.0, 0.0]])).value
+    1.0
+    """
+    t = np.asarray(probabilities, dtype=float)
+    method = "samples, strength integrated"
+    p = float(t.mean())
+    if p * (1.0 - p) <= 0.0:
+        return absent("no sample decides: all fail, or none", method, t.size)
+    variance = t.mean(axis=1) * (1.0 - 2.0 * p) + p * p
+    return _ratio(variance - (t * (1.0 - t)).mean(axis=1), variance, method, t.size)
+
+
+# --- what the inputs look like where failure happens ----------------------------------------------------
+
+
+def given_failure(values: Array, weights: Array, quantiles: Sequence[float] = (0.05, 0.5, 0.95)) -> GivenFailure:
+    """One input given failure, from its samples (R, n) and their probabilities of failure (R, n).
+
+    Weighted moments and quantiles of all replicates together; the intervals are those of ratios over the
+    replicates, for a quantile of the weighted distribution function there (Woodruff 1952).  Absent where the
+    weights are worth fewer than two hundred failures.
+    """
+    method = "samples weighted by their probability of failure"
+    values, weights = np.asarray(values, dtype=float), np.asarray(weights, dtype=float)
+    total = values.size
+    mass = float(weights.sum())
+    worth = mass**2 / float((weights**2).sum()) if mass > 0.0 else 0.0
+    if worth < LEAST_FAILURES or np.any(weights.sum(axis=1) <= 0.0):
+        nothing = absent(f"too few failures among the samples: worth {worth:.0f} of equal weight", method, total)
+        return GivenFailure(mean=nothing, sd=nothing, quantiles=dict.fromkeys(quantiles, nothing))
+    share = weights.sum(axis=1)
+    mean = _ratio((weights * values).sum(axis=1), share, method, total)
+    assert mean.value is not None
+    square = _ratio((weights * (values - mean.value) ** 2).sum(axis=1), share, method, total)
+    return GivenFailure(
+        mean=mean,
+        sd=_root(square, method),
+        quantiles=_weighted_quantiles(values, weights, quantiles, method),
+    )
+
+
+def _root(square: Estimate, method: str) -> Estimate:
+    """Square root of an estimate, its interval's ends with it."""
+    if square.value is None or square.low is None or square.high is None or square.value <= 0.0:
+        return absent("it does not vary where failure happens", method, square.evaluations)
+    root = math.sqrt(square.value)
+    return Estimate(
+        value=root,
+        low=math.sqrt(max(0.0, square.low)),
+        high=math.sqrt(square.high),
+        std_error=(square.std_error or 0.0) / (2.0 * root),
+        method=method,
+        evaluations=square.evaluations,
+    )
+
+
+def _weighted_quantiles(
+    values: Array, weights: Array, quantiles: Sequence[float], method: str
+) -> dict[float, Estimate]:
+    order = np.argsort(values, axis=None, kind="stable")
+    ordered, mass = values.reshape(-1)[order], weights.reshape(-1)[order]
+    middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
+    share = weights.sum(axis=1)
+    factor = student(len(values))
+    found = {}
+    for p in quantiles:
+        at = float(np.interp(p, middles, ordered))
+        below = (weights * (values <= at)).sum(axis=1)
+        deviations = (below - p * share) / share.mean()
+        error = max(float(np.std(deviations, ddof=1)) / math.sqrt(len(values)), 0.5 / values.size)
+        low, high = (float(np.interp(p + sign * factor * error, middles, ordered)) for sign in (-1.0, 1.0))
+        found[p] = Estimate(
+            value=at,
+            low=min(low, at),
+            high=max(high, at),
+            std_error=0.5 * (high - low) / factor,
+            method=method,
+            evaluations=values.size,
+        )
+    return found
+
+
+# --- what to measure first ------------------------------------------------------------------------------
+
+
+def score_gradients(inputs: Joint, scores: Array) -> Array:
+    """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d).
+
+    The scores themselves where inputs are independent, R⁻¹ s under the Gaussian copula, differences of ln f under
+    the others.
+    """
+    found = np.array(scores, dtype=float)
+    for columns, copula in inputs.blocks():
+        found[:, list(columns)] = copula.score_gradient(scores[:, list(columns)])
+    return found
+
+
+def sway_estimates(probabilities: Array, gradients: Array, moved: Array | None = None) -> list[Estimate]:
+    """Change of the probability of failure per standard deviation that an input's centre is moved by.
+
+    For T (R, n) and gradients (R, n, d) of `score_gradients` it is E[T g_i], by the density that moves with the
+    law's centre in normal scores, everything that ties inputs staying as it is; T is taken about its mean, which
+    changes nothing but the noise.  `moved` (R, n, d) adds what a strength that is tied to the inputs does meanwhile.
+    """
+    method = "derivative of the density"
+    about = probabilities - probabilities.mean()
+    rows = (about[:, :, None] * gradients + (0.0 if moved is None else moved)).mean(axis=1)
+    return [from_replicates(rows[:, i], method, probabilities.size) for i in range(rows.shape[1])]
+
+
+def specimens_for_share(share: float, wanted: float) -> int:
+    """Tests of an input after which what it contributes to the variance is below the share `wanted` of it.
+
+    After n tests the mean of an input that scatters with σ² is known to σ²/n, so that its contribution, to first
+    order in it, falls from S to S/n of today's variance: n = S/wanted, rounded up; 0 where it is below already.
+
+    >>> specimens_for_share(0.45, 0.1), specimens_for_share(0.05, 0.1)
+    (5, 0)
+    """
+    return 0 if share <= wanted else math.ceil(share / wanted - 1e-9)
+
+
+def specimens_for_probability(sway: float, probability: float, wanted: float) -> int:
+    """Tests after which the standard error of an input's mean moves the probability by less than `wanted` of it.
+
+    n tests leave σ/√n, which moves the probability by sway/√n: n = (sway/(wanted p))², rounded up; at least 1.
+
+    >>> specimens_for_probability(0.02, 0.01, 0.1)
+    400
+    """
+    return max(1, math.ceil((sway / (wanted * probability)) ** 2 - 1e-9))
+
+
+# --- shares of the inputs in where the failures lie -------------------------------------------------------
 
 
 def failure_shares(scores: Array, weight: Array, strength: Array | None = None) -> tuple[Array, str] | None:

@@ -1,7 +1,7 @@
 """Sobol' indices by pick and freeze: first, total, second order and groups, for all replicates and inputs at once.
 
 A design has two independent halves A and B (N, d) and blocks mixed from them: AB_u is A with the columns u of B,
-BA_u is B with the columns u of A; Owen's estimator adds AC_u, with the columns of a third half C.
+BA_u is B with the columns u of A.
 
 Write a, b, ab, ba for the outputs on the blocks A, B, AB_j, BA_j, about their common mean, and V for their variance.
 Every estimator is a ratio of two means over the points of a replicate.  The value is the ratio of the means over all
@@ -26,10 +26,9 @@ from uqsphere.uq.points import sobol_points
 
 @dataclass(frozen=True, kw_only=True)
 class Blocks:
-    """The blocks of a design: A, AB_1 ... AB_d, B, then BA_1 ... BA_d (`second`), AB_g of groups, AC_j (`third`).
+    """The blocks of a design: A, AB_1 ... AB_d, B, then BA_1 ... BA_d (`second`), AB_g of groups.
 
-    Evaluations for each base point: d + 2, and d more for second order, one more for each group, and d more for
-    the third half C of Owen's estimator, which also takes the blocks of second order.
+    Evaluations for each base point: d + 2, and d more for second order, one more for each group.
 
     >>> Blocks(inputs_count=3).count, Blocks(inputs_count=3, second=True, groups=((0, 1),)).count
     (5, 9)
@@ -38,11 +37,8 @@ class Blocks:
     inputs_count: int
     second: bool = False
     groups: tuple[tuple[int, ...], ...] = ()
-    third: bool = False
 
     def __post_init__(self) -> None:
-        if self.third and not self.second:
-            raise ValueError("the third half is used with the blocks of second order: set second as well")
         for group in self.groups:
             if not group or len(set(group)) != len(group) or not all(0 <= k < self.inputs_count for k in group):
                 raise ValueError(f"a group names inputs from 0 to {self.inputs_count - 1}, each once; found {group}")
@@ -51,24 +47,18 @@ class Blocks:
     def count(self) -> int:
         """Evaluations for each base point."""
         d = self.inputs_count
-        return d + 2 + d * self.second + len(self.groups) + d * self.third
+        return d + 2 + d * self.second + len(self.groups)
 
-    @property
-    def halves(self) -> int:
-        """Independent halves that the design is mixed from."""
-        return 3 if self.third else 2
-
-    def mix(self, *halves: Array) -> Array:
-        """Blocks (N, count, d) of halves A, B (and C), (N, d) each; of uniforms or of what they are mapped to.
+    def mix(self, a: Array, b: Array) -> Array:
+        """Blocks (N, count, d) of halves A, B, (N, d) each; of uniforms or of what they are mapped to.
 
         >>> rows = Blocks(inputs_count=2, second=True).mix(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]]))
         >>> rows[0].tolist()
         [[1.0, 2.0], [3.0, 2.0], [1.0, 4.0], [3.0, 4.0], [1.0, 4.0], [3.0, 2.0]]
         """
         d = self.inputs_count
-        if len(halves) != self.halves or any(half.shape != halves[0].shape or half.shape[1] != d for half in halves):
-            raise ValueError(f"{self.halves} halves (N, {d}) are due, found {[half.shape for half in halves]}")
-        a, b = halves[:2]
+        if a.shape != b.shape or a.shape[1] != d:
+            raise ValueError(f"two halves (N, {d}) are due, found {a.shape} and {b.shape}")
         inputs = np.arange(d)
         blocks = np.repeat(a[:, None, :], self.count, axis=1)
         blocks[:, inputs + 1, inputs] = b
@@ -81,8 +71,6 @@ class Blocks:
         for group in self.groups:
             blocks[:, at, list(group)] = b[:, list(group)]
             at += 1
-        if self.third:
-            blocks[:, at + inputs, inputs] = halves[2]
         return blocks
 
     def split(self, outputs: Array) -> Outputs:
@@ -103,15 +91,13 @@ class Blocks:
         at = d + 2
         ba = y[:, :, at : at + d] if self.second else None
         at += d * self.second
-        groups = y[:, :, at : at + len(self.groups)]
-        at += len(self.groups)
+        groups = y[:, :, at:]
         return Outputs(
             a=y[:, :, :1],
             ab=y[:, :, 1 : d + 1],
             b=y[:, :, d + 1 : d + 2],
             ba=ba,
             groups=groups,
-            ac=y[:, :, at:] if self.third else None,
             varies=varies,
             evaluations=outputs.size,
         )
@@ -119,30 +105,27 @@ class Blocks:
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Centred outputs by block: a, b (R, N, 1), ab, ba, ac (R, N, d) and groups (R, N, G)."""
+    """Centred outputs by block: a, b (R, N, 1), ab, ba (R, N, d) and groups (R, N, G)."""
 
     a: Array
     b: Array
     ab: Array
     ba: Array | None
     groups: Array
-    ac: Array | None
     varies: bool
     evaluations: int
 
 
 def uniform_halves(
     blocks: Blocks, *, count: int, seed: int, task: str, replicate: int, start: int = 0
-) -> tuple[Array, ...]:
-    """Uniform halves A, B (and C), (count, d) each, of one replicate; `start` continues the same design.
+) -> tuple[Array, Array]:
+    """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same design.
 
-    They are the columns of one scrambled Sobol' sequence, so that all halves together are evenly spread.
+    They are the columns of one scrambled Sobol' sequence, so that both together are evenly spread.
     """
     d = blocks.inputs_count
-    points = sobol_points(
-        dimension=blocks.halves * d, count=count, start=start, seed=seed, task=task, replicate=replicate
-    )
-    return tuple(points[:, k * d : (k + 1) * d] for k in range(blocks.halves))
+    points = sobol_points(dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate)
+    return points[:, :d], points[:, d:]
 
 
 # --- estimators -----------------------------------------------------------------------------------
@@ -164,12 +147,6 @@ def _variance(a: Array, b: Array, like: Array) -> Array:
 def _saltelli_first(a: Array, b: Array, ab: Array) -> Ratio:
     """<b (ab - a)> / V (Saltelli et al., Comput. Phys. Commun. 181, 2010, 259, table 2 (b))."""
     return block_mean(b * (ab - a)), _variance(a, b, ab)
-
-
-def _jansen_first(a: Array, b: Array, ab: Array) -> Ratio:
-    """1 - <(b - ab)²> / 2V (Jansen, Comput. Phys. Commun. 117, 1999, 35; Saltelli's table 2 (c))."""
-    v = _variance(a, b, ab)
-    return v - 0.5 * block_mean((b - ab) ** 2), v
 
 
 def jansen_total(a: Array, b: Array, ab: Array) -> Ratio:
@@ -197,29 +174,6 @@ def _janon_total(a: Array, b: Array, ab: Array) -> Ratio:
     return square - product, square
 
 
-def _martinez(y: Array, z: Array) -> Ratio:
-    """Pearson's correlation of pairs, each about its own mean and in its own scale.
-
-    J.-M. Martinez, GdR MASCOT-NUM, 2011; the statistic is that of Baudin et al., arXiv 1606.01746.
-    """
-    y, z = y - y.mean(axis=(0, 1)), z - z.mean(axis=(0, 1))
-    vy, vz = block_mean(y * y), block_mean(z * z)
-    # The root of the product of two means, linearised about their pooled values, is a mean over replicates again.
-    py, pz = vy.mean(axis=0), vz.mean(axis=0)
-    root = np.sqrt(py * pz)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return block_mean(y * z), np.where(root > 0.0, 0.5 * root * (vy / py + vz / pz), 0.0)
-
-
-def _martinez_first(a: Array, b: Array, ab: Array) -> Ratio:
-    return _martinez(b, ab)
-
-
-def _martinez_total(a: Array, b: Array, ab: Array) -> Ratio:
-    product, root = _martinez(a, ab)
-    return root - product, root
-
-
 def _azzini_scale(a: Array, b: Array, ab: Array, ba: Array) -> Array:
     return block_mean((a - b) ** 2 + (ba - ab) ** 2)
 
@@ -234,22 +188,11 @@ def _azzini_total(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     return block_mean((b - ba) ** 2 + (a - ab) ** 2), _azzini_scale(a, b, ab, ba)
 
 
-def _owen_first(a: Array, b: Array, ac: Array, ba: Array) -> Ratio:
-    """<(a - ac)(ba - b)> / V: "correlation 2" of Owen (ACM Trans. Model. Comput. Simul. 23, 2013, article 11).
-
-    Both factors vanish with the effect of the input, so that the error of a small index is small beside it.
-    """
-    return block_mean((a - ac) * (ba - b)), _variance(a, b, ba)
-
-
-#: Estimator -> order -> ratio of what it needs: a, b, ab; "azzini_rosati" also ba; "owen" a, b, ac, ba.
+#: Estimator -> order -> ratio of what it needs: a, b, ab; "azzini_rosati" also ba.
 ESTIMATORS: Final[Mapping[str, Mapping[str, Callable[..., Ratio]]]] = {
     "saltelli": {"first": _saltelli_first, "total": jansen_total},
-    "jansen": {"first": _jansen_first, "total": jansen_total},
     "janon_monod": {"first": _janon_first, "total": _janon_total},
-    "martinez": {"first": _martinez_first, "total": _martinez_total},
     "azzini_rosati": {"first": _azzini_first, "total": _azzini_total},
-    "owen": {"first": _owen_first},
 }
 
 
@@ -274,19 +217,12 @@ _NO_SCATTER: Final = "the output does not vary"
 
 _SHOWN: Final = {
     "saltelli": "Saltelli 2010",
-    "jansen": "Jansen",
     "janon_monod": "correlation of pairs",
-    "martinez": "Martinez",
     "azzini_rosati": "Azzini and Rosati",
-    "owen": "Owen's correlation 2",
 }
 
 
 def _arguments(outputs: Outputs, name: str) -> tuple[Array, ...]:
-    if name == "owen":
-        if outputs.ac is None or outputs.ba is None:
-            raise ValueError("Owen's estimator needs the third half: Blocks(second=True, third=True)")
-        return outputs.a, outputs.b, outputs.ac, outputs.ba
     if name == "azzini_rosati":
         if outputs.ba is None:
             raise ValueError("the estimator of Azzini and Rosati needs the blocks BA: Blocks(second=True)")
@@ -333,7 +269,7 @@ def index_estimates(outputs: Array, blocks: Blocks, estimator: str) -> dict[str,
     outputs : (R, N, blocks.count) array
         The model on the blocks of R independent replicates.
     blocks : Blocks
-    estimator : name; "owen" has first indices alone
+    estimator : name
 
     An output that does not vary is answered by absent estimates.  Nothing is clipped.
 
@@ -602,4 +538,49 @@ def choice_text(blocks: Blocks, large: int) -> str:
     return (
         f"{small} {large} of {d} {inputs} a total index above {LARGE:g}. {verb} read off the correlation of pairs of "
         "runs, whose error falls as an index nears 1."
+    )
+
+
+# --- two ways beside each other ---------------------------------------------------------------------------
+
+
+def agree(first: Estimate, second: Estimate, floor: float = 1e-4) -> bool:
+    """Whether two estimates of one number are compatible: their difference within both half-widths together.
+
+    `floor` is a difference too small to matter.  An absent estimate contradicts nothing.
+    """
+    if first.value is None or second.value is None:
+        return True
+    allowed = first.half_width + second.half_width + floor
+    return abs(first.value - second.value) <= allowed
+
+
+def cross_check(
+    names: Sequence[str],
+    sampled: Mapping[str, Sequence[Estimate]],
+    surrogate: Mapping[str, Sequence[Estimate]],
+) -> tuple[bool, str]:
+    """Indices from sampling and from the surrogate, input by input: (all agree, text for the report).
+
+    >>> one = from_replicates(np.array([0.5, 0.52, 0.51]), "a", 3)
+    >>> other = from_replicates(np.array([0.7, 0.72, 0.71]), "b", 3)
+    >>> cross_check(["x"], {"first": [one]}, {"first": [other]})
+    (False, 'Sampling and surrogate disagree on 1 of 1 index: first of x (0.5100 against 0.7100).')
+    """
+    apart, compared, largest = [], 0, 0.0
+    for order in ("first", "total"):
+        for name, one, other in zip(names, sampled.get(order, ()), surrogate.get(order, ()), strict=False):
+            if one.value is None or other.value is None:
+                continue
+            compared += 1
+            largest = max(largest, abs(one.value - other.value))
+            if not agree(one, other):
+                apart.append(f"{order} of {name} ({one.value:.4f} against {other.value:.4f})")
+    if not compared:
+        return True, "No index was answered by both sampling and surrogate."
+    noun = "index" if compared == 1 else "indices"
+    if apart:
+        return False, (f"Sampling and surrogate disagree on {len(apart)} of {compared} {noun}: {'; '.join(apart)}.")
+    return True, (
+        f"Sampling and surrogate agree on {compared} {noun} within their intervals (largest difference {largest:.2g})."
     )

@@ -40,7 +40,16 @@ from uqsphere.uq.heavy_tails import (
     why_no_shares,
     widened_share,
 )
-from uqsphere.uq.indices import METHOD, WORTHLESS, Blocks, SampledIndices, ordered, sampled_indices, uniform_halves
+from uqsphere.uq.indices import (
+    METHOD,
+    WORTHLESS,
+    Blocks,
+    SampledIndices,
+    cross_check,
+    ordered,
+    sampled_indices,
+    uniform_halves,
+)
 from uqsphere.uq.sample import without
 
 # --- variances that are not there, or rest on a handful of samples -------------------------------------------
@@ -590,8 +599,6 @@ def _conclude(
     asked: float,
     cost: Cost,
 ) -> Sensitivity:
-    from uqsphere.uq.sensitivity import cross_check
-
     expanded, about = expansion.indices, expansion.about
     # What is sampled is the answer: of the model itself, with the expansion as control variate where there is one.
     given = sampled or expanded
