@@ -330,7 +330,7 @@ def test_swapping_identical_bars() -> None:
 
     @njit
     def run(h: Any, inverse_mu: Any, push: Any, x: Any, u: Any, root: Any, force: Any, half: Any, *law: Any) -> None:
-        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law)
+        expand(0, h, inverse_mu, push, x, u, root, force, half, False, False, *law[:3], False, *law[3:])
 
     rng = np.random.default_rng(15)
     h, inverse_mu = rng.uniform(0.01, 0.1, LANES), rng.uniform(1.0, 100.0, LANES)
@@ -342,7 +342,7 @@ def test_swapping_identical_bars() -> None:
         swap = np.roll(np.arange(PAIR), LANES) if mirror else np.arange(PAIR)
         x, u, root, force = (np.zeros((TERMS, columns)) for columns in (PAIR, LANES, PAIR, PAIR))
         x[0], u[0] = approach[swap], -velocity if mirror else velocity
-        law = np.zeros((NUMBERS, PAIR)), np.zeros((TERMS, PAIR)), np.zeros(PAIR)
+        law = np.zeros((NUMBERS, PAIR)), np.zeros((TERMS, PAIR)), np.zeros(PAIR), *np.zeros((2, TERMS, PAIR))
         run(h, inverse_mu, np.ascontiguousarray(push[:, swap]), x, u, root, force, np.zeros(PAIR), *law)
         answers.append((x[:, swap], -u if mirror else u))
     assert np.array_equal(answers[0][0], answers[1][0])

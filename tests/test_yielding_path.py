@@ -12,13 +12,13 @@ from tests.independent.yielding import Law, follow
 from uqsphere.mechanics.integrator import solve
 from uqsphere.mechanics.integrator.tracked import (
     ANSWER_CONTACT,
+    ANSWER_FACES,
     ANSWER_RISE,
     ANSWER_UNLOADINGS,
     ANSWER_WIDTH,
     ANSWER_WIDTHS,
     ANSWER_X_FIRST,
     ANSWER_X_MAX,
-    ANSWER_YIELD,
 )
 from uqsphere.mechanics.scene import Scene
 
@@ -45,7 +45,7 @@ def test_converged_scenes(case):
     found = solve.integrate(scene, threads=1)
     answers, faces, scale = found.answers[0], scene.faces, scene.scales
     assert found.status[0] == 0
-    depth = answers[ANSWER_YIELD : ANSWER_YIELD + 2] * scale.approach / faces.onset_approach
+    depth = answers[ANSWER_FACES : ANSWER_FACES + 2] * scale.approach / faces.onset_approach
     for k, name in enumerate("AB"):
         state = faces.pressed(depth[[k]])
         assert state.dent[0] == pytest.approx(wanted[f"residual_{name}"], abs=1e-7 * wanted["alpha_max"])
@@ -90,9 +90,11 @@ def test_a_second_integrator_of_another_method_agrees(speed, onset, ratio, pile_
         rtol=1e-11,
     )
     assert course.energy == pytest.approx(course.work, rel=1e-8)
-    reached = [x if x > face.onset else 0.0 for x, face in zip(course.largest, faces, strict=True)]
-    assert reached[0] > 0.0
-    assert found[ANSWER_YIELD : ANSWER_YIELD + 2] == pytest.approx(reached, rel=5e-8)
+    assert course.largest[0] > faces[0].onset
+    for k in range(2):
+        # the second integrator tells the largest approach where a face turns; of an elastic one it has its steps alone
+        close = 5e-8 if course.largest[k] > faces[k].onset else 1e-2
+        assert found[ANSWER_FACES + k] == pytest.approx(course.largest[k], rel=close)
     assert found[ANSWER_UNLOADINGS] == sum(face.unloadings for face in faces)
 
 
@@ -116,12 +118,14 @@ def test_what_never_yields_has_the_bits_of_hertz():
     elastic = solve.integrate(granite_rows(), threads=1)
     hard = solve.integrate(granite_rows(onset_pressure=50e9, hardness=90e9, pile_up=2.0), threads=1)
     assert np.array_equal(hard.steps, elastic.steps)
-    same = [k for k in range(ANSWER_YIELD) if not ANSWER_WIDTH <= k <= ANSWER_RISE and k < ANSWER_WIDTHS]
+    same = [k for k in range(ANSWER_FACES) if not ANSWER_WIDTH <= k <= ANSWER_RISE and k < ANSWER_WIDTHS]
     assert np.array_equal(hard.answers[:, same], elastic.answers[:, same], equal_nan=True)
     # thresholds are looked for in the forces, not in the approaches: the same to the tolerance
     timed = [ANSWER_WIDTH, ANSWER_RISE]
     assert hard.answers[:, timed] == pytest.approx(elastic.answers[:, timed], rel=1e-6, nan_ok=True)
-    assert not hard.answers[:, ANSWER_YIELD].any()
+    assert np.array_equal(
+        hard.answers[:, ANSWER_FACES : ANSWER_FACES + 2].max(axis=1), elastic.answers[:, ANSWER_X_MAX]
+    )
 
 
 def test_a_row_that_yields_depends_on_nothing_but_the_row():

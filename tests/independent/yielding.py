@@ -19,11 +19,12 @@ SPRING, VIRGIN, FREE = range(3)
 
 @dataclass(kw_only=True)
 class Law:
-    """One face, scaled: onset x_y, b, C; its state, largest approach and dent."""
+    """One face, scaled: onset x_y, b, C, factor of x^1.5; its state, largest approach and dent."""
 
     onset: float
     b: float
     pile_up: float
+    stiffness: float = 1.0
     state: int = SPRING
     largest: float = 0.0
     dent: float = 0.0
@@ -31,7 +32,7 @@ class Law:
     unloadings: int = 0
 
     def __post_init__(self) -> None:
-        self.largest = self.onset
+        self.largest, self.spring = self.onset, self.stiffness
 
     def ratios(self, x: float) -> tuple[float, float, float]:
         """L, A, W of (C5) to (C7) at x/x_y >= 1."""
@@ -53,23 +54,23 @@ class Law:
             return 0.0
         if self.state == SPRING:
             return self.spring * (x - self.dent) ** 1.5
-        return self.onset**1.5 * self.ratios(max(x, self.onset))[0]
+        return self.stiffness * self.onset**1.5 * self.ratios(max(x, self.onset))[0]
 
     def unload(self, x: float) -> None:
         """Virgin loading ends at x."""
         force, area, _ = self.ratios(x)
         self.largest, self.state = x, SPRING
         recovered = self.onset * force / math.sqrt(area)
-        self.dent, self.spring = x - recovered, self.onset**1.5 * force / recovered**1.5
+        self.dent, self.spring = x - recovered, self.stiffness * self.onset**1.5 * force / recovered**1.5
         self.unloadings += 1
 
     def energy(self, x: float) -> float:
         """Stored and plastic, over P_0 alpha_c."""
         reached = x if self.state == VIRGIN else self.largest
-        force, area, work = self.ratios(reached)
-        unit = self.onset**2.5
         if reached == self.onset:
-            return 0.4 * max(x, 0.0) ** 2.5
+            return self.stiffness * 0.4 * max(x, 0.0) ** 2.5
+        force, area, work = self.ratios(reached)
+        unit = self.stiffness * self.onset**2.5
         plastic = unit * (work - 0.4 * force**2 / math.sqrt(area))
         stored = 0.4 * self.force(x) * (x - self.dent)
         if self.state == VIRGIN:

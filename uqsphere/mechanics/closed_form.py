@@ -14,10 +14,29 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Values
-from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
+from uqsphere.mechanics.integrator.tracked import (
+    ANSWER_CONTACT,
+    ANSWER_CONTACT_CENSORED,
+    ANSWER_DIFFERENCE,
+    ANSWER_END,
+    ANSWER_ENERGY,
+    ANSWER_FACES,
+    ANSWER_FIRSTS,
+    ANSWER_MEAN,
+    ANSWER_PARTING,
+    ANSWER_RISE,
+    ANSWER_WIDTH,
+    ANSWER_WIDTH_CENSORED,
+    ANSWER_X_FIRST,
+    ANSWER_X_MAX,
+    TAIL_SHARE,
+    empty_answers,
+)
 from uqsphere.mechanics.outputs import Answers, answers_of
 from uqsphere.mechanics.scene import Scene
 
+#: columns of the approaches of faces A and B
+_BOTH_FACES: Final = (ANSWER_FACES, ANSWER_FACES + 1, ANSWER_FIRSTS, ANSWER_FIRSTS + 1)
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the better way, and its
 #: terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double
 _SERIES_BELOW: Final = 0.1
@@ -231,12 +250,12 @@ def solve_closed(scene: Scene, fidelity: str = "massless", quantities: Collectio
 
 
 def scaled_answers(scene: Scene) -> Array:
-    """Scaled answers (n, 10) of `outputs.answers_of` for scenes inside the domain."""
+    """Scaled answers (n, ANSWERS) of `outputs.answers_of` for scenes inside the domain."""
     return _scaled_answers(scene.scales.pulse_number, scene.record_end / scene.scales.time)
 
 
 def _scaled_answers(theta: Array, horizon: Array) -> Array:
-    """Scaled answers (n, 10) of `outputs.answers_of`: approaches, force difference, energy, times."""
+    """Scaled answers (n, ANSWERS) of `outputs.answers_of`: approaches, force difference, energy, times."""
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
@@ -246,6 +265,10 @@ def _scaled_answers(theta: Array, horizon: Array) -> Array:
     still_above = half_again >= ended
     width = np.minimum(half_again, ended) - loading_time(peak * half)
     rise = loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0))
-    none, always = np.zeros_like(peak), np.ones_like(peak)
-    energy = 2.0 * 0.4 * peak**2.5
-    return np.stack([peak, peak, none, energy, ended, always, width, still_above.astype(float), rise, ended], axis=1)
+    answers = empty_answers(len(peak))
+    answers[:, (ANSWER_X_MAX, ANSWER_X_FIRST, *_BOTH_FACES)] = peak[:, None]
+    answers[:, ANSWER_DIFFERENCE], answers[:, ANSWER_CONTACT_CENSORED] = 0.0, 1.0
+    answers[:, ANSWER_ENERGY], answers[:, ANSWER_MEAN] = 2.0 * 0.4 * peak**2.5, peak**1.5
+    answers[:, (ANSWER_CONTACT, ANSWER_END, ANSWER_PARTING)] = ended[:, None]
+    answers[:, ANSWER_WIDTH], answers[:, ANSWER_WIDTH_CENSORED], answers[:, ANSWER_RISE] = width, still_above, rise
+    return answers

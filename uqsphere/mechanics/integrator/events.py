@@ -15,13 +15,17 @@ from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     ARMED,
     face_force,
-    has_yielded,
     largest_approach,
     largest_force,
+    of_its_own,
     stored_energy,
 )
-from uqsphere.mechanics.integrator.tracked import INNER, LANES, ORDER, PAIR
+from uqsphere.mechanics.integrator.tracked import CHI, INNER, LANES, ORDER, PAIR
 from uqsphere.mechanics.integrator.vectors import apart, curves_at, elementwise, larger, row, size_of, smaller, where
+
+#: how closely a top is found as a share of the step: where its height matters, which hardly depends on it; where the
+#: motion goes on from it
+_BROAD, _SHARP = 1e-6, 1e-13
 
 
 @compiled(**INNER)
@@ -44,21 +48,26 @@ def both(piece, face, theta):
 
 
 @compiled(**INNER)
-def _combine_yielded(kind, x1, x2, d1, d2, law, lane):
-    """Difference of the forces or stored energy of a lane one of whose faces has yielded, and its derivative."""
+def _combine_own(kind, x1, x2, d1, d2, law, lane):
+    """A searched function of both faces of a lane whose faces have laws of their own, and its derivative."""
     apart()
-    if kind == tracked.DIFFERENCE:
+    if kind == tracked.DIFFERENCE or kind == tracked.MEAN:
         force1, slope1 = face_force(law, lane, x1)
         force2, slope2 = face_force(law, LANES + lane, x2)
-        return force1 - force2, slope1 * d1 - slope2 * d2
+        if kind == tracked.DIFFERENCE:
+            return force1 - force2, slope1 * d1 - slope2 * d2
+        return 0.5 * (force1 + force2), 0.5 * (slope1 * d1 + slope2 * d2)
     energy1, slope1 = stored_energy(law, lane, x1)
     energy2, slope2 = stored_energy(law, LANES + lane, x2)
+    if kind == tracked.SHARE:
+        chi1, chi2 = law[CHI, lane], law[CHI, LANES + lane]
+        return chi1 * energy1 + chi2 * energy2, chi1 * slope1 * d1 + chi2 * slope2 * d2
     return energy1 + energy2, slope1 * d1 + slope2 * d2
 
 
 @compiled(**INNER)
 def combine(kind, mode, x1, x2, d1, d2):
-    """Value and derivative of a searched function from the approaches and their derivatives, nothing having yielded."""
+    """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
     if kind == tracked.FACE_A:
         return x1, d1
     if kind == tracked.FACE_B:
@@ -70,29 +79,33 @@ def combine(kind, mode, x1, x2, d1, d2):
     if mode == 1:
         if kind == tracked.DIFFERENCE:
             return x1 - x2, d1 - d2
+        if kind == tracked.MEAN:
+            return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
         return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
     root1, root2 = math.sqrt(x1), math.sqrt(x2)
     if kind == tracked.DIFFERENCE:
         return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
+    if kind == tracked.MEAN:
+        return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
     return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
 
 
 @compiled(**INNER)
-def _combined(kind, mode, x1, x2, d1, d2, yielded, law, lane):
-    """The same, whether faces have yielded or not."""
-    if yielded and kind > tracked.FACE_B:
-        return _combine_yielded(kind, x1, x2, d1, d2, law, lane)
+def _combined(kind, mode, x1, x2, d1, d2, own, law, lane):
+    """The same, whether faces have laws of their own or not."""
+    if kind > tracked.FACE_B and (own or kind == tracked.SHARE):
+        return _combine_own(kind, x1, x2, d1, d2, law, lane)
     return combine(kind, mode, x1, x2, d1, d2)
 
 
 @compiled(**INNER)
-def _measure(kind, mode, piece, theta, yielded, law, lane):
+def _measure(kind, mode, piece, theta, own, law, lane):
     """Value and derivative of one of the searched functions inside a step."""
     if kind <= tracked.FACE_B:
         return both(piece, kind, theta)
     x1, d1 = both(piece, 0, theta)
     x2, d2 = both(piece, 1, theta)
-    return _combined(kind, mode, x1, x2, d1, d2, yielded, law, lane)
+    return _combined(kind, mode, x1, x2, d1, d2, own, law, lane)
 
 
 @compiled(**INNER)
@@ -134,15 +147,15 @@ def _root(piece, face, level, a, b):
 
 
 @compiled(**INNER)
-def _extremum(kind, mode, piece, a, b, slope_a, slope_b, yielded, law, lane):
-    """theta between a and b at which the slope of a searched function changes sign, as it does at the ends."""
+def _extremum(kind, mode, piece, a, b, slope_a, slope_b, close, own, law, lane):
+    """theta between a and b, to `close`, at which the slope of a searched function changes sign, as at the ends."""
     apart()
-    for _ in range(40):
+    for _ in range(60):
         c = b - slope_b * (b - a) / (slope_b - slope_a)
         if not min(a, b) < c < max(a, b):
             c = 0.5 * (a + b)
-        _, slope_c = _measure(kind, mode, piece, c, yielded, law, lane)
-        if abs(c - b) < 1e-6 or slope_c == 0.0:
+        _, slope_c = _measure(kind, mode, piece, c, own, law, lane)
+        if abs(c - b) < close or slope_c == 0.0:
             return c
         if (slope_c < 0.0) != (slope_b < 0.0):
             a, slope_a = b, slope_b
@@ -153,22 +166,9 @@ def _extremum(kind, mode, piece, a, b, slope_a, slope_b, yielded, law, lane):
 
 
 @compiled(**INNER)
-def _top(piece, face, a, b, slope_a, slope_b):
-    """theta between a and b at which the slope of an approach changes sign, as it does at the ends."""
-    apart()
-    for _ in range(40):
-        c = b - slope_b * (b - a) / (slope_b - slope_a)
-        if not min(a, b) < c < max(a, b):
-            c = 0.5 * (a + b)
-        _, slope_c = both(piece, face, c)
-        if abs(c - b) < 1e-6 or slope_c == 0.0:
-            return c
-        if (slope_c < 0.0) != (slope_b < 0.0):
-            a, slope_a = b, slope_b
-        else:
-            slope_a *= 0.5
-        b, slope_b = c, slope_c
-    return b
+def _bend(piece, face, a, b, slope_a, slope_b, close):
+    """The same of the approach of a face, for which no law matters."""
+    return _extremum(face, 0, piece, a, b, slope_a, slope_b, close, False, piece, 0)
 
 
 @compiled(**INNER)
@@ -192,7 +192,7 @@ def passage(piece, face, level, sign, begin, end):
             and highest_between(at_a, slope_a * width, at_b, slope_b * width) >= 0.0
         ):
             # the search measures the slopes themselves, without the sign; at a face no mode matters
-            peak = _top(piece, face, a, b, sign * slope_a, sign * slope_b)
+            peak = _bend(piece, face, a, b, sign * slope_a, sign * slope_b, _BROAD)
             if sign * (value(piece, face, peak) - level) >= 0.0:
                 return _root(piece, face, level, a, peak)
         a, at_a, slope_a = b, at_b, slope_b
@@ -209,27 +209,33 @@ def _survey(piece, end, grid):
 
 
 @compiled(**INNER)
-def _largest(kind, mode, piece, end, grid, known, yielded, law, lane):
-    """Largest absolute value of a searched function in [0, end], or `known` if that is larger."""
+def _largest(kind, mode, piece, end, grid, known, own, law, lane):
+    """Largest value of a searched function in [0, end] and its theta, or `known` and -1 if that is larger.
+
+    Of the difference of the forces the size counts, of an approach no gap.
+    """
     apart()
-    width = end / tracked.POINTS
-    left, left_slope = _combined(
-        kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], yielded, law, lane
-    )
-    known = max(known, abs(left))
+    width, place, signed = end / tracked.POINTS, -1.0, kind == tracked.DIFFERENCE
+    left, left_slope = _combined(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], own, law, lane)
+    if (abs(left) if signed else left) > known:
+        known, place = abs(left), 0.0
     for i in range(1, tracked.POINTS + 1):
         right, right_slope = _combined(
-            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], yielded, law, lane
+            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], own, law, lane
         )
-        known = max(known, abs(right))
+        if (abs(right) if signed else right) > known:
+            known, place = abs(right), i * width
         sign = 1.0 if left + right >= 0.0 else -1.0
         top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
         if top > max(known, max(abs(left), abs(right))):
-            peak = _extremum(kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, yielded, law, lane)
-            at_peak, _ = _measure(kind, mode, piece, peak, yielded, law, lane)
-            known = max(known, abs(at_peak))
+            peak = _extremum(
+                kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, _BROAD, own, law, lane
+            )
+            at_peak, _ = _measure(kind, mode, piece, peak, own, law, lane)
+            if (abs(at_peak) if signed else at_peak) > known:
+                known, place = abs(at_peak), peak
         left, left_slope = right, right_slope
-    return known
+    return known, place
 
 
 @compiled(**INNER)
@@ -252,6 +258,7 @@ def begin(track, lane):
         track[k, lane] = 0.0
     track[tracked.LOST, lane] = math.nan
     track[tracked.ENDED, lane] = math.nan
+    track[tracked.PARTED, lane] = math.nan
     track[tracked.DEPTH, lane] = math.inf
     track[tracked.NEAREST, lane] = math.inf
 
@@ -282,7 +289,7 @@ def _lowest(piece, face, end, grid):
     for i in range(tracked.POINTS):
         left, right = grid[face, 1, i], grid[face, 1, i + 1]
         if left < 0.0 < right:
-            found = _top(piece, face, i * width, (i + 1) * width, left, right)
+            found = _bend(piece, face, i * width, (i + 1) * width, left, right, _BROAD)
             at = value(piece, face, found)
             if 0.0 < at < least:
                 least, place = at, found
@@ -359,25 +366,6 @@ def _faces(track, lane, piece, grid, theta, before, h, near, hover, graze):
 
 
 @compiled(**INNER)
-def _turn(piece, face, a, b, slope_a, slope_b):
-    """theta between a and b at which the slope of an approach falls through zero, to the last bits."""
-    apart()
-    for _ in range(60):
-        c = b - slope_b * (b - a) / (slope_b - slope_a)
-        if not a < c < b and not b < c < a:
-            c = 0.5 * (a + b)
-        _, slope_c = both(piece, face, c)
-        if abs(c - b) < 1e-13 or slope_c == 0.0:
-            return c
-        if (slope_c < 0.0) != (slope_b < 0.0):
-            a, slope_a = b, slope_b
-        else:
-            slope_a *= 0.5
-        b, slope_b = c, slope_c
-    return b
-
-
-@compiled(**INNER)
 def _switch(law, lane, piece, grid, theta):
     """The first change of branch of either face in a step: its theta, and face + 4 or face + 6, or 0."""
     apart()
@@ -387,14 +375,8 @@ def _switch(law, lane, piece, grid, theta):
         if law[tracked.SPRING, m] == 0.0:
             for i in range(tracked.POINTS):
                 if grid[face, 1, i] > 0.0 and grid[face, 1, i + 1] <= 0.0:
-                    found = _turn(
-                        piece,
-                        face,
-                        i * theta / tracked.POINTS,
-                        (i + 1) * theta / tracked.POINTS,
-                        grid[face, 1, i],
-                        grid[face, 1, i + 1],
-                    )
+                    part = theta / tracked.POINTS
+                    found = _bend(piece, face, i * part, (i + 1) * part, grid[face, 1, i], grid[face, 1, i + 1], _SHARP)
                     break
         else:
             room = law[tracked.LARGEST, m] - law[tracked.DENT, m]
@@ -416,8 +398,8 @@ def _switch(law, lane, piece, grid, theta):
 
 @compiled(**INNER)
 def after_step(
-    mode, flags, track, lane, piece, grid, theta, before, h, echo, low, tiny, near, hover, graze, stop_at_loss,
-    yielding, law,
+    mode, flags, track, lane, piece, grid, places, theta, before, h, echo, low, tiny, near, hover, graze,
+    stop_at_loss, yielding, law,
 ):  # fmt: skip
     """Bring the trackers that `flags` name up to date with a step; the theta at which it ends, and what ends it.
 
@@ -425,6 +407,7 @@ def after_step(
     (face + 2), a face that begins to yield (face + 4) or ceases to (face + 6).  `echo` is the time of the first
     reflected wave, `tiny` the error allowed in an approach, `low` > 0 the share of the largest approach below which
     the record ends; for the others see `_faces`.  grid (face, 2, POINTS + 1): values and slopes over [0, theta].
+    places (2,) receive the theta of a face's largest approach so far, or -1.
     """
     apart()
     ends, why = theta, 0
@@ -445,19 +428,24 @@ def after_step(
             why = met
     if ends < theta:
         _survey(piece, ends, grid)
-    known, yielded = track[tracked.FACE_A, lane], yielding and has_yielded(law, lane)
+    own = yielding and of_its_own(law, lane)
+    known = max(track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
     if flags & (1 << tracked.FACE_A):
         for face in range(2):
-            known = _largest(face, mode, piece, ends, grid, known, yielded, law, lane)
-        track[tracked.FACE_A, lane] = known
+            # faces that are alike share the largest approach so far
+            least = track[tracked.FACE_A + face, lane] if yielding else known
+            found, places[face] = _largest(face, mode, piece, ends, grid, least, own, law, lane)
+            track[tracked.FACE_A + face, lane], known = found, max(known, found)
+        if not yielding:
+            track[tracked.FACE_A, lane] = track[tracked.FACE_B, lane] = known
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
-            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], yielded, law, lane)
+            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], own, law, lane)[0]
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[tracked.TOUCHED_A + face, lane] = 1.0
-    if before < echo * (1.0 - 1e-12):
-        track[tracked.X_FIRST, lane] = known
+        if before < echo * (1.0 - 1e-12):
+            track[tracked.X_FIRST + face, lane] = track[tracked.FACE_A + face, lane]
     if low > 0.0:
         found = _both_below(piece, low * known, ends)
         if not math.isnan(found):
@@ -530,6 +518,9 @@ _bound = elementwise(PAIR, 6, _bounds)
 _refine = elementwise(PAIR, 1, _closer)
 _crown = elementwise(LANES, 2, _crowned)
 _sign = elementwise(LANES, 2, _signs)
+_copy = elementwise(LANES, 1, lambda a: a)
+#: functions of both faces whose largest values are searched for
+_SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
 
 
 @compiled(**INNER)
@@ -538,8 +529,9 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
 
     at, rate (tracked.POINTS + 1, PAIR): values and derivatives (by theta) at equal distances over [0, theta].
     low, near (LANES,): the record may end below the first; a contact may be lost below the second.  live
-    (LANES,): rows in the lanes, -1 where there is none.  known, crest (LANES,): largest approach so far, and what
-    it may have been in this step.  room (11, PAIR): working space.
+    (LANES,): rows in the lanes, -1 where there is none.  known (1, PAIR), crest (LANES,): largest approach of each face
+    so far (of both where they are alike), and what it may have been in this step.  room (11, PAIR): working space,
+    from whose rows 3 and 4 the caller reads where in the step a bend lies.
     """
     apart()
     best, top, second, place = row(room, 0, 0), row(room, 1, 0), row(room, 2, 0), row(room, 3, 0)
@@ -556,8 +548,8 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
     higher = False
     for j in range(LANES):
         flags[j] = tracked.SOMETHING | 1 << tracked.FACE_A if room[10, j] > 0.0 else 0
-        known[j] = track[tracked.FACE_A, j]
-        higher |= live[j] >= 0 and crest[j] > known[j]
+        known[0, j], known[0, LANES + j] = track[tracked.FACE_A, j], track[tracked.FACE_B, j]
+        higher |= live[j] >= 0 and (room[1, j] > known[0, j] or room[1, LANES + j] > known[0, LANES + j])
     if higher:
         for k in range(3):
             for c in range(0, PAIR, LANES):
@@ -565,18 +557,22 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
             if k < 2:
                 _refine(place, place, slope, bend, bent, width)
         for c in range(0, PAIR, LANES):
-            _crown(known, doubt, known, row(room, 0, c), row(room, 1, c), row(room, 2, c), row(room, 7, c),
-                   row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
+            if c > 0 and not yielding:
+                _copy(row(known, 0, LANES), row(known, 0, 0))
+            _crown(row(known, 0, c), doubt, row(known, 0, c), row(room, 0, c), row(room, 1, c), row(room, 2, c),
+                   row(room, 7, c), row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
             for j in range(LANES):
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
-    if wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY):
+        if not yielding:
+            _copy(row(known, 0, 0), row(known, 0, LANES))
+    if wanted & _SEARCHED:
         _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law)
 
 
 @compiled(**INNER)
 def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
-    """Flags of the steps in which the difference of the forces or the stored energy may be the largest so far."""
+    """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if wanted & (1 << (kind - 1)) == 0:
@@ -594,19 +590,19 @@ def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
                 if max(above, below) > track[kind, j]:
                     flags[j] |= 1 << kind
         for j in range(LANES):
-            if yielding and has_yielded(law, j):
+            if yielding and (kind == tracked.SHARE or of_its_own(law, j)):
                 flags[j] &= ~(1 << kind)
-                _look_at_yielded(kind, at, rate, track, theta, flags, law, j)
+                _look_at_own(kind, at, rate, track, theta, flags, law, j)
 
 
 @compiled(**INNER)
-def _look_at_yielded(kind, at, rate, track, theta, flags, law, j):
-    """The same of one lane whose faces have yielded: in a function of its own, so that the others stay fast."""
+def _look_at_own(kind, at, rate, track, theta, flags, law, j):
+    """The same of one lane whose faces have laws of their own: in a function of its own, so that others stay fast."""
     apart()
     k, width = LANES + j, theta[j] / tracked.POINTS
     left, left_slope = 0.0, 0.0
     for i in range(tracked.POINTS + 1):
-        right, right_slope = _combine_yielded(kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j)
+        right, right_slope = _combine_own(kind, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k], law, j)
         above = highest_between(left, left_slope, right, right_slope)
         below = highest_between(-left, -left_slope, -right, -right_slope)
         if i > 0 and max(above, below) > track[kind, j]:
@@ -623,9 +619,7 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
     above the one at rest can be exceeded whose phi is not below V.
     """
     apart()
-    if wanted & tracked.WANT_CONTACT or (
-        level > 0.0 and wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_WIDTH)
-    ):
+    if wanted & tracked.WANT_CONTACT or (level > 0.0 and wanted & (_SEARCHED | tracked.WANT_WIDTH)):
         return False
     a, b = max(a, 0.0), max(b, 0.0)
     known = track[tracked.FACE_A, lane]
@@ -650,10 +644,18 @@ def decided(mode, wanted, track, lane, a, b, w, mu, level, tolerance):
         return False
     if wanted & tracked.WANT_ENERGY and energy > track[tracked.ENERGY, lane] * (1.0 + 0.1 * tolerance):
         return False
+    if wanted & tracked.WANT_MEAN and force > track[tracked.MEAN, lane] * (1.0 + 0.1 * tolerance):
+        return False
     return not (wanted & tracked.WANT_WIDTH and reach > width)
 
 
 # --- Answers of a row whose record has ended: what was tracked, and the times at which thresholds were passed.
+
+#: columns of the answers that largest values go to
+_ANSWER_OF = (
+    tracked.ANSWER_FACES, tracked.ANSWER_FACES + 1, tracked.ANSWER_DIFFERENCE, tracked.ANSWER_ENERGY,
+    tracked.ANSWER_SHARE, tracked.ANSWER_MEAN,
+)  # fmt: skip
 
 
 @compiled(**INNER)
@@ -698,6 +700,25 @@ def _passages(power, wanted, path, scale, start, length, crest, count, ended, la
 
 
 @compiled(**INNER)
+def _finish_faces(track, lane, out, yielding, law):
+    """What is known of each face; larger approach and larger force of both, in units of the approach where alike."""
+    apart()
+    for face in range(2):
+        m, known = face * LANES + lane, track[tracked.FACE_A + face, lane]
+        out[tracked.ANSWER_FACES + face] = largest_approach(law, m, known) if yielding else known
+        out[tracked.ANSWER_FIRSTS + face] = track[tracked.X_FIRST + face, lane]
+        if yielding:
+            out[tracked.ANSWER_OTHERS + face] = track[tracked.OTHER + face, lane]
+    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = track[tracked.UNLOADINGS, lane], 0.0
+    out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
+    out[tracked.ANSWER_X_FIRST] = max(track[tracked.X_FIRST, lane], track[tracked.X_FIRST + 1, lane])
+    if yielding:
+        out[tracked.ANSWER_TOUCHES] = track[tracked.CHATTER, lane]
+        return largest_force(law, lane, track[tracked.FACE_A, lane], track[tracked.FACE_B, lane])
+    return out[tracked.ANSWER_X_MAX]
+
+
+@compiled(**INNER)
 def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, unsure, out, yielding, law):
     """Answers of a row that has ended, in scaled variables; path, scale, start, length, crest of its lane.
 
@@ -708,27 +729,21 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
     if math.isnan(ended):
         newest = (count - 1) % len(start)
         ended = start[newest] + length[newest]
-    largest = track[tracked.FACE_A, lane]
-    power, top = 1.0 if mode == 1 else 2.0 / 3.0, largest
-    if yielding:
-        power, top = 1.0, largest_force(law, lane, largest)
-        largest = largest_approach(law, lane, largest)
-        for face in range(2):
-            m = face * LANES + lane
-            began = law[tracked.SPRING, m] == 0.0 or law[tracked.LARGEST, m] > law[tracked.ONSET, m]
-            out[tracked.ANSWER_YIELD + face] = law[tracked.LARGEST, m] if began else 0.0
-        out[tracked.ANSWER_UNLOADINGS] = track[tracked.UNLOADINGS, lane]
-    out[tracked.ANSWER_X_MAX] = largest
-    out[tracked.ANSWER_X_FIRST] = track[tracked.X_FIRST, lane]
+    power = 1.0 if mode == 1 or yielding else 2.0 / 3.0
+    top = _finish_faces(track, lane, out, yielding, law)
     out[tracked.ANSWER_END] = ended
     lost = not math.isnan(track[tracked.LOST, lane])
     out[tracked.ANSWER_CONTACT] = track[tracked.LOST, lane] if lost else ended
     out[tracked.ANSWER_CONTACT_CENSORED] = 0.0 if lost else 1.0
     out[tracked.ANSWER_LOSS_RATE] = track[tracked.LOSS_RATE, lane] if lost else math.nan
-    if wanted & tracked.WANT_DIFFERENCE:
-        out[tracked.ANSWER_DIFFERENCE] = track[tracked.DIFFERENCE, lane]
-    if wanted & tracked.WANT_ENERGY:
-        out[tracked.ANSWER_ENERGY] = track[tracked.ENERGY, lane]
+    parted = not math.isnan(track[tracked.PARTED, lane])
+    out[tracked.ANSWER_PARTING] = track[tracked.PARTED, lane] if parted else ended
+    for kind in range(tracked.DIFFERENCE, tracked.KINDS):
+        if wanted & (1 << (kind - 1)):
+            out[_ANSWER_OF[kind]] = track[kind, lane]
+    if wanted & tracked.WANT_CARRIED:
+        for face in range(2):
+            out[tracked.ANSWER_CARRIED + face] = track[tracked.CARRIED + face, lane]
     out[tracked.ANSWER_DEPTH], out[tracked.ANSWER_NEAREST] = track[tracked.DEPTH, lane], track[tracked.NEAREST, lane]
     if wanted & (tracked.WANT_WIDTH | tracked.WANT_RISE) == 0:
         return
@@ -743,3 +758,54 @@ def finish(mode, wanted, track, lane, path, scale, start, length, crest, count, 
         else:
             side = k // 2
             out[tracked.ANSWER_WIDTHS + side], out[tracked.ANSWER_RISES + side] = width, rise
+
+
+# --- What is known of the faces of a row whose faces have laws of their own, and the end of a rig without bars.
+
+
+@compiled(**INNER)
+def value_of(series, m, theta):
+    """A series of a lane or face inside a step."""
+    total = 0.0
+    for k in range(ORDER, -1, -1):
+        total = total * theta + series[k, m]
+    return total
+
+
+@compiled(**INNER)
+def note_peaks(track, lane, force, places):
+    """The force of the other face where a face's approach is the largest so far, at `places`; -1: it is not."""
+    apart()
+    for face in range(2):
+        if places[face] >= 0.0:
+            track[tracked.OTHER + face, lane] = max(value_of(force, (1 - face) * LANES + lane, places[face]), 0.0)
+            track[tracked.CHATTER, lane] = track[tracked.TOUCHES, lane]
+
+
+@compiled(**INNER)
+def note_carried(track, lane, force, length, theta):
+    """Add the integrals of both squared forces over a step up to theta."""
+    apart()
+    for face in range(2):
+        m, total = face * LANES + lane, 0.0
+        for n in range(2 * ORDER, -1, -1):
+            term = 0.0
+            for k in range(max(0, n - ORDER), min(n, ORDER) + 1):
+                term += force[k, m] * force[n - k, m]
+            total = total * theta + term / (n + 1.0)
+        track[tracked.CARRIED + face, lane] += total * theta * length
+
+
+@compiled(**INNER)
+def next_touch(lane, x, u, free, rig):
+    """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face is pressed."""
+    apart()
+    closing = math.inf
+    for face in range(2):
+        m = face * LANES + lane
+        if x[0, m] > 0.0:
+            return math.nan
+        rate = rig[tracked.RIG_THERE, m] * (free[0, m] + (2.0 * face - 1.0) * u[0, lane])
+        if rate > 0.0:
+            closing = min(closing, -x[0, m] / rate)
+    return closing

@@ -1,7 +1,8 @@
 """The law of a face that yields, inside the integrator: spring, virgin loading, free (theory (C14)).
 
-Where nothing yields the force of a face is q = x^(3/2) of its approach x, and no code here runs.  A face that yields
-has a largest approach so far, x_m, and a dent x_r.  The integrator's variable is the approach above the dent, x - x_r:
+Where faces are alike and elastic the force of each is q = x^(3/2) of its approach x, and no code here runs.  Where they
+differ, it is kappa x^(3/2).  A face that yields has a largest approach so far, x_m, and a dent x_r.  The integrator's
+variable is the approach above the dent, x - x_r:
 
     spring   q = k (x - x_r)^(3/2)      until x rises through x_m (to virgin loading) or falls through x_r (free)
     virgin   q = q_y L(x/x_y)           until dx/dt falls through 0: a spring with a new dent
@@ -25,6 +26,7 @@ from uqsphere.mechanics.integrator.tracked import (
     BY_LOG,
     BY_ROOT,
     BY_X,
+    CHI,
     CONSTANT,
     DENT,
     INNER,
@@ -32,6 +34,7 @@ from uqsphere.mechanics.integrator.tracked import (
     LARGEST,
     LAW_ONSET,
     LAW_PILE_UP,
+    LAW_SHARE,
     LAW_SOFTENING,
     LAW_STIFFNESS,
     ONSET,
@@ -81,7 +84,7 @@ def _virgin(z, b, pile_up):
 
 @compiled(**INNER)
 def new_faces(law, lane, given):
-    """Both faces of a row before anything has yielded; given (4, 2): x_y, b, C and the factor of x^(3/2)."""
+    """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face stays elastic."""
     apart()
     for face in range(2):
         m = face * LANES + lane
@@ -90,7 +93,7 @@ def new_faces(law, lane, given):
         onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
         law[ONSET, m], law[SOFTENING, m], law[PILE_UP, m] = onset, given[LAW_SOFTENING, face], given[LAW_PILE_UP, face]
         law[STIFFNESS, m], law[SPRING, m], law[LARGEST, m] = stiffness, stiffness, onset
-        law[PEAK, m] = stiffness * onset**1.5
+        law[PEAK, m], law[CHI, m] = stiffness * onset**1.5, given[LAW_SHARE, face]
 
 
 @compiled(**INNER)
@@ -148,11 +151,17 @@ def on_virgin_loading(law, lane):
 
 
 @compiled(**INNER)
-def has_yielded(law, lane):
-    """Whether a face of a lane has yielded, or does."""
+def face_yielded(law, m):
+    """Whether a face has yielded, or does."""
+    return law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]
+
+
+@compiled(**INNER)
+def of_its_own(law, lane):
+    """Whether the force of a face of a lane is no longer x^(3/2): it has yielded, or the faces differ."""
     for face in range(2):
         m = face * LANES + lane
-        if law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]:
+        if law[STIFFNESS, m] != 1.0 or face_yielded(law, m):
             return True
     return False
 
@@ -194,19 +203,15 @@ def stored_energy(law, m, above):
 
 
 @compiled(**INNER)
-def largest_approach(law, lane, known):
-    """Largest approach of a row so far, where `known` is that of what has not yielded."""
-    for face in range(2):
-        m = face * LANES + lane
-        if law[SPRING, m] == 0.0 or law[LARGEST, m] > law[ONSET, m]:
-            known = max(known, law[LARGEST, m])
-    return known
+def largest_approach(law, m, known):
+    """Largest approach of a face so far, where `known` is that while it has not yielded."""
+    return max(known, law[LARGEST, m]) if face_yielded(law, m) else known
 
 
 @compiled(**INNER)
-def largest_force(law, lane, known):
-    """Largest force of a row so far."""
-    found = max(law[STIFFNESS, lane], law[STIFFNESS, LANES + lane]) * known**1.5
+def largest_force(law, lane, known_a, known_b):
+    """Largest force of a row so far, from the largest approaches of its faces while they have not yielded."""
+    found = max(law[STIFFNESS, lane] * known_a**1.5, law[STIFFNESS, LANES + lane] * known_b**1.5)
     for face in range(2):
         m = face * LANES + lane
         if law[SPRING, m] == 0.0:
@@ -217,13 +222,13 @@ def largest_force(law, lane, known):
 
 
 @compiled(**INNER)
-def tail_level(law, lane, known, share):
+def tail_level(law, lane, known_a, known_b, share):
     """Approach above the dents below which both forces are `share` of the largest so far."""
     stiffest = 0.0
     for face in range(2):
         m = face * LANES + lane
         stiffest = max(stiffest, max(law[SPRING, m], law[STIFFNESS, m]))
-    return (share * largest_force(law, lane, known) / stiffest) ** (2.0 / 3.0)
+    return (share * largest_force(law, lane, known_a, known_b) / stiffest) ** (2.0 / 3.0)
 
 
 @compiled(**INNER)

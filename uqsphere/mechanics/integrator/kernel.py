@@ -20,6 +20,7 @@ from uqsphere.mechanics.integrator.faces import (
     largest_approach,
     may_switch,
     new_faces,
+    of_its_own,
     on_virgin_loading,
     press_deeper,
     switch,
@@ -27,6 +28,7 @@ from uqsphere.mechanics.integrator.faces import (
     wrong_branch,
 )
 from uqsphere.mechanics.integrator.step import (
+    SCALES,
     SLOW_ROOM,
     SMALL_MU,
     decay_time,
@@ -48,10 +50,44 @@ GROWTH, GROWTH_ECHO = 4.0, 1.3
 LIMIT = 1 << 20
 
 
+@compiled(**tracked.INNER)
+def enter_rig(lane, given, speed, x, u, free, rig, law, size, track, inverse_mu):
+    """Put what stands at a row's poles into a lane; how quickly its lightest body and stiffest face answer a force."""
+    quickest, stiffest = inverse_mu, 0.0
+    u[0, lane] = speed
+    size[1, lane] *= min(1.0, 1.0 / inverse_mu)
+    for face in range(2):
+        m = face * LANES + lane
+        for k in range(tracked.RIGS):
+            rig[k, m] = given[k, face]
+        free[0, m] = given[tracked.RIG_SPEED, face]
+        lightness, stiffness = given[tracked.RIG_LIGHTNESS, face], law[tracked.STIFFNESS, m]
+        size[2 * face, lane] *= min(1.0, stiffness ** (-2.0 / 3.0))
+        size[3 + face, lane] = 0.1 * min(1.0, 1.0 / lightness) if lightness > 0.0 else 1.0
+        if given[tracked.RIG_THERE, face] == 0.0:
+            track[tracked.TOUCHED_A + face, lane] = 1.0
+        else:
+            quickest, stiffest = max(quickest, lightness), max(stiffest, stiffness)
+    return max(quickest, 1.0) * max(stiffest, 1.0)
+
+
+@compiled(**tracked.INNER)
+def wrong_root(lane, length, branch, mass, local, rig, law, size):
+    """Impulse by which the series of a step may be off because a face nearly left in it, and what is allowed."""
+    allowed = min(size[0, lane], size[2, lane]), mass * size[1, lane]
+    least, impulse = min(allowed[0], allowed[1]), 0.0
+    for face in range(2):
+        m = face * LANES + lane
+        impulse = max(impulse, length * branch[m] * law[tracked.STIFFNESS, m])
+        if rig[tracked.RIG_LIGHTNESS, m] > 0.0:
+            least = min(least, size[3 + face, lane] / rig[tracked.RIG_LIGHTNESS, m])
+    return impulse, 100.0 * local * least
+
+
 @compiled()
 def march(
     mode, wanted, mass, ends, round_trips, breaks, coefficients, frequencies, horizon, pulse_end, level, graze, laws,
-    local, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
+    rigs, speed, local, asked, stop_at_loss, capacity, out, status, order, steps, kept_start, kept_length, kept,
 ):  # fmt: skip
     """Integrate rows `order` of a batch; answers go to `out` (rows, tracked.ANSWERS) and `status` (rows).
 
@@ -60,8 +96,10 @@ def march(
     the pulse in scaled time.  horizon (n,): end of the record, inf for the rule of infinite bars, which needs
     pulse_end (n,).  level (n,): scale of x that is expected at least.  graze (n,): see events.after_step; 0 for
     the rule itself.  local: error allowed in one step, asked: in the answers.  capacity: steps kept of one row.
-    kept* receive the series (x1, x2, u) of the last row if they have room (first dimension > 0).
-    laws (n, 4, 2): onset, softening, pile-up and stiffness of the faces that yield; (n, 0, 2): none does.
+    kept* receive the series (x1, x2, u, q1, q2) of the last row if they have room (first dimension > 0).
+    laws (n, tracked.LAWS, 2): of faces that yield or differ; (n, 0, 2): both forces are x^(3/2).
+    rigs (n, tracked.RIGS, 2), speed (n,): what stands at the poles where it is not two bars, with `laws`, and u at the
+    start; such a record ends when the bodies part.  (n, 0, 2): bars.
     """
     lanes, last_point = LANES, tracked.POINTS
     keeping = kept_start.shape[0] > 0
@@ -72,23 +110,29 @@ def march(
         np.zeros((11, PAIR)), np.zeros((4, incoming.WAVE)), np.zeros((2, TERMS)), np.full((2, lanes), np.inf),
         np.zeros((4, lanes)), np.zeros((2, lanes, incoming.QUEUE)), np.zeros((2, lanes), dtype=np.int64),
         np.zeros((2, lanes), dtype=np.int64), np.zeros((2, lanes), dtype=np.int64),
-        np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((2, lanes)),
-        np.zeros((2, 2, tracked.POINTS + 1)), np.zeros((2, PAIR)), np.zeros((19, lanes)),
+        np.zeros((2, lanes), dtype=np.int64), np.zeros((tracked.TRACKS, lanes)), np.ones((SCALES, lanes)),
+        np.zeros((2, 2, tracked.POINTS + 1)), np.zeros((3, PAIR)), np.zeros((19, lanes)),
         np.zeros((4, lanes), dtype=np.int64), np.zeros((tracked.NUMBERS, PAIR)), np.zeros((TERMS, PAIR)),
-        np.zeros((1, PAIR)),
+        np.zeros((1, PAIR)), np.zeros((tracked.RIGS, PAIR)), np.zeros((TERMS, PAIR)), np.full(2, -1.0),
     )  # fmt: skip
     # faces that yield: their law, the series of the logarithm in it, a divisor; see `faces`
     law, log, inverse_root = bare(owned[23]), bare(owned[24]), bare(owned[25][0])
-    yielding, switched, has_yielded = (
+    yielding, switched, own = (
         laws.shape[1] > 0,
         np.zeros(lanes, dtype=np.bool_),
         np.zeros(lanes, dtype=np.bool_),
     )
+    # what stands at the poles, the series of U_A and -U_B, where in a step faces are pressed deepest
+    rig, free, places, rigged = bare(owned[26]), bare(owned[27]), bare(owned[28]), rigs.shape[1] > 0
+    if not yielding:
+        wanted &= ~tracked.WANT_SHARE
+    for m in range(PAIR):
+        rig[tracked.RIG_GIVES, m], rig[tracked.RIG_THERE, m] = 1.0, 1.0
     x, u, root, force, push = bare(owned[0]), bare(owned[1]), bare(owned[2]), bare(owned[3]), bare(owned[4])
     at, rate, room, work, piece = bare(owned[5]), bare(owned[6]), bare(owned[7]), bare(owned[8]), bare(owned[9])
     trips, cubic, queue = bare(owned[10]), bare(owned[11]), bare(owned[12])
     track, size, grid, columns = bare(owned[17]), bare(owned[18]), bare(owned[19]), owned[20]
-    half, branch = bare(columns[0]), bare(columns[1])
+    half, branch, known = bare(columns[0]), bare(columns[1]), bare(columns[2:3])
     head, tail = bare(owned[13]), bare(owned[14])
     # steps that hold the echo of the present step
     first, last = bare(owned[15]), bare(owned[16])
@@ -96,7 +140,7 @@ def march(
     at_u, rate_u, time, h = bare(numbers[0]), bare(numbers[1]), bare(numbers[2]), bare(numbers[3])
     theta, proposed, inverse_mu, frequency = bare(numbers[4]), bare(numbers[5]), bare(numbers[6]), bare(numbers[7])
     offset, misfit, low, near = bare(numbers[8]), bare(numbers[9]), bare(numbers[10]), bare(numbers[11])
-    known, crest, end = bare(numbers[12]), bare(numbers[13]), bare(numbers[14])
+    crest, end, quickest = bare(numbers[13]), bare(numbers[14]), bare(numbers[12])
     stop = bare(numbers[15])  # the next time at which a step has to end
     steady = bare(numbers[16])  # the wave that comes in from now on for ever, or -1
     reflect = bare(numbers[17:19])
@@ -134,7 +178,8 @@ def march(
             for bar in range(2):
                 reflect[bar, j], trips[bar, j] = ends[r, bar], round_trips[r, bar]
                 head[bar, j], tail[bar, j], first[bar, j] = 0, 0, 0
-            size[0, j], size[1, j] = level[r], 0.1 * level[r]
+            size[0, j], size[1, j], size[2, j] = level[r], 0.1 * level[r], level[r]
+            quickest[j] = inverse_mu[j]
             events.begin(track, j)
             incoming.enter_piece(breaks, coefficients, frequencies, r, j, 0.0, cubic, frequency, offset)
             incoming.reflect_break(0.0, trips, queue, head, tail, j, end[j])
@@ -143,10 +188,16 @@ def march(
             on_slow[j], calm[j] = False, decay_time(mass[r], local)
             if yielding:
                 new_faces(law, j, laws[r])
-                has_yielded[j] = False
+                own[j] = of_its_own(law, j)
             steady[j] = (
                 1.0 if breaks[r, -1] == math.inf and trips[0, j] == math.inf and trips[1, j] == math.inf else -1.0
             )
+            if rigged:
+                quickest[j] = enter_rig(j, rigs[r], speed[r], x, u, free, rig, law, size, track, inverse_mu[j])
+                if not events.next_touch(j, x, u, free, rig) < math.inf and breaks[r, -1] == 0.0:
+                    status[r] = tracked.NEVER_CLOSES
+                    row[j] = -1
+                    live -= 1
         if live == 0:
             break
         # ---- the waves over the trial steps
@@ -156,7 +207,9 @@ def march(
                 continue
             if touching[j] == 1:
                 # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a touch
-                brief = (1e2 * local * min(1.0, 1.0 / inverse_mu[j]) * size[0, j]) ** 0.4
+                brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * size[0, j]) ** 0.4
+                if rigged:
+                    brief = (1e2 * local * min(1.0, 1.0 / quickest[j]) * min(size[0, j], size[2, j])) ** 0.4
                 # the wave that presses has to be followed as well
                 smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * local, 1e-2))) * (stop[j] - time[j])
                 proposed[j] = min(proposed[j], min(brief, smooth))
@@ -166,10 +219,14 @@ def march(
             h[j] = trial
             misfit[j] = 0.0
             over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
-            low[j] = share * track[tracked.FACE_A, j] if over else -math.inf
-            if over and has_yielded[j]:
-                low[j] = tail_level(law, j, track[tracked.FACE_A, j], tracked.TAIL_SHARE)
+            low[j] = share * max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]) if over else -math.inf
+            if over and own[j]:
+                low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)
             near[j] = max(max(100.0 * local, asked) * size[0, j], graze[row[j]])
+            if rigged:  # only the first loss of contact is an answer of its own
+                near[j] = 0.0
+                if math.isnan(track[tracked.LOST, j]):
+                    near[j] = max(max(100.0 * local, asked) * min(size[0, j], size[2, j]), graze[row[j]])
         incoming.incident(time, h, cubic, frequency, offset, push)
         for j in range(lanes):
             if row[j] >= 0 and time[j] >= min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
@@ -190,31 +247,33 @@ def march(
         apart, virgin = False, False
         if yielding:
             for j in range(lanes):
-                if has_yielded[j] and row[j] >= 0:
+                if own[j] and row[j] >= 0:
                     apart = True
                     virgin |= on_virgin_loading(law, j)
-        expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root)
-        longest(x, u, size, local, theta)
+        expand(mode, h, inverse_mu, push, x, u, root, force, half, apart, virgin, law, log, inverse_root,
+               rigged, rig, free)  # fmt: skip
+        longest(x, u, free, size, rigged, local, theta)
         for j in range(lanes):
             theta[j] = min(theta[j], 1.0)
             if row[j] < 0:
                 continue
-            if has_yielded[j] and touching[j] == 0:
+            if own[j] and touching[j] == 0:
                 # what jumped may have turned a face against its branch: the step is made again on the other one
                 switched[j] = wrong_branch(law, j, x, h[j], track, j)
                 if wrong_branch(law, LANES + j, x, h[j], track, j):
                     switched[j] = True
             if touching[j] == 1:
                 theta[j] = 1.0
-                step_from_touch(mode, j, 1.0, h[j], inverse_mu[j], push, x, u, force, yielding, law)
+                step_from_touch(mode, j, h[j], inverse_mu[j], push, x, u, force, yielding, law, rig, free)
             elif (
                 mode == 0
+                and not rigged
                 and inverse_mu[j] * SMALL_MU > 1.0
                 and time[j] >= calm[j]
-                and not (has_yielded[j] and on_virgin_loading(law, j))
+                and not (own[j] and on_virgin_loading(law, j))
             ):
                 slow, swing = 0.0, math.inf
-                springs = (law[tracked.SPRING, j], law[tracked.SPRING, LANES + j]) if has_yielded[j] else (1.0, 1.0)
+                springs = (law[tracked.SPRING, j], law[tracked.SPRING, LANES + j]) if own[j] else (1.0, 1.0)
                 # on the slow motion the forces differ by mu u', and u' is of the order of one
                 if abs(force[0, j] - force[0, LANES + j]) < 10.0 * mass[row[j]]:
                     slow, swing = slow_step(
@@ -269,6 +328,8 @@ def march(
             allowed = 100.0 * local * size[0, j]
             if mode == 0:
                 allowed = min(allowed, 100.0 * local * mass[row[j]] * size[1, j])
+            if rigged:
+                impulse, allowed = wrong_root(j, h[j] * theta[j], branch, mass[row[j]], local, rig, law, size)
             crossed = touching[j] == 0 and mode != 1 and not on_slow[j] and impulse > allowed
             if crossed or misfit[j] * h[j] > local * size[0, j] or not theta[j] > 0.0:
                 proposed[j] = h[j] * (0.5 * theta[j] if crossed else 0.5 if theta[j] > 0.0 else 0.05)
@@ -281,6 +342,10 @@ def march(
             at_stop = h[j] * theta[j] >= (stop[j] - before) * (1.0 - 1e-10)
             why = 0
             ending = theta[j]
+            if yielding:
+                for m in range(j, PAIR, LANES):
+                    raised = known[0, m] > track[tracked.FACE_A + m // LANES, j]
+                    places[m // LANES] = (room[3, m] if room[4, m] > 0.0 else ending) if raised else -1.0
             if flags[j] != 0:
                 for face in range(2):
                     for k in range(TERMS):
@@ -289,18 +354,30 @@ def march(
                         grid[face, 0, i] = at[i, face * LANES + j]
                         grid[face, 1, i] = rate[i, face * LANES + j]
                 quiet = share if low[j] > 0.0 else 0.0
-                if has_yielded[j] and low[j] > 0.0:
-                    quiet = low[j] / max(track[tracked.FACE_A, j], known[j])
+                if own[j] and low[j] > 0.0:
+                    quiet = low[j] / max(
+                        max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]), max(known[0, j], known[0, LANES + j])
+                    )
                 ending, why = events.after_step(
-                    mode, flags[j], track, j, piece, grid, theta[j], before, h[j], min(trips[0, j], trips[1, j]),
-                    quiet,
-                    local * size[0, j], near[j], asked * size[0, j], graze[r], stop_at_loss, yielding, law,
+                    mode, flags[j], track, j, piece, grid, places, theta[j], before, h[j],
+                    min(trips[0, j], trips[1, j]), quiet, local * size[0, j], near[j], asked * size[0, j], graze[r],
+                    stop_at_loss and not rigged, yielding, law,
                 )  # fmt: skip
             # a step that is cut where a face begins to yield has not reached what `look` saw
             if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
-                track[tracked.FACE_A, j] = known[j]
-                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                    track[tracked.X_FIRST, j] = known[j]
+                for face in range(2):
+                    track[tracked.FACE_A + face, j] = known[0, face * LANES + j]
+                    if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                        track[tracked.X_FIRST + face, j] = known[0, face * LANES + j]
+            if yielding:
+                for face in range(2):
+                    if law[tracked.SPRING, face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
+                        places[face] = ending
+                    elif why >= 4 and flags[j] & (1 << tracked.FACE_A) == 0:
+                        places[face] = -1.0
+                events.note_peaks(track, j, force, places)
+            if wanted & tracked.WANT_CARRIED:
+                events.note_carried(track, j, force, h[j], ending)
             n = count[j] % capacity
             count[j] += 1
             start[j, n], scale[j, n], length[j, n], crests[j, n] = before, h[j], ending * h[j], crest[j]
@@ -319,7 +396,9 @@ def march(
                 if before + trips[bar, j] < end[j]:
                     for k in range(TERMS):
                         m = bar * LANES + j
-                        wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - force[k, m]
+                        wave[(bar * lanes + j) * capacity + n, k] = (
+                            0.5 * push[k, m] - rig[tracked.RIG_GIVES, m] * force[k, m]
+                        )
             if keeping and n < kept_start.shape[0]:
                 power = 1.0
                 kept_start[n], kept_length[n] = before, ending * h[j]
@@ -327,7 +406,12 @@ def march(
                     kept[n, 0, k] = x[k, j] * power
                     kept[n, 1, k] = x[k, LANES + j] * power
                     kept[n, 2, k] = u[k, j] * power
+                    kept[n, 3, k] = force[k, j] * power
+                    kept[n, 4, k] = force[k, LANES + j] * power
                     power *= ending
+                if yielding:
+                    kept[n, 0, 0] += law[tracked.DENT, j]
+                    kept[n, 1, 0] += law[tracked.DENT, LANES + j]
             touching[j] = 0
             if why >= 2:  # the motion goes on from where a face left or touched
                 at_stop = False
@@ -335,11 +419,15 @@ def march(
                 for k in range(ORDER, -1, -1):
                     a, b, w = a * ending + x[k, j], b * ending + x[k, LANES + j], w * ending + u[k, j]
                 touching[j] = 1 if why < 4 and x[0, (why - 2) * LANES + j] <= 0.0 else 0
+                if why < 4 and touching[j] == 1:
+                    track[tracked.TOUCHES, j] += 1.0
+                elif why < 4:
+                    track[tracked.PARTED, j] = before + ending * h[j]
                 at[last_point, j], at[last_point, LANES + j], at_u[j] = a, b, w
                 if why < 4:
                     at[last_point, (why - 2) * LANES + j] = 0.0
                 else:
-                    has_yielded[j], m = True, (why % 2) * LANES + j
+                    own[j], m = True, (why % 2) * LANES + j
                     at[last_point, m] = switch(law, m, at[last_point, m], track, j)
                     if mode == 2:
                         switch(law, (LANES + 2 * j) - m, at[last_point, m], track, j)
@@ -348,19 +436,41 @@ def march(
                     at[last_point, j], at[last_point, LANES + j] = 0.0, 0.0
             time[j] = stop[j] if at_stop else before + ending * h[j]
             x[0, j], x[0, LANES + j], u[0, j] = at[last_point, j], at[last_point, LANES + j], at_u[j]
-            if has_yielded[j]:
+            if rigged:
+                for m in range(j, PAIR, LANES):
+                    free[0, m] = events.value_of(free, m, ending)
+                    size[3 + m // LANES, j] = max(size[3 + m // LANES, j], abs(free[0, m]))
+            if own[j]:
                 press_deeper(law, j, x)
                 if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                    track[tracked.X_FIRST, j] = largest_approach(law, j, track[tracked.FACE_A, j])
-            size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
+                    for face in range(2):
+                        known_face = track[tracked.FACE_A + face, j]
+                        track[tracked.X_FIRST + face, j] = largest_approach(law, face * LANES + j, known_face)
+            if rigged:  # what opens says nothing of the approaches
+                size[0, j], size[2, j] = max(size[0, j], x[0, j]), max(size[2, j], x[0, LANES + j])
+            else:
+                size[0, j] = max(size[0, j], max(abs(x[0, j]), abs(x[0, LANES + j])))
             size[1, j] = max(size[1, j], abs(u[0, j]))
             proposed[j] = ending * h[j] * (GROWTH if time[j] < min(trips[0, j], trips[1, j]) else GROWTH_ECHO)
             if why >= 4:  # a face on its other branch moves on as smoothly as before
                 proposed[j] = max(proposed[j], h[j])
             done = why == 1
+            if rigged and touching[j] == 0:
+                ahead = events.next_touch(j, x, u, free, rig)
+                if ahead < math.inf:  # free flight is linear in time: one step to the touch
+                    proposed[j] = 1.001 * ahead
+                elif ahead == math.inf:
+                    proposed[j] = 1e30
+                    returning = min(trips[0, j], trips[1, j])
+                    done = returning == math.inf or (at_stop and time[j] >= returning * (1.0 - 1e-12))
             if not done and at_stop:
                 if time[j] >= end[j]:
                     done = True
+                    if rigged and max(x[0, j], x[0, LANES + j]) > 0.0:
+                        status[r] = tracked.STILL_PRESSED
+                        row[j] = -1
+                        live -= 1
+                        continue
                 else:
                     if on_slow[j]:  # what jumps sets off the fast oscillation
                         proposed[j] = min(proposed[j], math.sqrt(mass[r]))
@@ -375,13 +485,15 @@ def march(
                         live -= 1
                         continue
                     stop[j] = incoming.next_break(breaks, r, time[j], queue, head, tail, j, end[j])
-            if not done and steady[j] >= 0.0 and touching[j] == 0 and not has_yielded[j]:
+            if not done and steady[j] >= 0.0 and touching[j] == 0 and not own[j] and not rigged:
                 done = events.decided(
                     mode, wanted, track, j, x[0, j], x[0, LANES + j], u[0, j], mass[r], steady[j], local
                 )
             if done:
                 events.finish(mode, wanted, track, j, path[j], scale[j], start[j], length[j], crests[j], count[j],
                               local, out[r], yielding, law)  # fmt: skip
+                out[r, tracked.ANSWER_SPEED] = u[0, j]
+                out[r, tracked.ANSWER_SPEEDS], out[r, tracked.ANSWER_SPEEDS + 1] = free[0, j], -free[0, LANES + j]
                 status[r] = tracked.OK
                 steps[r] = count[j]
                 row[j] = -1

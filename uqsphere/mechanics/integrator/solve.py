@@ -47,7 +47,7 @@ MODES: Final[dict[str, int]] = {"full": 0, "linear": 1, "massless": 2}
 #: what `scaled_arguments` gives, in the order in which the kernel takes it
 _ARGUMENTS: Final = (
     "mass", "ends", "round_trips", "breaks", "coefficients", "frequencies", "horizon", "pulse_end", "level", "graze",
-    "laws",
+    "laws", "rigs", "speed",
 )  # fmt: skip
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between threads
 _BLOCK = 512
@@ -75,6 +75,8 @@ class Motion:
         End of the motion over t_c, which may lie inside the last step.
     fidelity : str
         `full`, `linear` or `massless`.
+    forces : (m, 2, k) array, optional
+        The same of both forces over P_c, where they do not follow from the approach alone.
     returning : function of (m,) times [s] to (m,) velocities [m/s], optional
         The wave that comes back to face B, where the end is more than a number (`uqsphere.mechanics.damper`).
     """
@@ -86,6 +88,7 @@ class Motion:
     states: Array
     end: float
     fidelity: str = "full"
+    forces: Array | None = None
     returning: Callable[[Array], Array] | None = None
 
     @property
@@ -192,11 +195,13 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "level": 0.1 * np.minimum(1.0, duration),
         "graze": np.zeros(len(rows)),
         "laws": _laws(scene, rows),
+        "rigs": np.zeros((len(rows), 0, 2)),
+        "speed": np.zeros(len(rows)),
     }
 
 
 def _laws(scene: Scene, rows: Places) -> Array:
-    """Onset, softening, pile-up and stiffness of both faces in scaled variables, (n, 4, 2); (n, 0, 2): elastic."""
+    """Onset, softening, pile-up and stiffness of both faces in scaled variables, (n, LAWS, 2); (n, 0, 2): elastic."""
     faces = scene.faces
     if faces is None:
         return np.zeros((len(rows), 0, 2))
@@ -206,6 +211,7 @@ def _laws(scene: Scene, rows: Places) -> Array:
         np.where(np.abs(softening) < 1e-12, 0.0, softening),
         faces.pile_up[rows],
         np.ones(len(rows)),
+        np.zeros(len(rows)),
     ]
     return np.ascontiguousarray(np.repeat(np.stack(columns, axis=1)[:, :, None], 2, axis=2))
 
@@ -243,7 +249,8 @@ def march_rows(
     from uqsphere.mechanics.integrator.tracked import TERMS
 
     share = _LOCAL_DIFFERENCE if wanted & WANT_DIFFERENCE else _LOCAL
-    if wanted & (WANT_WIDTH | WANT_CONTACT) and not np.isfinite(arguments["horizon"]).all():
+    bars_only = arguments["rigs"].shape[1] == 0
+    if bars_only and wanted & (WANT_WIDTH | WANT_CONTACT) and not np.isfinite(arguments["horizon"]).all():
         share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than the approaches need
     local = share * tolerance * (1.0 if mode == MODES["full"] else 0.1)
@@ -252,7 +259,7 @@ def march_rows(
     order, path = np.arange(n), None
     for capacity in _CAPACITIES:
         room = capacity if keep else 0
-        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 3, TERMS)))
+        kept = (np.zeros(room), np.zeros(room), np.zeros((room, 5, TERMS)))
         rows = [arguments[name] for name in _ARGUMENTS]
         march(*(mode, wanted, *rows, local, asked, stop_at_loss, capacity, answers, status, order, steps, *kept))
         if keep:
@@ -351,9 +358,10 @@ def motions(
         if found.status[0] != 0 or found.path is None:
             return int(found.status[0])
         start, length, states = found.path
+        own = given["laws"].shape[1] > 0
         return Motion(
-            scene=scene, row=int(rows[k]), start=start, length=length, states=states,
-            end=float(found.answers[0, ANSWER_END]), fidelity=fidelity,
+            scene=scene, row=int(rows[k]), start=start, length=length, states=states[:, :3],
+            forces=states[:, 3:] if own else None, end=float(found.answers[0, ANSWER_END]), fidelity=fidelity,
         )  # fmt: skip
 
     workers = min(thread_count(threads), len(rows))

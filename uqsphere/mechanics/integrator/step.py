@@ -30,6 +30,9 @@ from uqsphere.mechanics.integrator.tracked import (
     LANES,
     ORDER,
     PAIR,
+    RIG_GIVES,
+    RIG_LIGHTNESS,
+    RIG_THERE,
     SHIFT,
     SPRING,
     TERMS,
@@ -49,6 +52,8 @@ from uqsphere.mechanics.integrator.vectors import (
 
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section 5)
 _CIRCLE = 0.85
+#: states with a scale of their own: x_1, u, x_2, U_A, U_B
+SCALES = 5
 #: Runge-Kutta steps over a touch
 _TOUCH_STEPS = 4
 
@@ -88,6 +93,18 @@ _next_x = elementwise(
         h * share * inverse_mu * (force_a - force_b),
     ),
 )
+_next_of_rig = elementwise(
+    LANES,
+    5,
+    lambda push_a, push_b, force_a, force_b, u, w_a, w_b, gives_a, gives_b, light_a, light_b, there_a, there_b, h,
+    inverse_mu, share: (
+        h * share * there_a * (push_a + w_a - gives_a * force_a - u),
+        h * share * there_b * (push_b + w_b - gives_b * force_b + u),
+        h * share * inverse_mu * (force_a - force_b),
+        0.0 - h * share * light_a * force_a,
+        0.0 - h * share * light_b * force_b,
+    ),
+)  # fmt: skip
 _next_massless = elementwise(
     LANES,
     3,
@@ -100,12 +117,14 @@ _next_massless = elementwise(
 
 
 @compiled(**INNER)
-def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse):
+def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin, law, log, inverse, rigged, rig, free):
     """Fill the series of x (TERMS, PAIR), u (TERMS, LANES), root = sqrt(x) and force = q(x) from their first terms.
 
     push : (TERMS, PAIR), 2 f and -2 h_B.  A face whose approach is not positive carries no force.  yielding, virgin:
     whether faces have a law of their own, and whether one of them is on virgin loading; law: see
     `uqsphere.mechanics.integrator.faces`; log (TERMS, PAIR): k times the k-th term of l; inverse (PAIR,): room.
+    rigged, rig (RIGS, PAIR): whether something else than a bar stands at a pole, and what; free (TERMS, PAIR): the
+    series of U_A and -U_B.
     """
     apart()
     if yielding:
@@ -137,6 +156,12 @@ def expand(mode, h, inverse_mu, push, x, u, root, force, half, yielding, virgin,
         x_a, x_b, u_next = row(x, k + 1, 0), row(x, k + 1, LANES), row(u, k + 1, 0)
         if mode == 2:
             _next_massless(x_a, x_b, u_next, push_a, push_b, force_k, row(u, k, 0), h, share)
+        elif rigged:
+            _next_of_rig(x_a, x_b, u_next, row(free, k + 1, 0), row(free, k + 1, LANES), push_a, push_b, force_k,
+                         row(force, k, LANES), row(u, k, 0), row(free, k, 0), row(free, k, LANES),
+                         row(rig, RIG_GIVES, 0), row(rig, RIG_GIVES, LANES), row(rig, RIG_LIGHTNESS, 0),
+                         row(rig, RIG_LIGHTNESS, LANES), row(rig, RIG_THERE, 0), row(rig, RIG_THERE, LANES), h,
+                         inverse_mu, share)  # fmt: skip
         else:
             _next_x(x_a, x_b, u_next, push_a, push_b, force_k, row(force, k, LANES), row(u, k, 0), h, inverse_mu, share)
 
@@ -185,14 +210,48 @@ def _reached(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, scale_x
     return where(before + last < 1e200, bounded, 0.0)
 
 
+def _radius(x_11, x_12, late):
+    return root_of(root_of(larger(size_of(x_11), size_of(x_12)) / (late + 1e-300)))
+
+
+def _reached_of_rig(x_11, y_11, x_12, y_12, x_15, y_15, x_16, y_16, u_15, u_16, v_15, w_15, v_16, w_16, scale_x,
+                    scale_y, scale_u, scale_v, scale_w, local):  # fmt: skip
+    """The same where every state has a scale of its own: both approaches, speeds of the sphere and of the partners."""
+    before = larger(larger(size_of(x_15) / scale_x, size_of(y_15) / scale_y), size_of(u_15) / scale_u)
+    last = larger(larger(size_of(x_16) / scale_x, size_of(y_16) / scale_y), size_of(u_16) / scale_u)
+    before = larger(before, larger(size_of(v_15) / scale_v, size_of(w_15) / scale_w))
+    last = larger(last, larger(size_of(v_16) / scale_v, size_of(w_16) / scale_w))
+    guess = smaller(_root_16(local / (before + last + 1e-300)), 8.0)
+    two = guess * guess
+    four = two * two
+    eight = four * four
+    reached = eight * four * two * guess * (before + guess * last)
+    theta = guess * _root_16(local / (reached + 1e-300))
+    late_x, late_y = larger(size_of(x_15), size_of(x_16)), larger(size_of(y_15), size_of(y_16))
+    theta = where(late_x > 1e-3 * local * scale_x, smaller(theta, _CIRCLE * _radius(x_11, x_12, late_x)), theta)
+    theta = where(late_y > 1e-3 * local * scale_y, smaller(theta, _CIRCLE * _radius(y_11, y_12, late_y)), theta)
+    return where(before + last < 1e200, theta, 0.0)
+
+
 _longest = elementwise(LANES, 1, _reached)
+_longest_of_rig = elementwise(LANES, 1, _reached_of_rig)
 
 
 @compiled(**INNER)
-def longest(x, u, scale, local, theta):
-    """theta (LANES,) up to which the last two terms of every series stay below `local` times its scale (2, LANES)."""
+def longest(x, u, free, scale, rigged, local, theta):
+    """theta (LANES,) up to which the last two terms of every series stay below `local` times its scale.
+
+    scale (SCALES, LANES): of x_1, u, x_2, U_A, U_B; without rigs the faces are alike.
+    """
     apart()
     fourth, third, before, last = ORDER - 5, ORDER - 4, ORDER - 1, ORDER
+    if rigged:
+        _longest_of_rig(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
+                        row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES),
+                        row(u, before, 0), row(u, last, 0), row(free, before, 0), row(free, before, LANES),
+                        row(free, last, 0), row(free, last, LANES), row(scale, 0, 0), row(scale, 2, 0),
+                        row(scale, 1, 0), row(scale, 3, 0), row(scale, 4, 0), local)  # fmt: skip
+        return
     _longest(theta, row(x, fourth, 0), row(x, fourth, LANES), row(x, third, 0), row(x, third, LANES),
              row(x, before, 0), row(x, before, LANES), row(x, last, 0), row(x, last, LANES), row(u, before, 0),
              row(u, last, 0), row(scale, 0, 0), row(scale, 1, 0), local)  # fmt: skip
@@ -233,9 +292,10 @@ def root_error(root, theta, place, at, law, found, value, slope):
 
 
 @compiled(**INNER)
-def _slopes(mode, inverse_mu, push_a, push_b, x1, x2, u, yielding, law, j):
-    """Right-hand side of theory (9) for one lane."""
+def _slopes(mode, inverse_mu, push_a, push_b, state, yielding, law, rig, j):
+    """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
     apart()
+    x1, x2, u, w1, w2 = state
     pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
     if yielding:
         force_a, force_b = face_force(law, j, x1)[0], face_force(law, LANES + j, x2)[0]
@@ -245,8 +305,38 @@ def _slopes(mode, inverse_mu, push_a, push_b, x1, x2, u, yielding, law, j):
         force_a, force_b = pressed_a * math.sqrt(pressed_a), pressed_b * math.sqrt(pressed_b)
     if mode == 2:
         rate = 0.5 * (push_a + push_b) - force_a
-        return rate, rate, 0.0
-    return push_a - force_a - u, push_b - force_b + u, (force_a - force_b) * inverse_mu
+        return rate, rate, 0.0, 0.0, 0.0
+    return (
+        rig[RIG_THERE, j] * (push_a - rig[RIG_GIVES, j] * force_a - u + w1),
+        rig[RIG_THERE, LANES + j] * (push_b - rig[RIG_GIVES, LANES + j] * force_b + u + w2),
+        (force_a - force_b) * inverse_mu,
+        -rig[RIG_LIGHTNESS, j] * force_a,
+        -rig[RIG_LIGHTNESS, LANES + j] * force_b,
+    )
+
+
+@compiled(**INNER)
+def _moved(state, share, slopes):
+    """state + share·slopes."""
+    x1, x2, u, w1, w2 = state
+    d1, d2, du, e1, e2 = slopes
+    return x1 + share * d1, x2 + share * d2, u + share * du, w1 + share * e1, w2 + share * e2
+
+
+@compiled(**INNER)
+def _mean_slopes(first, second, third, fourth):
+    """Six times the slopes that a step of Runge and Kutta takes."""
+    a1, a2, a3, a4, a5 = first
+    b1, b2, b3, b4, b5 = second
+    c1, c2, c3, c4, c5 = third
+    d1, d2, d3, d4, d5 = fourth
+    return (
+        a1 + 2.0 * (b1 + c1) + d1,
+        a2 + 2.0 * (b2 + c2) + d2,
+        a3 + 2.0 * (b3 + c3) + d3,
+        a4 + 2.0 * (b4 + c4) + d4,
+        a5 + 2.0 * (b5 + c5) + d5,
+    )
 
 
 @compiled(**INNER)
@@ -270,53 +360,47 @@ def _join(series, m, theta, left, left_slope, right, right_slope):
 
 
 @compiled(**INNER)
-def step_from_touch(mode, j, theta, h, inverse_mu, push, x, u, force, yielding, law):
+def step_from_touch(mode, j, h, inverse_mu, push, x, u, force, yielding, law, rig, free):
     """A first short step of one lane from a touch, where the force x^(3/2) has no power series in time.
 
-    Runge-Kutta steps of order 4 over theta·h; the series of the lane are replaced by cubics that join both ends.
+    Runge-Kutta steps of order 4 over h; the series of the lane are replaced by cubics that join both ends.
     """
     apart()
-    a, b, w = x[0, j], x[0, LANES + j], u[0, j]
-    x1, x2, v = a, b, w
-    begin = _slopes(mode, inverse_mu, push[0, j], push[0, LANES + j], x1, x2, v, yielding, law, j)
-    d = theta * h / _TOUCH_STEPS
+    k = LANES + j
+    state = x[0, j], x[0, k], u[0, j], free[0, j], free[0, k]
+    old, d = state, h / _TOUCH_STEPS
+    begin = _slopes(mode, inverse_mu, push[0, j], push[0, k], state, yielding, law, rig, j)
     last = begin
     for i in range(_TOUCH_STEPS):
-        t = theta * i / _TOUCH_STEPS
-        half, full = t + 0.5 * theta / _TOUCH_STEPS, t + theta / _TOUCH_STEPS
+        t = 1.0 * i / _TOUCH_STEPS
+        half, full = t + 0.5 / _TOUCH_STEPS, t + 1.0 / _TOUCH_STEPS
         first = last
-        mid_a, mid_b = _at(push, j, half), _at(push, LANES + j, half)
-        second = _slopes(mode, inverse_mu, mid_a, mid_b,
-                         x1 + 0.5 * d * first[0], x2 + 0.5 * d * first[1], v + 0.5 * d * first[2],
-                         yielding, law, j)  # fmt: skip
-        third = _slopes(mode, inverse_mu, mid_a, mid_b,
-                        x1 + 0.5 * d * second[0], x2 + 0.5 * d * second[1], v + 0.5 * d * second[2],
-                        yielding, law, j)  # fmt: skip
-        end_a, end_b = _at(push, j, full), _at(push, LANES + j, full)
-        fourth = _slopes(
-            mode, inverse_mu, end_a, end_b, x1 + d * third[0], x2 + d * third[1], v + d * third[2], yielding, law, j
-        )
-        x1 += d / 6.0 * (first[0] + 2.0 * (second[0] + third[0]) + fourth[0])
-        x2 += d / 6.0 * (first[1] + 2.0 * (second[1] + third[1]) + fourth[1])
-        v += d / 6.0 * (first[2] + 2.0 * (second[2] + third[2]) + fourth[2])
-        last = _slopes(mode, inverse_mu, end_a, end_b, x1, x2, v, yielding, law, j)
-    _join(x, j, theta, a, h * begin[0], x1, h * last[0])
-    _join(x, LANES + j, theta, b, h * begin[1], x2, h * last[1])
-    _join(u, j, theta, w, h * begin[2], v, h * last[2])
+        mid_a, mid_b = _at(push, j, half), _at(push, k, half)
+        second = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, first), yielding, law, rig, j)
+        third = _slopes(mode, inverse_mu, mid_a, mid_b, _moved(state, 0.5 * d, second), yielding, law, rig, j)
+        end_a, end_b = _at(push, j, full), _at(push, k, full)
+        fourth = _slopes(mode, inverse_mu, end_a, end_b, _moved(state, d, third), yielding, law, rig, j)
+        state = _moved(state, d / 6.0, _mean_slopes(first, second, third, fourth))
+        last = _slopes(mode, inverse_mu, end_a, end_b, state, yielding, law, rig, j)
+    _join(x, j, 1.0, old[0], h * begin[0], state[0], h * last[0])
+    _join(x, k, 1.0, old[1], h * begin[1], state[1], h * last[1])
+    _join(u, j, 1.0, old[2], h * begin[2], state[2], h * last[2])
+    _join(free, j, 1.0, old[3], h * begin[3], state[3], h * last[3])
+    _join(free, k, 1.0, old[4], h * begin[4], state[4], h * last[4])
     for face in range(2):
         m = face * LANES + j
-        left, right = (a, x1) if face == 0 else (b, x2)
-        left_slope, right_slope = x[1, m], h * last[face]
+        left, right = (old[0], state[0]) if face == 0 else (old[1], state[1])
+        left_slope, right_slope = x[1, m], h * (last[0] if face == 0 else last[1])
         left, left_slope = (left, left_slope) if left > 0.0 else (0.0, 0.0)
         right, right_slope = (right, right_slope) if right > 0.0 else (0.0, 0.0)
         if yielding:
             left_force, left_rate = face_force(law, m, left)
             right_force, right_rate = face_force(law, m, right)
-            _join(force, m, theta, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
+            _join(force, m, 1.0, left_force, left_rate * left_slope, right_force, right_rate * right_slope)
         elif mode == 1:
-            _join(force, m, theta, left, left_slope, right, right_slope)
+            _join(force, m, 1.0, left, left_slope, right, right_slope)
         else:
-            _join(force, m, theta, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
+            _join(force, m, 1.0, left * math.sqrt(left), 1.5 * math.sqrt(left) * left_slope,
                   right * math.sqrt(right), 1.5 * math.sqrt(right) * right_slope)  # fmt: skip
 
 

@@ -22,26 +22,34 @@ PAIR = 2 * LANES
 
 #: status of a row
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL, NOT_FINITE = range(7)
+NEVER_CLOSES, STILL_PRESSED = 11, 12
 
 # what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its tracker - 1)
-WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_WIDTH, WANT_CONTACT = (1 << k for k in range(5))
-WANT_ALL = WANT_RISE | WANT_DIFFERENCE | WANT_ENERGY | WANT_WIDTH | WANT_CONTACT
+(WANT_RISE, WANT_DIFFERENCE, WANT_ENERGY, WANT_SHARE, WANT_MEAN, WANT_WIDTH, WANT_CONTACT,
+ WANT_CARRIED) = (1 << k for k in range(8))  # fmt: skip
+WANT_ALL = (1 << 8) - 1
 
-# trackers of a lane while its row runs: the first KINDS are the largest values found so far
-(FACE_A, FACE_B, DIFFERENCE, ENERGY, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, ENDED, LOSS_RATE, DEPTH,
- NEAREST, UNLOADINGS, TRACKS) = range(14)  # fmt: skip
-KINDS = ENERGY + 1
+# trackers of a lane while its row runs: the first KINDS are the largest values found so far, of each face's approach
+# (of both where faces are alike), of the difference of the forces, of the stored energy, of the sphere's share of it
+# and of the mean force; then what the other face's force was at a face's peak
+(FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, TOUCHED_A, TOUCHED_B, LOST, X_FIRST, _, ENDED, LOSS_RATE, DEPTH,
+ NEAREST, UNLOADINGS, OTHER, _, PARTED, TOUCHES, CHATTER, CARRIED, _, TRACKS) = range(24)  # fmt: skip
+KINDS = MEAN + 1
 #: flag of a step in which a contact may be lost or found, or the record may end; the others are 1 << kind
 SOMETHING = 1 << KINDS
 #: flag of a step in which a face may begin or end to yield
 SWITCHES = 2 << KINDS
 
 # answers of a row, scaled: approach, force difference, energy, times; width and rise with their thresholds a little
-# lower, then a little higher; largest approach of each face that has yielded (0: none), how often one was unloaded
+# lower, then a little higher; of faces A and B each: largest approach, that before the first echo, force of the other
+# face at the peak of this one, integral of its squared force; largest mean force and sphere's share of the stored
+# energy; last parting; speeds of sphere, A and B at the end; how often a face that yields was unloaded, and how often
+# contact was found again before the largest approach
 (ANSWER_X_MAX, ANSWER_X_FIRST, ANSWER_DIFFERENCE, ANSWER_ENERGY, ANSWER_CONTACT, ANSWER_CONTACT_CENSORED,
  ANSWER_WIDTH, ANSWER_WIDTH_CENSORED, ANSWER_RISE, ANSWER_END, ANSWER_LOSS_RATE, ANSWER_DEPTH,
- ANSWER_NEAREST, ANSWER_WIDTHS, _, ANSWER_RISES, _, ANSWER_YIELD, _, ANSWER_UNLOADINGS,
- ANSWERS) = range(21)  # fmt: skip
+ ANSWER_NEAREST, ANSWER_WIDTHS, _, ANSWER_RISES, _, ANSWER_FACES, _, ANSWER_FIRSTS, _, ANSWER_OTHERS, _,
+ ANSWER_CARRIED, _, ANSWER_MEAN, ANSWER_SHARE, ANSWER_PARTING, ANSWER_SPEED, ANSWER_SPEEDS, _,
+ ANSWER_UNLOADINGS, ANSWER_TOUCHES, ANSWERS) = range(34)  # fmt: skip
 #: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be wanted for it
 SCALED = {
     "x_max": (ANSWER_X_MAX, 0),
@@ -54,14 +62,31 @@ SCALED = {
     "width_censored": (ANSWER_WIDTH_CENSORED, WANT_WIDTH),
     "rise": (ANSWER_RISE, WANT_RISE),
     "ended": (ANSWER_END, 0),
+    "x_a": (ANSWER_FACES, 0),
+    "x_b": (ANSWER_FACES + 1, 0),
+    "x_first_a": (ANSWER_FIRSTS, 0),
+    "x_first_b": (ANSWER_FIRSTS + 1, 0),
+    "force_b_at_a": (ANSWER_OTHERS, 0),
+    "force_a_at_b": (ANSWER_OTHERS + 1, 0),
+    "carried_a": (ANSWER_CARRIED, WANT_CARRIED),
+    "carried_b": (ANSWER_CARRIED + 1, WANT_CARRIED),
+    "mean_force": (ANSWER_MEAN, WANT_MEAN),
+    "stored_sphere": (ANSWER_SHARE, WANT_SHARE),
+    "parting": (ANSWER_PARTING, WANT_CONTACT),
+    "end_speed": (ANSWER_SPEED, 0),
+    "end_speed_a": (ANSWER_SPEEDS, 0),
+    "end_speed_b": (ANSWER_SPEEDS + 1, 0),
+    "unloadings": (ANSWER_UNLOADINGS, 0),
+    "touches": (ANSWER_TOUCHES, 0),
 }
 
-# the law of a face that yields, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
+# the law of a face of its own, see `uqsphere.mechanics.integrator.faces`: numbers of a lane's face
 (DENT, SHIFT, SPRING, BY_X, BY_ROOT, BY_LOG, CONSTANT, BASE, LARGEST, PEAK, ONSET, SOFTENING, PILE_UP,
- STIFFNESS) = range(14)  # fmt: skip
-NUMBERS = 14
-# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2)
-LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS = range(4)
+ STIFFNESS, CHI, NUMBERS) = range(16)  # fmt: skip
+# ... and of a row, for both faces: onset x_y, softening b, pile-up C, factor of x^(3/2), sphere's share of the energy
+LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
+# what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
+RIG_GIVES, RIG_LIGHTNESS, RIG_SPEED, RIG_THERE, RIGS = range(5)
 
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01

@@ -1,0 +1,148 @@
+"""A second integrator of one scene, (R3): a sphere with a partner at each pole; DOP853 with events, slow, no echoes.
+
+It follows the table of states (C14) face by face, carries along what partners of an impedance take off, so that the
+balances of energy and momentum (R8), (R9) can be held against it, and ends where the bodies part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from tests.independent.yielding import FREE, SPRING, VIRGIN, Law
+
+
+@dataclass(kw_only=True)
+class Pole:
+    """What stands at a pole, scaled: zeta, mu_i (inf: does not move by itself), V_i(0), the law of the face."""
+
+    gives: float = 0.0
+    mass: float = math.inf
+    speed: float = 0.0
+    law: Law | None = None
+
+
+@dataclass(kw_only=True)
+class Blow:
+    """Answers of `strike`, of faces (A, B) where there are two; scaled."""
+
+    parting: float
+    first_loss: float
+    speeds: np.ndarray
+    impulse: np.ndarray
+    carried: np.ndarray
+    largest: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    force: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    other: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    losses: int = 0
+    mean: float = 0.0
+    stored: float = 0.0
+    difference: float = 0.0
+
+
+# state: x_A, x_B, u, U_A, U_B, then the integrals of zeta q² and of q at both faces
+def _rates(mu: float, poles: list[Pole]) -> Any:
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        q = [pole.law.force(y[k]) if pole.law else 0.0 for k, pole in enumerate(poles)]
+        a, b = poles
+        return [
+            y[3] - a.gives * q[0] - y[2] if a.law else 0.0,
+            y[2] - b.gives * q[1] - y[4] if b.law else 0.0,
+            (q[0] - q[1]) / mu,
+            -q[0] / a.mass,
+            q[1] / b.mass,
+            a.gives * q[0] ** 2,
+            b.gives * q[1] ** 2,
+            q[0],
+            q[1],
+        ]
+
+    return rates
+
+
+def _events(rates: Any, poles: list[Pole], begin: float) -> tuple[list[Any], list[tuple[int, str]]]:
+    events, meanings = [], []
+
+    def add(k: int, what: str, direction: int, terminal: bool, value: Any) -> None:
+        value.direction, value.terminal = direction, terminal
+        events.append(value)
+        meanings.append((k, what))
+
+    for k, pole in enumerate(poles):
+        law = pole.law
+        if law is None:
+            continue
+        if law.state == VIRGIN:
+            add(k, "turns", -1, True, lambda t, y, k=k: rates(t, y)[k])
+            continue
+        if law.state == FREE:
+            add(k, "touches", 1, True, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-12 else -1.0)
+            continue
+        over = law.largest * (1 + 1e-13)
+        add(k, "yields", 1, True, lambda t, y, k=k, over=over: y[k] - over if over < math.inf else -1.0)
+        add(k, "lost", -1, True, lambda t, y, k=k, dent=law.dent: y[k] - dent if t > begin + 1e-7 else 1.0)
+        add(k, "peak", -1, False, lambda t, y, k=k: rates(t, y)[k])
+    return events, meanings
+
+
+def strike(mu: float, speed: float, poles: list[Pole], rtol: float = 1e-12, horizon: float = 1e4) -> Blow:
+    """Integrate (R3) from first touch to parting."""
+    y = np.array([0.0, 0.0, speed, poles[0].speed, poles[1].speed, 0.0, 0.0, 0.0, 0.0])
+    found, time, first = Blow(parting=math.nan, first_loss=math.nan, speeds=y, impulse=y, carried=y), 0.0, math.nan
+    rates = _rates(mu, poles)
+
+    def note(state: np.ndarray) -> None:
+        q = [pole.law.force(state[k]) if pole.law else 0.0 for k, pole in enumerate(poles)]
+        for k in range(2):
+            if q[k] > found.force[k]:
+                found.force[k], found.other[k], found.largest[k] = q[k], q[1 - k], state[k]
+        found.mean = max(found.mean, 0.5 * (q[0] + q[1]))
+        found.difference = max(found.difference, abs(q[0] - q[1]))
+
+    while time < horizon:
+        for k, pole in enumerate(poles):
+            law, now = pole.law, rates(time, y)[k]
+            if law and law.state == VIRGIN and now < -1e-10:
+                law.unload(y[k])
+            elif law and law.state == SPRING and now > 1e-10 and y[k] >= law.largest * (1 - 1e-12):
+                law.state = VIRGIN
+        open_ = [pole.law is None or y[k] <= pole.law.dent + 1e-13 for k, pole in enumerate(poles)]
+        gaps = [_rates(mu, [Pole(**{**vars(p), "law": p.law and Law(onset=1e9, b=1.0, pile_up=1.0)}) for p in poles])(
+            time, np.where(np.arange(9) < 2, -1.0, y))[k] for k in range(2)]  # fmt: skip
+        if time > 0.0 and all(open_) and max(gaps) <= 1e-13:
+            break
+        events, meanings = _events(rates, poles, time)
+        way = solve_ivp(rates, (time, horizon), y, method="DOP853", rtol=rtol, atol=rtol * 1e-2, events=events,
+                        first_step=1e-6, dense_output=True)  # fmt: skip
+        for t in way.t[1:]:
+            note(way.sol(t))
+        for (_, what), times in zip(meanings, way.t_events, strict=True):
+            if what == "peak":
+                for t in times:
+                    note(way.sol(t))
+        time, y = float(way.t[-1]), way.y[:, -1].copy()
+        if way.status != 1:
+            break
+        for (k, what), times in zip(meanings, way.t_events, strict=True):
+            if what == "peak" or not len(times) or abs(times[-1] - time) > 1e-13 * (1 + time):
+                continue
+            law = poles[k].law
+            assert law is not None
+            if what == "lost":
+                law.state, y[k] = FREE, law.dent
+                found.losses += 1
+                first = time if math.isnan(first) else first
+            elif what == "touches":
+                law.state, y[k] = SPRING, law.dent
+            elif what == "yields":
+                law.state, y[k] = VIRGIN, law.largest
+            else:
+                note(y)
+                law.unload(y[k])
+    found.parting, found.first_loss = time, first
+    found.speeds, found.carried, found.impulse = y[2:5], y[5:7], y[7:9]
+    return found

@@ -1,0 +1,103 @@
+"""The integrator for every rig, (R3): a second integrator, balances, limits and symmetries, on scaled scenes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.independent.rigs import Pole, strike
+from tests.independent.yielding import Law
+from uqsphere.mechanics.integrator import tracked
+from uqsphere.mechanics.integrator.solve import Scaled, march_rows
+
+#: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa, onset, b, C; a pole
+#: that is not named is free
+RIGID: dict[str, float] = {"zeta": 0.0, "mu": math.inf, "V": 0.0, "kappa": 1.0, "onset": math.inf, "b": 1.0, "C": 1.0}
+Row = dict[str, Any]
+
+
+def rig(mu: float = 1.0, speed: float = 0.0, A: Row | None = None, B: Row | None = None) -> Row:
+    return {"mu": mu, "speed": speed, "poles": [None if pole is None else {**RIGID, **pole} for pole in (A, B)]}
+
+
+def arguments(rows: list[Row]) -> dict[str, Any]:
+    """What the kernel takes, of scaled rigs without incoming waves and echoes."""
+    n = len(rows)
+    laws, rigs = np.ones((n, tracked.LAWS, 2)), np.zeros((n, tracked.RIGS, 2))
+    laws[:, tracked.LAW_ONSET] = math.inf
+    for i, row in enumerate(rows):
+        for k, pole in enumerate(row["poles"]):
+            if pole is None:
+                continue
+            laws[i, :, k] = pole["onset"], pole["b"], pole["C"], pole["kappa"], 0.5
+            rigs[i, :, k] = pole["zeta"], 1.0 / pole["mu"], (1 - 2 * k) * pole["V"], 1.0
+    return {
+        "mass": np.array([row["mu"] for row in rows]), "ends": np.zeros((n, 2)),
+        "round_trips": np.full((n, 2), np.inf), "breaks": np.zeros((n, 1)), "coefficients": np.zeros((n, 0, 4)),
+        "frequencies": np.zeros(n), "horizon": np.full(n, np.inf), "pulse_end": np.full(n, np.inf),
+        "level": np.full(n, 0.1), "graze": np.zeros(n), "laws": laws, "rigs": rigs,
+        "speed": np.array([row["speed"] for row in rows]),
+    }  # fmt: skip
+
+
+def march(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
+    return march_rows(arguments(rows), 0, tolerance, asked=tolerance)
+
+
+def second(row: Row, rtol: float = 1e-12) -> Any:
+    poles = [
+        Pole()
+        if pole is None
+        else Pole(
+            gives=pole["zeta"], mass=pole["mu"], speed=pole["V"],
+            law=Law(onset=pole["onset"], b=pole["b"], pile_up=pole["C"], stiffness=pole["kappa"]),
+        )
+        for pole in row["poles"]
+    ]  # fmt: skip
+    return strike(row["mu"], row["speed"], poles, rtol=rtol), poles
+
+
+SCENES = {
+    "thick": rig(speed=1.0, B={}),
+    "plate": rig(speed=1.0, B={"zeta": 0.5}),
+    "mass": rig(mu=1.5, speed=1.0, B={"mu": 3.0}),
+    "chatter": rig(mu=1 / 7, A={"mu": 1.0, "V": 1.0}, B={"kappa": 0.072}),
+    "load cell": rig(mu=0.0206, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.14, "kappa": 1.18}),
+    "anvil": rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"mu": 5.0, "kappa": 3.0}),
+    "plate yields": rig(speed=1.0, B={"zeta": 0.2, "onset": 0.15, "b": 3.0, "C": 2.0}),
+    "one face yields": rig(mu=0.05, A={"mu": 1.0, "V": 1.0, "onset": 0.1, "b": 2.0, "C": 8 / 3}, B={"zeta": 0.1}),
+    "both yield": rig(
+        mu=0.2, A={"mu": 1.0, "V": 1.0, "onset": 0.2, "b": 0.0, "C": 1.0},
+        B={"kappa": 0.5, "onset": 0.3, "b": 3.69, "C": 8 / 3},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", SCENES.values(), ids=SCENES)
+def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
+    found, (other, poles) = march([row]), second(row)
+    answers = found.answers[0]
+    assert found.status[0] == 0
+    for k, pole in enumerate(poles):
+        assert answers[tracked.ANSWER_FACES + k] == pytest.approx(other.largest[k], rel=1e-7)
+        assert answers[tracked.ANSWER_OTHERS + k] == pytest.approx(other.other[k], abs=1e-6)
+        if pole.law is not None:
+            assert answers[tracked.ANSWER_CARRIED + k] * pole.gives == pytest.approx(other.carried[k], rel=1e-7)
+    assert answers[tracked.ANSWER_CONTACT] == pytest.approx(other.first_loss, rel=1e-7)
+    assert answers[tracked.ANSWER_PARTING] == pytest.approx(other.parting, rel=2e-7)
+    speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+    assert speeds == pytest.approx(other.speeds, abs=1e-7)
+
+
+def test_the_bodies_never_close() -> None:
+    found = march([rig(speed=-1.0, B={}), rig(A={"mu": 1.0}, B={}), rig(speed=1.0, B={"V": 2.0})])
+    assert found.status.tolist() == [tracked.NEVER_CLOSES] * 3
+
+
+def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
+    given = arguments([rig(speed=1.0, B={})])
+    given["horizon"][:] = 1.0
+    assert march_rows(given, 0, 1e-6).status[0] == tracked.STILL_PRESSED
