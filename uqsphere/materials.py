@@ -21,6 +21,8 @@ PROPERTIES: Final[dict[str, str]] = {
     "compressive_strength": "pressure",
     "tensile_strength": "pressure",
     "contact_strength": "pressure",
+    "onset_pressure": "pressure",
+    "hardness": "pressure",
     "weibull_modulus": "number",
     "fracture_toughness": "toughness",
     "fracture_energy": "specific_energy",

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.black_box import BlackBox, prints_to_stderr, where_raised
 from uqsphere.errors import ModelError, ModelRaised, UsageError
+from uqsphere.materials import library
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 
@@ -104,6 +105,7 @@ def scene_of(
     columns = {name: np.full(n, number) for name, number in study.at_means().items()}
     for name, column in values.items():
         columns[name] = np.broadcast_to(np.asarray(column, dtype=float), (n,))
+    columns |= {name: np.full(n, value) for name, value in _library_onset(study).items()}
     if study.record is not None:
         # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of each row
         gain = columns.get("pulse.gain", np.ones(n))
@@ -123,6 +125,16 @@ def scene_of(
         hardness_at_onset=study.options.get("contact.hardness") == "onset",
         record=study.record,
     )
+
+
+def _library_onset(study: Study) -> dict[str, float]:
+    """Onset and hardness that the library has of a sphere, for the check of a contact that is taken for elastic."""
+    given = {**study.fixed, **study.random}
+    if "sphere" not in study.materials or "sphere.onset_pressure" in given or "contact.law" in study.options:
+        return {}
+    known = library()["sphere"][study.materials["sphere"]].properties
+    names = ("onset_pressure", "hardness")
+    return {f"sphere.{name}": known[name].value for name in names} if set(names) <= known.keys() else {}
 
 
 def solve_scene(

@@ -23,9 +23,9 @@ from uqsphere.mechanics.criteria import Demands
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import Path
+from uqsphere.mechanics.partners import softest_partner
 from uqsphere.mechanics.pulses import striker_steps
 from uqsphere.mechanics.scene import Scene, answered
-from uqsphere.mechanics.validity import RULES
 
 #: bounds of a test in the order in which ties are decided, and what it means that one is broken
 CONSTRAINTS: Final[dict[str, str]] = {
@@ -39,8 +39,6 @@ CONSTRAINTS: Final[dict[str, str]] = {
 }
 #: t_c after the end of the ramp for which the force is followed: 1 - P/P_0 is then about e^(-18), theory (14)
 _LASTING: Final = 12.0
-#: contact pressure over the yield strength at which the bars yield below the sphere
-_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,6 +229,7 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
         level, steps = levels[:, 0], (levels > 0.0).sum(axis=1)
     strength = scene.column("bars.yield_strength")
     strength = np.where(strength > 0.0, strength, np.nan)
+    onset = softest_partner(scene).onset
     stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
     pressure = contact.pressure_at_force(breaks.force, wide(scene.scales.modulus), wide(scene.scales.effective_radius))
     end = 0.5 * (c["pulse.rise"] + rig.fall) + steps * width
@@ -240,7 +239,7 @@ def usages(scene: Scene, breaks: Breaks, rig: Rig) -> dict[str, Array]:
         "length": shortest_striker(scene, breaks, rig.fall) / rig.length,
         "equilibrium": breaks.imbalance / rig.level,
         "pulse_yield": wide(stress / strength),
-        "contact_yield": pressure / (_ONSET * wide(strength)),
+        "contact_yield": pressure / wide(np.where(np.isfinite(onset), onset, np.nan)),
         "striker": wide(end / rig.round_trip),
     }
 

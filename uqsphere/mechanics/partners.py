@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -141,13 +142,24 @@ def body_of(scene: Scene, table: str, nu: Array) -> Body:
     return found._replace(onset=np.full(len(scene), np.inf)) if scene.rigid_contact else found
 
 
+def sphere_body(scene: Scene) -> Body:
+    """What the sphere has of the law of a face; it stays elastic where no onset is given."""
+    usual = (np.full(len(scene), np.inf), np.full(len(scene), np.inf), np.full(len(scene), CAP_PILE_UP))
+    return Body(*(scene.columns.get(f"sphere.{key}", own) for key, own in zip(_LAW, usual, strict=True)))
+
+
+def softest_partner(scene: Scene) -> Body:
+    """What the partner that yields first has of the law, row by row; infinite where none has an onset."""
+    tables = dict.fromkeys(partner.table for partner in scene.partners if partner is not None)
+    found = [body_of(scene, table, scene.column(f"{table}.insert_nu", scene.column(f"{table}.nu"))) for table in tables]
+    return reduce(softer, found)
+
+
 def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> Face | None:
     """The law of a face that yields: that of its softer body, row by row, but for what [contact] gives."""
     if scene.contact_law != "plastic":
         return None
-    usual = (np.full(len(scene), np.inf), np.full(len(scene), np.inf), np.full(len(scene), CAP_PILE_UP))
-    sphere = Body(*(scene.columns.get(f"sphere.{key}", own) for key, own in zip(_LAW, usual, strict=True)))
-    own = softer(body_of(scene, table, nu), sphere)
+    own = softer(body_of(scene, table, nu), sphere_body(scene))
     onset, hardness, pile_up = (scene.columns.get(f"contact.{key}", of) for key, of in zip(_LAW, own, strict=True))
     if np.isinf(onset).all():
         return None

@@ -16,12 +16,18 @@ from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics import bars
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
 from uqsphere.mechanics.outputs import Answers
-from uqsphere.mechanics.scene import Scene, answered
+from uqsphere.mechanics.partners import softest_partner, sphere_body
+from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
+from uqsphere.mechanics.yielding import Body, Face, Press
 
 #: what a grade means
 GRADES: Final = ("ok", "information", "warning", "failure")
-#: contact pressure over the yield strength at which a flat first yields below a sphere (Johnson 1985, 6.2)
-_ONSET: Final = 1.6
+#: largest depth z of a yielding face that finite elements were seen for (Kogut and Etsion 2002, Jackson and Green 2005)
+_SEEN_DEPTH: Final = 110.0
+#: a dent [m] after which a lapped flat is no flat any more
+_RELAP: Final = 1e-6
+#: share of the effective radius beyond which a dent has a curvature of its own
+_DEEP_DENT: Final = 0.01
 #: largest force difference over P_0 under a step pulse is 1.318 mu^0.45 for small mu, theory section 5
 _IMBALANCE: Final = (1.318, 0.45)
 
@@ -43,6 +49,10 @@ class Rule:
         Sentence on a breach, with {worst}, {limit} and {side} of the numbers.
     fine : str
         Sentence where no row breaks it, with {worst} and {limit}.
+    laws : tuple of str
+        Laws of the contact under which it is asked.
+    further : function of (scene, answers, good rows), optional
+        What is said further on a breach.
     """
 
     name: str
@@ -54,6 +64,8 @@ class Rule:
     rising: bool = True
     words: str
     fine: str
+    laws: tuple[str, ...] = CONTACT_LAWS
+    further: Callable[[Scene, Answers, Flags], str] | None = None
 
     @property
     def limit(self) -> float:
@@ -88,6 +100,10 @@ class Check:
         return self.share_information + self.share_warning + self.share_failure
 
 
+_NO_SCENE: Final = "not checked: no scene was computed"
+_NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
+
+
 def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
 
@@ -96,25 +112,87 @@ def _contact_over_bar(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(2.0 * answers.values["a_max"] / scene.columns["bars.diameter"])
 
 
-def _yield(scene: Scene) -> Array | None:
-    found = scene.columns.get("bars.yield_strength")
-    if found is None or not np.any(found > 0.0):
-        return None
-    return np.where(found > 0.0, found, np.nan)
+def _positive(values: Array) -> Array:
+    return np.where(values > 0.0, values, np.nan)
 
 
-_NO_SCENE: Final = "not checked: no scene was computed"
-_NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
+def _over_onset(scene: Scene, answers: Answers, body: Body, absent: str) -> Array | str:
+    """The elastic contact pressure over that at which a body of the face yields."""
+    onset = np.where(np.isfinite(body.onset), _positive(body.onset), np.nan)
+    return absent if np.isnan(onset).all() else np.asarray(answers.values["p_max"] / onset)
 
 
-def _contact_over_yield(scene: Scene, answers: Answers) -> Array | str:
-    strength = _yield(scene)
-    return _NO_YIELD if strength is None else np.asarray(answers.values["p_max"] / strength)
+def _over_bar_onset(scene: Scene, answers: Answers) -> Array | str:
+    return _over_onset(scene, answers, softest_partner(scene), _NO_YIELD)
+
+
+def _over_sphere_onset(scene: Scene, answers: Answers) -> Array | str:
+    return _over_onset(scene, answers, sphere_body(scene), "not checked: the onset pressure of the sphere is not given")
+
+
+def _pressed(scene: Scene, answers: Answers, body: Body, good: Flags) -> Press:
+    """The face whose body yields at the largest force of every row, by the law without the motion."""
+    scales = scene.scales
+    face = Face(
+        **{name: part[good] for name, part in body._asdict().items()},
+        modulus=scales.modulus[good],
+        effective_radius=scales.effective_radius[good],
+    )
+    return face.pressed(face.depth_at(np.asarray(answers.values["P_max"])[good]))
+
+
+def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags], str]:
+    """What the law says without the motion, where a body yields that was taken for elastic."""
+
+    def further(scene: Scene, answers: Answers, good: Flags) -> str:
+        yields = body_of(scene)
+        with np.errstate(all="ignore"):
+            press = _pressed(scene, answers, yields, good & np.isfinite(yields.onset) & np.isfinite(yields.hardness))
+        centre, dent = press.centre[np.isfinite(press.centre)], press.dent[np.isfinite(press.dent)]
+        if len(centre) == 0 or len(dent) == 0:
+            return ""
+        said = f"by the static law p_max is at most {centre.max() / 1e9:.3g} GPa"
+        return f"; {said}, a dent of {1e6 * dent.max():.2g} um"
+
+    return further
+
+
+def _depth(scene: Scene, answers: Answers) -> Array | str:
+    faces = scene.faces
+    if faces is None:
+        return "not checked: nothing yields"
+    with np.errstate(all="ignore"):
+        return np.asarray(faces.depth_at(np.asarray(answers.values["P_max"])))
+
+
+def _dent_over_radius(scene: Scene, answers: Answers) -> Array | str:
+    depth = _depth(scene, answers)
+    if isinstance(depth, str) or scene.faces is None:
+        return depth
+    with np.errstate(all="ignore"):
+        return np.asarray(scene.faces.pressed(depth).dent / scene.scales.effective_radius)
+
+
+def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
+    depth = _depth(scene, answers)
+    assert scene.faces is not None
+    assert not isinstance(depth, str)
+    dent = scene.faces.pressed(depth).dent[good]
+    flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene).onset).any())
+    due = ": re-lap the bars" if flats_yield and np.nanmax(dent) > _RELAP else ""
+    return f"; dents of up to {1e6 * np.nanmax(dent):.2g} um stay{due}"
+
+
+def _contact_over_insert(scene: Scene, answers: Answers) -> Array | str:
+    thickness = scene.columns.get("bars.insert_thickness")
+    if thickness is None:
+        return "not checked: no thickness of an insert is given"
+    return np.asarray(3.0 * answers.values["a_max"] / thickness)
 
 
 def _pulse_over_yield(scene: Scene, answers: Answers) -> Array | str:
-    strength = _yield(scene)
-    if strength is None:
+    strength = _positive(scene.column("bars.yield_strength"))
+    if np.isnan(strength).all():
         return _NO_YIELD
     c = scene.columns
     level = np.ones(len(scene))
@@ -187,12 +265,10 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the bar's end is no half space to the contact, a/(d_b/2) reaches {worst} "
                "(limit {limit})",
          fine="contact small against the bar's end: a/(d_b/2) at most {worst} (limit {limit})"),
-    Rule(name="bar_yield_contact", meaning="contact pressure over the bars' yield strength (elastic contact)",
-         measure=_contact_over_yield, warning=_ONSET,
-         words="the bars yield under the sphere, p_0 reaches {worst} times their yield strength "
-               "(onset {limit})",
-         fine="bars elastic under the sphere: p_0 at most {worst} times their yield strength "
-              "(onset {limit})"),
+    Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
+         measure=_over_bar_onset, warning=1.0, laws=("hertz", "damage"), further=_static(softest_partner),
+         words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to",
+         fine="bars elastic under the sphere: p_0 at most {worst} times the pressure at which they begin to yield"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
          measure=_pulse_over_yield, warning=1.0,
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
@@ -225,6 +301,26 @@ RULES: Final[tuple[Rule, ...]] = (
          words="infinite bars were asked for, but the record runs to {worst} times the first return of a "
                "reflected wave in bars of the given length",
          fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
+    Rule(name="sphere_yield_contact", meaning="contact pressure over that at which the sphere yields or crushes",
+         measure=_over_sphere_onset, warning=1.0, laws=("hertz", "damage"), further=_static(sphere_body),
+         words="the sphere crushes at its poles, p_0 reaches {worst} times the pressure at which it begins to",
+         fine="sphere elastic at its poles: p_0 at most {worst} times the pressure at which it begins to crush"),
+    Rule(name="dented", meaning="approach over that at which a face first yields",
+         measure=_depth, information=1.0, laws=("plastic",), further=_dents,
+         words="a face yields, its approach reaches {worst} times that at first yield",
+         fine="no face yields: the approach is at most {worst} of that at first yield"),
+    Rule(name="plastic_range", meaning="approach over that at which a face first yields (law seen up to 110)",
+         measure=_depth, warning=_SEEN_DEPTH, failure=1000.0, laws=("plastic",),
+         words="a face is pressed to {worst} times its first yield, beyond what its law was compared with ({limit})",
+         fine="faces inside what their law was compared with: at most {worst} times the first yield (limit {limit})"),
+    Rule(name="deep_dent", meaning="dent over the effective radius (the next blow meets the same curvature)",
+         measure=_dent_over_radius, warning=_DEEP_DENT, laws=("plastic",),
+         words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})",
+         fine="dents shallow: at most {worst} of the radius (limit {limit})"),
+    Rule(name="insert_thickness", meaning="three contact radii over the thickness of the inserts",
+         measure=_contact_over_insert, warning=1.0,
+         words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them",
+         fine="inserts thick enough: three contact radii are at most {worst} of their thickness"),
 )  # fmt: skip
 
 
@@ -251,8 +347,19 @@ def grades(rule: Rule, measured: Array) -> Places:
     return result
 
 
+def rules_of(scene: Scene) -> tuple[Rule, ...]:
+    """The checks that are asked of a scene, by its law of the contact and by what stands in it."""
+    return tuple(
+        rule
+        for rule in RULES
+        if scene.contact_law in rule.laws
+        and (rule.name != "insert_thickness" or "bars.insert_E" in scene.columns)
+        and (rule.name != "sphere_yield_contact" or "sphere.onset_pressure" in scene.columns)
+    )
+
+
 def check_validity(scene: Scene, answers: Answers) -> list[Check]:
-    """Every check of `RULES` on a batch and its answers, in that order.
+    """Every check that is asked of a batch, on its answers, in the order of `RULES`.
 
     Raises
     ------
@@ -262,7 +369,7 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     if len(answers.status) != len(scene):
         raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
     good = answered(answers.status)
-    return [_check(rule, scene, answers, good) for rule in RULES]
+    return [_check(rule, scene, answers, good) for rule in rules_of(scene)]
 
 
 def check_at_fracture(imbalance: Array, weights: Array) -> Check:
@@ -309,7 +416,9 @@ def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check:
     numbers = {"worst": seen, "limit": f"{rule.limit:.3g}"}
     if broken == 0.0:
         return _result(rule.name, shares, worst, rule.fine.format(**numbers))
-    return _result(rule.name, shares, worst, f"in {_percent(broken)} scenes {rule.words.format(**numbers)}")
+    further = "" if rule.further is None else rule.further(scene, answers, good)
+    text = f"in {_percent(broken)} scenes {rule.words.format(**numbers)}{further}"
+    return _result(rule.name, shares, worst, text)
 
 
 def _without_number(rule: Rule, scene: Scene, why: str, any_row: bool) -> Check:

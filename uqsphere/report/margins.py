@@ -210,6 +210,10 @@ def settling_text(contents: Contents, limit: LimitEntry, planned: str = "") -> s
     )
 
 
+#: what keeps a flat elastic under the sphere: theory section "Contacts that yield", (C1)
+DUE = "harder bars, inserts, thinner bars or a shorter pulse would keep them elastic"
+
+
 def bars_text(bars: BarsEntry, entry: MarginEntry, contents: Contents) -> str:
     """Where the bars stop being elastic, what comes first said first."""
     subject = contents.subject(entry.solve)
@@ -221,12 +225,12 @@ def bars_text(bars: BarsEntry, entry: MarginEntry, contents: Contents) -> str:
         value = safe_side(contact, subject, at_most=rising, digits=3)
         text = f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases "
         text += f"{'from' if rising else 'below'} {value}"
-        text += " on: harder or thicker bars are due" if beyond_bars(entry, subject) is not None else " on"
+        text += f" on: {DUE}" if beyond_bars(entry, subject) is not None else " on"
     elif bars.contact_everywhere == "yields":
         text = (
             f"The bars (yield strength {strength}) yield under the sphere in more than {chance} of the cases over the "
         )
-        text += "whole curve: harder or thicker bars are due"
+        text += f"whole curve: {DUE}"
     elif bars.contact_everywhere == "elastic":
         text = f"The bars (yield strength {strength}) stay elastic under the sphere over the whole curve"
     else:

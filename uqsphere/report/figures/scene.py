@@ -13,7 +13,7 @@ from uqsphere.mechanics.field import BARS, field_grid
 from uqsphere.mechanics.history import FieldView, extent
 from uqsphere.mechanics.stress.series import Load, series_stress, surface_stress
 from uqsphere.mechanics.stress.tables import core_ratio, outside
-from uqsphere.mechanics.validity import RULES
+from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
 from uqsphere.report.blocks import Table, thousands
 from uqsphere.report.contents import Contents
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
     from uqsphere.mechanics.history import History
 
-#: contact pressure over the yield strength of the bars at which they yield
-YIELD_ONSET: Final = float(next(rule.limit for rule in RULES if rule.name == "bar_yield_contact"))
 _FACES: Final = (("force_a", "incident face A", BLUE), ("force_b", "receiving face B", ORANGE))
 
 
@@ -131,12 +129,16 @@ def beyond_yield(contents: Contents) -> str:
     """That the bars yield under the sphere in the hardest scene, where they do."""
     contact = (contents.courses or {}).get("hardest", {}).get("contact")
     strength = contents.at_mean("bars.yield_strength")
-    if contact is None or strength is None or contact["pressure"] <= YIELD_ONSET * strength:
+    nu = contents.at_mean("bars.nu")
+    if contact is None or strength is None or nu is None or "contact.law" in contents.resolved.options:
+        return ""
+    onset = float(metal_onset(strength, nu))
+    if contact["pressure"] <= onset:
         return ""
     return (
         f" There the contact pressure of {value_text(contact['pressure'], 'p_max', 3)} is "
-        f"{contact['pressure'] / strength:.2f} times the yield strength of the bars, which yield from {YIELD_ONSET:g} "
-        "times on: what is shown of this scene is that of bars that stay elastic."
+        f"{contact['pressure'] / strength:.2f} times the yield strength of the bars, which yield from "
+        f"{onset / strength:.3g} times on: what is shown of this scene is that of bars that stay elastic."
     )
 
 

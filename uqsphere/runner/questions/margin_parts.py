@@ -12,6 +12,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.bars import pulse_stress
+from uqsphere.mechanics.yielding import metal_onset
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
@@ -28,8 +29,6 @@ from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.sample import Sample
 
-#: contact pressure at which the bars' ends begin to yield, over their yield strength (Johnson 1985, section 6.2)
-YIELD_FACTOR: Final = 1.6
 #: bars that yield under the contact in more of the cases than this are not called elastic, whatever the limit
 BARS_SHARE: Final = 0.01
 
@@ -169,7 +168,7 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     """The values at which the bars yield, in the pulse and in some cases under the contact, and how often they do.
 
     `yields_at` has the share of the cases in which they yield under the contact, by value of the free scalar asked for.
-    The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield 1.6 times the yield strength.
+    The pulse's stress is rho_b c_0 v_0/2, the contact's pressure at first yield `metal_onset`.
     """
     study = work.study
     assert study.margins is not None
@@ -186,11 +185,13 @@ def _bars(work: Work, where: Where) -> dict[str, Any]:
     if rows is None or not study.margins.axis.moves_rows or not rows.knows("p_max"):
         return {**found, "contact": None, "reason": "no curve of the contact pressure was computed"}
     names = work.drawn.names
-    random = "bars.yield_strength" in names
 
     def yields(points: Sample, pressures: Array, value: float) -> LimitState:
-        own = points.input("bars.yield_strength") if random else strength
-        return LimitState(demands=pressures / own, strength=YIELD_FACTOR)
+        paths = [
+            f"bars.insert_{key}" if f"bars.insert_{key}" in means else f"bars.{key}" for key in ("yield_strength", "nu")
+        ]
+        strength, nu = (points.input(path) if path in names else means[path] for path in paths)
+        return LimitState(demands=pressures / metal_onset(strength, nu), strength=1.0)
 
     values, share = np.array(rows.grid), rows.curve_of("p_max", yields).table(rows.grid)
     answered = fragility(values, share, (BARS_SHARE,), samples=rows.samples, evaluations=0).values[BARS_SHARE]
