@@ -34,17 +34,21 @@ def _believed(*folders: Path) -> Iterator[None]:
 def command_report(chosen: argparse.Namespace) -> int:
     """Build the report again from what is stored."""
     from uqsphere.report import build_report
+    from uqsphere.report.page import build_brief, build_pdf, check_pdf
     from uqsphere.runner.finished import open_run
 
     if chosen.pdf:
-        from uqsphere.report.page import build_pdf, check_pdf
-
         check_pdf()
     with _believed(chosen.folder):
-        found = open_run(chosen.folder)
-        written = {"report": str(build_report(found.folder))}
-        if chosen.pdf:
-            written["pdf"] = str(build_pdf(found.folder))
+        folder = open_run(chosen.folder).folder
+        if chosen.brief:
+            written = {"brief": str(build_brief(folder))}
+            if chosen.pdf:
+                written["pdf"] = str(build_brief(folder, pdf=True))
+        else:
+            written = {"report": str(build_report(folder))}
+            if chosen.pdf:
+                written["pdf"] = str(build_pdf(folder))
     if chosen.json:
         print_document(written)
     else:

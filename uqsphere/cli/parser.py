@@ -100,6 +100,9 @@ def _add_folders(command: Command) -> None:
         folder.add_argument("folder", metavar="DIR", type=Path)
         _json(folder)
     report.add_argument("--pdf", action="store_true", help="also as report.pdf (needs the extra: uqsphere[pdf])")
+    report.add_argument(
+        "--brief", action="store_true", help="the one sheet alone, as brief.html (with --pdf as brief.pdf)"
+    )
     export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
     export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
     verify.add_argument("--chunks", type=int, default=3, metavar="N", help="chunks to evaluate again (default 3)")

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.blocks import Block, Chapter, Table
+from uqsphere.report.brief import make_brief, share
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
+from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.margins import margin_verdicts
 from uqsphere.report.tables import commands, repeat_rows
@@ -277,6 +279,7 @@ def new_environment() -> Environment:
         lstrip_blocks=True, finalize=_plain,
     )  # fmt: skip
     environment.globals["style"] = Markup(_own_text("style.css"))
+    environment.globals["brief_style"] = Markup(_own_text("brief.css"))
     environment.filters["loose"] = _loose
     return environment
 
@@ -325,6 +328,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         "commands": [Markup(escape(shorten(line, LONGEST))) for line in commands(contents)],
         "version": contents.results.versions.get("uqsphere", ""),
         "black_box": contents.black_box,
+        **_brief_parts(contents),
     }
 
     def set_page(draw: Callable[[Picture], Any], words: Sequence[tuple[str, str]]) -> str:
@@ -337,6 +341,52 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
     # set first without figures, to see which words are used
     plain = set_page(lambda picture: f"{picture.title} {picture.finding}", ())
     return set_page(drawn, words_used(plain)) + "\n"
+
+
+# --- The brief: one sheet, on top of the page and a page of its own.
+
+
+def _brief_parts(contents: Contents) -> dict[str, Any]:
+    """What the template of the brief shows."""
+    from markupsafe import Markup
+
+    brief = make_brief(contents)
+    modes = [
+        (mode, Markup(mode_dots(mode, answer)), "" if mode.miss is None else share(mode.miss, answer.target))
+        for answer in brief.answers
+        for mode in answer.modes
+    ]
+    return {
+        "brief": brief,
+        "curves": [Markup(drawing) for drawing in curve_drawings(brief.answers)],
+        "modes": modes,
+        "forces": any(mode.force is not None for mode, _, _ in modes),
+    }
+
+
+def build_brief(folder: Path, *, pdf: bool = False) -> Path:
+    """Write the brief of a folder as brief.html, or as one sheet of paper, brief.pdf.
+
+    Raises
+    ------
+    UsageError
+        Where the extra for PDF is missing.
+    AccessError
+        When the file cannot be written.
+    """
+
+    contents = read_contents(folder)
+    with reading_units(units_of(contents.results)):
+        shown = _brief_parts(contents)
+    text = new_environment().get_template("brief.html").render(shown)
+    path = folder / "brief.html"
+    if not pdf:
+        write_atomically(path, text + "\n")
+        return path
+    check_pdf()
+    path = folder / "brief.pdf"
+    write_atomically(path, _printed(typeset(text, "")))
+    return path
 
 
 def _numbers_of(block: Block) -> tuple[str, ...]:
@@ -398,26 +448,30 @@ def build_pdf(folder: Path) -> Path:
         When the file cannot be written.
     """
     check_pdf()
+    path = folder / "report.pdf"
     text = _VARIABLE.sub(r"\1", (folder / "report.html").read_text(encoding="utf-8"))
-    # the typesetter's remarks on styles of the screen are nobody's business
+    write_atomically(path, _printed(typeset(text)))
+    return path
+
+
+def _printed(document: Any) -> bytes:
+    """A document as PDF; the typesetter's remarks on styles of the screen are nobody's business."""
     log = logging.getLogger("weasyprint")
     before = log.level
     log.setLevel(logging.ERROR)
     try:
         buffer = io.BytesIO()
-        typeset(text).write_pdf(buffer, uncompressed_pdf=False)
+        document.write_pdf(buffer, uncompressed_pdf=False)
     finally:
         log.setLevel(before)
-    path = folder / "report.pdf"
-    write_atomically(path, buffer.getvalue())
-    return path
+    return buffer.getvalue()
 
 
-def typeset(text: str) -> Any:
+def typeset(text: str, sheet: str = _SHEET) -> Any:
     """The page laid out on paper, a `weasyprint.Document`: chapters in the list on the first pages have their page."""
     from weasyprint import CSS, HTML
     from weasyprint.urls import URLFetcher
 
     # nothing of a page lies outside it: its pictures are data of its own
     inside = URLFetcher(allowed_protocols=("data",))
-    return HTML(string=text, url_fetcher=inside, media_type="print").render(stylesheets=[CSS(string=_SHEET)])
+    return HTML(string=text, url_fetcher=inside, media_type="print").render(stylesheets=[CSS(string=sheet)])

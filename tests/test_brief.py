@@ -1,0 +1,98 @@
+"""The brief: one sheet whose numbers are those of results.json, in at most 180 words, on a screen and on paper."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from uqsphere.cli import main
+from uqsphere.report.brief import make_brief, share, span
+from uqsphere.report.contents import read_contents
+from uqsphere.report.page import typeset
+
+STUDY = """
+title = "Two ways"
+seed = 7
+[sphere]
+material = "granite"
+E = { dist = "lognormal", mean = "52 GPa", cov = 0.1 }
+radius = "10 mm"
+[bars]
+material = "maraging_steel"
+diameter = "40 mm"
+infinite = true
+[striker]
+speed = "0.5 m/s"
+length = "0.8 m"
+[limits.contact]
+quantity = "p_max"
+strength = { dist = "weibull", mean = "4 GPa", modulus = 12 }
+target = 0.01
+[limits.core]
+criterion = "core_tension"
+strength = { dist = "lognormal", mean = "30 MPa", cov = 0.2 }
+target = 0.01
+[analysis]
+quantities = ["p_max"]
+accuracy = { mean = 0.02, quantile = 0.05, sobol = 0.05, probability = 0.1 }
+budget = { evaluations = 40000 }
+[margins]
+solve = "striker.speed"
+between = ["0.1 m/s", "5 m/s"]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("brief")
+    (home / "s.toml").write_text(STUDY)
+    assert main(["run", str(home / "s.toml"), "--out", str(home / "run")]) in (0, 3)
+    assert main(["report", str(home / "run"), "--brief", "--pdf"]) == 0
+    return home / "run"
+
+
+def words(text: str) -> list[str]:
+    plain = re.sub(r"<style>.*?</style>|<title>.*?</title>|<[^>]*>", " ", text, flags=re.DOTALL)
+    return [word for word in plain.replace("&nbsp;", " ").split() if re.search(r"[A-Za-z]", word)]
+
+
+def test_the_sheet_says_what_the_results_say(folder: Path) -> None:
+    contents = read_contents(folder)
+    answer = make_brief(contents).answers[0]
+    limits = contents.results.limits
+    misses = [float(limit.miss.value or 0.0) for limit in limits.values()]
+    solved = [contents.results.margins[name].value.number for name in limits]
+    assert {mode.limit for mode in answer.modes} == set(limits)
+    assert [mode.miss for mode in answer.modes] == sorted(misses, reverse=True)
+    page = (folder / "brief.html").read_text()
+    assert answer.second is not None
+    assert span(solved) in answer.second[1]
+    for miss in misses:
+        assert share(miss, 0.01).replace("\u00a0", " ") in page.replace("\u00a0", " ")
+    assert "core splitting" in page
+    assert "contact pressure" in page
+
+
+def test_the_sheet_is_short_and_asks_for_nothing(folder: Path) -> None:
+    page = (folder / "brief.html").read_text()
+    drawn_once = re.sub(r'<svg class="(paper|narrow)".*?</svg>', "", page, flags=re.DOTALL)
+    assert len(words(drawn_once)) <= 180
+    assert "http" not in page.replace("http-equiv", "")
+    assert "<script" not in page
+    assert 'class="brief"' in (folder / "report.html").read_text()
+
+
+def test_the_sheet_is_one_sheet_of_paper(folder: Path) -> None:
+    assert (folder / "brief.pdf").read_bytes().startswith(b"%PDF")
+    assert len(typeset((folder / "brief.html").read_text(), "").pages) == 1
+
+
+def test_the_next_measurement_tells_the_ways_apart(folder: Path) -> None:
+    measure = make_brief(read_contents(folder)).measure
+    assert measure is not None
+    count, where = measure[0].split(" spheres at ")
+    assert 1 <= int(count) <= 40
+    assert where.endswith("m/s")
+    assert "rules out" in measure[1]

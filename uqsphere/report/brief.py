@@ -1,0 +1,488 @@
+"""The brief: one sheet that says what may be done, how sure that is, which way of breaking governs, what to measure.
+
+Everything on it is read off the stored answers; nothing is computed but where curves cross, and how many spheres would
+tell two ways of breaking apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from uqsphere.quantities import OUTPUTS, display_unit
+from uqsphere.report.contents import Contents, law_of
+from uqsphere.report.figures.canvas import shorten
+from uqsphere.report.phrases import plain_percent, short_input, unit_text
+from uqsphere.results import LimitEntry, MarginEntry, Results
+from uqsphere.study.axis import limit_of, strength_name
+
+#: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn
+PLACES: Final = {
+    "contact": "Contact pressure",
+    "rim": "Edge crack",
+    "core": "Core splitting",
+    "below": "Shear below contact",
+    "": "Energy",
+}
+#: what a strength that is carried from a test to a machine is held equal by
+CARRIERS: Final = {"force": "equal force", "energy": "equal energy", "centre": "equal centre tension"}
+#: numbers that are solved for, and drivers, in as few words as tell them
+_AXES: Final = {"striker.speed": "striker speed", "rig.speed": "speed", "rig.drop_height": "drop",
+                "hammer.drop_height": "drop", "striker.specific_energy": "striker energy"}  # fmt: skip
+_DRIVERS: Final = {"sphere.E": "stiffness", "sphere.radius": "radius", "sphere.nu": "Poisson ratio", **_AXES}
+#: ends of a range closer than this are one number
+_SAME: Final = 1.2
+#: chance that none of some spheres breaks by a rival way, below which that way is ruled out
+_RULED_OUT: Final = 0.05
+#: ... while none breaks with this chance at least if the milder way is true
+_FAIR: Final = 0.7
+#: most answers and cautions on a sheet
+_ANSWERS, _CAUTIONS = 3, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """One way of breaking: its probability as planned with a range, its curve, and what it asks for at the target.
+
+    curve: values of the free scalar and probabilities of breaking, ascending; at_target in units of that scalar.
+    """
+
+    limit: str
+    name: str
+    place: str
+    miss: float | None
+    low: float | None = None
+    high: float | None = None
+    broken: float | None = None
+    curve: tuple[tuple[float, float], ...] = ()
+    at_target: float | None = None
+    sure: float | None = None
+    force: float | None = None
+    energy: float | None = None
+    assumed: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """The scalar that is solved for: its name in words, its unit, what one SI unit is in it, and the planned value."""
+
+    path: str
+    words: str
+    unit: str
+    factor: float
+    planned: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """One question with its answer, as it is set."""
+
+    question: str
+    big: str
+    unit: str
+    note: str
+    second: tuple[str, str, str] | None
+    verdict: str
+    reasons: tuple[str, ...]
+    vetoed: bool
+    target: float | None
+    aim: str
+    modes: tuple[Mode, ...]
+    axis: Axis | None
+    tests: tuple[tuple[float, float], ...] = ()
+    left_whole: int = 0
+    made_up: bool = False
+
+    @property
+    def level(self) -> float | None:
+        """The share broken at the target."""
+        return None if self.target is None else self.target if self.aim == "survive" else 1.0 - self.target
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brief:
+    """What stands on the sheet."""
+
+    title: str
+    answers: tuple[Answer, ...]
+    drivers: tuple[tuple[str, float], ...]
+    driven: str
+    measure: tuple[str, str] | None
+    cautions: tuple[str, ...]
+    footer: str
+
+
+# --- numbers --------------------------------------------------------------------------------------------------
+
+
+def two(value: float, digits: int = 2) -> str:
+    """Two digits, without powers of ten where people would not use them.
+
+    >>> two(0.6627), two(13.4), two(148.0), two(0.0998), two(1.996)
+    ('0.66', '13', '150', '0.10', '2.0')
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    shown = round(value, places)
+    places = digits - 1 - math.floor(math.log10(abs(shown)))
+    return f"{shown:.{max(places, 0)}f}" if abs(shown) < 1e6 else f"{shown:.1e}"
+
+
+def share(value: float, target: float | None = None) -> str:
+    """A share in per cent with two digits; three where two would equal the target though the number does not.
+
+    >>> share(0.0020161), share(0.010494, 0.01), share(4e-5), share(0.99996), share(0.147)
+    ('0.20 %', '1.05 %', 'under 0.1 %', 'over 99.9 %', '15 %')
+    """
+    if value < 1e-3:
+        return "under 0.1\u00a0%" if value > 0.0 else "0\u00a0%"
+    if value > 0.999:
+        return "over 99.9\u00a0%"
+    text = two(100.0 * value)
+    if target is not None and text == two(100.0 * target) and abs(value - target) > 1e-9 * target:
+        text = two(100.0 * value, 3)
+    return f"{text}\u00a0%"
+
+
+def span(values: Sequence[float], *, safe_is_low: bool = True) -> str:
+    """A range of numbers with two digits each, or its safe end where they are within a fifth.
+
+    >>> span([0.38, 0.66]), span([12.9, 13.1]), span([12.9, 13.9], safe_is_low=False)
+    ('0.38–0.66', '13', '14')
+    """
+    low, high = min(values), max(values)
+    if low > 0.0 and high <= _SAME * low:
+        return two(low if safe_is_low else high)
+    return f"{two(low)}–{two(high)}"
+
+
+def given(axis: Axis) -> str:
+    """The planned value as a study file has it, with its unit."""
+    assert axis.planned is not None
+    return f"{axis.planned * axis.factor:.3g}\u00a0{axis.unit}".rstrip()
+
+
+def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]:
+    """A range of shares as a number and its unit."""
+    low, high = min(values), max(values)
+    if high < 1e-3 or low > 0.999:
+        return share(high if high < 1e-3 else low)[:-2], "%"
+    if low > 0.0 and high <= _SAME * low:
+        return share(values[0], target)[:-2], "%"
+    return f"{share(low)[:-2].removeprefix('under ') if low >= 1e-3 else '0'}–{share(high)[:-2]}", "%"
+
+
+# --- from the results -----------------------------------------------------------------------------------------
+
+
+def make_brief(contents: Contents) -> Brief:
+    """The brief of a finished run."""
+    results = contents.results
+    answers = tuple(_answers(contents))[:_ANSWERS]
+    leading = _leading(results)
+    drivers, driven = _drivers(results, leading)
+    manifest = contents.manifest
+    rows = sum(results.model.evaluations.values())
+    footer = " · ".join(
+        text
+        for text in (
+            str(results.study.hash)[:8],
+            str(manifest.finished)[:10],
+            f"uqsphere {results.versions.get('uqsphere', '')}".strip(),
+            "user’s model" if contents.black_box else f"impact model ({results.model.chosen})",
+            f"{rows:,} rows".replace(",", "\u202f"),
+            "strength integrated" if results.limits else "",
+        )
+        if text
+    )
+    return Brief(
+        title=shorten(str(results.study.title), 200) or "Untitled study",
+        answers=answers,
+        drivers=drivers,
+        driven=shorten(driven, 40),
+        measure=_next_measurement(contents, answers, leading),
+        cautions=tuple(shorten(text, 220) for text in _cautions(contents, answers))[:_CAUTIONS],
+        footer=footer,
+    )
+
+
+def _leading(results: Results) -> str | None:
+    """The limit of the study itself that is most likely missed."""
+    known = {n: e.miss.value for n, e in results.limits.items() if e.miss.value is not None}
+    return max(known, key=lambda name: known[name] or 0.0) if known else next(iter(results.limits), None)
+
+
+def _answers(contents: Contents) -> Iterator[Answer]:
+    """One answer for every aim of the limits; a quantity each where there are none."""
+    limits = contents.results.limits
+    if not limits:
+        yield from _quantity_answers(contents)
+        return
+    groups: dict[str, dict[str, LimitEntry]] = {}
+    for name, limit in limits.items():
+        groups.setdefault(limit.aim, {})[name] = limit
+    for group in groups.values():
+        yield _limit_answer(contents, group, several=len(groups) > 1)
+
+
+def _quantity_answers(contents: Contents) -> Iterator[Answer]:
+    for name, entry in contents.results.quantities.items():
+        unit, factor = display_unit(name)
+        median = entry.quantiles.get("0.5")
+        if median is None or median.value is None:
+            continue
+        ends = [entry.quantiles[p].value for p in ("0.05", "0.95") if p in entry.quantiles]
+        told = [value * factor for value in ends if value is not None]
+        note = f"{two(min(told))} to {two(max(told))} in nine cases of ten." if len(told) == 2 else ""
+        words = OUTPUTS[name].meaning if name in OUTPUTS else shorten(name, 40)
+        yield Answer(
+            question=f"{words[:1].upper()}{words[1:]}, median", big=two(median.value * factor), unit=unit_text(unit),
+            note=note, second=None, verdict="", reasons=(), vetoed=False, target=None, aim="survive", modes=(),
+            axis=None,
+        )  # fmt: skip
+
+
+def _axis(contents: Contents, entry: MarginEntry | None) -> Axis | None:
+    if entry is None:
+        return None
+    subject = contents.subject(entry.solve)
+    unit, factor = display_unit(subject)
+    words = _AXES.get(entry.solve) or shorten(short_input(entry.solve), 40)
+    planned = contents.at_mean(entry.solve)
+    return Axis(path=entry.solve, words=words, unit=unit_text(unit), factor=factor, planned=planned)
+
+
+def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry | None) -> Mode:
+    quantity = OUTPUTS.get(limit.quantity.partition(".")[0])
+    criterion = limit.quantity.partition(".")[0]
+    place = quantity.place if quantity is not None else "core" if "tension" in criterion or "link" in criterion else ""
+    assumed = [e.miss.value for e in limit.assumed if e.miss.value is not None]
+    if limit.ignorance.known:
+        assumed += [float(end) for end in limit.ignorance.miss]
+    around = [v for v in (limit.miss.value, *assumed) if v is not None]
+    broken = limit.exceedance.value
+    words = PLACES.get(place, "") if quantity is not None else name
+    if quantity is not None and quantity.follows == "energy":
+        place, words = "", PLACES[""]
+    return Mode(
+        limit=name,
+        name=words or shorten(name, 40),
+        place=place,
+        miss=limit.miss.value,
+        low=min(around) if around else None,
+        high=max(around) if around else None,
+        broken=broken,
+        curve=() if margin is None else tuple((float(p.value), float(p.probability)) for p in margin.curve),
+        at_target=None if margin is None or not margin.value else margin.value.value,
+        sure=None if margin is None else margin.ignorance.sure,
+        reason="" if limit.miss.value is not None else shorten(str(limit.miss.reason or ""), 120),
+    )
+
+
+def _limit_answer(contents: Contents, group: dict[str, LimitEntry], *, several: bool) -> Answer:
+    """The answer of limits with one aim: their ways of breaking are its rivals."""
+    results = contents.results
+    margins = results.margins
+    modes = [_mode(contents, name, limit, margins.get(name)) for name, limit in group.items()]
+    modes = _told_apart(modes)
+    modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
+    first = next(iter(group.values()))
+    target, survive = first.target, first.aim == "survive"
+    axis = _axis(contents, next((margins[n] for n in group if n in margins), None))
+    misses = [m.miss for m in modes if m.miss is not None]
+    solved = [v * axis.factor for m in modes for v in (m.at_target, m.sure) if v is not None] if axis else []
+    what = "Share broken" if survive else "Share left whole"
+    at = f" at the planned {given(axis)}" if axis and axis.planned else ""
+    allowed = f"Target: at most {plain_percent(target)}." if target is not None else "No target was set."
+    second: tuple[str, str, str] | None = None
+    if several and axis is not None and solved and target is not None:
+        must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
+        question, big, unit = (
+            f"{'Highest' if survive else 'Least'} {axis.words} ({must})",
+            span(solved, safe_is_low=survive),
+            axis.unit,
+        )
+        planned = f"Planned: {given(axis)}. " if axis.planned else ""
+        best = next((m.at_target for m in modes if m.at_target is not None), None)
+        note = planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else "")
+    else:
+        question = what + at
+        big, unit = share_span(misses, target) if misses else ("not known", "")
+        note = allowed
+        if axis is not None and solved and target is not None:
+            words = f"{axis.words[:1].upper()}{axis.words[1:]} at the target"
+            value = f"{span(solved, safe_is_low=survive)}\u00a0{axis.unit}"
+            second = (words, value, "by way of breaking" if len(modes) > 1 else "")
+    verdict, reasons = _judged(group)
+    answer = Answer(
+        question=question, big=big, unit=unit, note=note, second=second, verdict=verdict, reasons=reasons,
+        vetoed=verdict == "not established" and all(limit.met for limit in group.values()),
+        target=target, aim=first.aim, modes=tuple(modes), axis=axis,
+    )  # fmt: skip
+    return _with_tests(contents, answer)
+
+
+def _told_apart(modes: list[Mode]) -> list[Mode]:
+    """Modes of one name go by their limits."""
+    names = [mode.name for mode in modes]
+    return [replace(m, name=f"{m.name}, {shorten(m.limit, 30)}") if names.count(m.name) > 1 else m for m in modes]
+
+
+#: verdicts from the one that stops everything
+_ORDER: Final = ("not met", "not established", "undecided", "met")
+
+
+def _judged(group: dict[str, LimitEntry]) -> tuple[str, tuple[str, ...]]:
+    """The verdict of limits with one aim and its reasons: the worst of theirs."""
+    words = {name: _verdict(limit) for name, limit in group.items() if limit.target is not None}
+    if not words:
+        return "", ()
+    worst = min(words.values(), key=_ORDER.index)
+    reasons = [text for name, word in words.items() if word == worst for text in _reasons(group[name])]
+    return worst, tuple(dict.fromkeys(reasons))[:3]
+
+
+def _verdict(limit: LimitEntry) -> str:
+    return {True: "met", False: "not met", None: "undecided"}[limit.met]
+
+
+def _reasons(limit: LimitEntry) -> list[str]:
+    return []
+
+
+def _with_tests(contents: Contents, answer: Answer) -> Answer:
+    """The answer with the tests of its first strength that has any, each where the fitted law puts it on the curve."""
+    for mode in answer.modes:
+        law = contents.resolved.random.get(strength_name(mode.limit))
+        fitted = law_of(contents.resolved, strength_name(mode.limit)) if law is not None else None
+        if law is None or fitted is None or not law.data or len(mode.curve) < 2:
+            continue
+        x, p = (np.array(column) for column in zip(*mode.curve, strict=True))
+        order = np.argsort(p)
+        failed = sorted(float(v) for v in law.data)
+        count = len(failed) + len(law.censored or ())
+        places = np.interp(fitted.cdf(np.array(failed)), p[order], x[order], left=np.nan, right=np.nan)
+        points = [(float(v), (k + 0.7) / (count + 0.4)) for k, v in enumerate(places) if math.isfinite(v)]
+        return replace(answer, tests=tuple(points), left_whole=count - len(failed))
+    return answer
+
+
+def _drivers(results: Results, name: str | None) -> tuple[tuple[tuple[str, float], ...], str]:
+    """The two inputs with the largest shares in what decides, and of what."""
+    if name is None:
+        for quantity, entry in results.sensitivity.items():
+            shares = {n: e.value for n, e in entry.first.items() if e.value is not None}
+            if shares:
+                return _largest(shares), quantity
+        return (), ""
+    found = results.limits[name].governing_inputs or {}
+    return _largest({n: float(v) for n, v in found.items()}), name
+
+
+def _largest(shares: dict[str, float]) -> tuple[tuple[str, float], ...]:
+    order = sorted(shares, key=lambda n: -shares[n])[:2]
+    words = {n: "strength" if limit_of(n) else _DRIVERS.get(n) or shorten(short_input(n), 40) for n in order}
+    return tuple((words[n], float(shares[n])) for n in order if shares[n] > 0.005)
+
+
+def _next_measurement(contents: Contents, answers: Sequence[Answer], leading: str | None) -> tuple[str, str] | None:
+    """The one measurement that can change the verdict."""
+    for answer in answers:
+        found = _between_rivals(answer)
+        if found is not None:
+            return found
+    for name, limit in contents.results.limits.items():
+        settle = limit.tests_to_settle
+        if settle and settle.tests and limit.met is not False:
+            said = f"They settle the target of {shorten(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
+            return f"{settle.tests} tests of strength", said
+    for name, margin in contents.results.margins.items():
+        more = margin.more_tests
+        if more and more.to_settle:
+            count = int(more.to_settle)
+            return f"{count} more tests of strength", f"They settle the target of {name}, if they fall as those before."
+        if more and more.to_know_the_value and more.known_to:
+            count = int(more.to_know_the_value)
+            return f"{count} tests of strength", f"They give the value to {plain_percent(float(more.known_to))}."
+    if leading is not None:
+        entry = contents.results.limits[leading].measure_first
+        if entry and entry.rows:
+            row = entry.rows[0]
+            what = "strength" if limit_of(row.input) else _DRIVERS.get(row.input, short_input(row.input))
+            return f"{row.tests} tests of {what}", "What is assumed of it moves the share broken most."
+    return None
+
+
+def _between_rivals(answer: Answer) -> tuple[str, str] | None:
+    """How many spheres, struck where, rule out the harsher ways of breaking, while the milder leaves them whole."""
+    curves = {m.name: m for m in answer.modes if len(m.curve) > 3}
+    if answer.axis is None or len(curves) < 2:
+        return None
+    grid = np.unique(np.concatenate([[x for x, _ in m.curve] for m in curves.values()]))
+    table = {name: np.interp(grid, [x for x, _ in m.curve], [p for _, p in m.curve]) for name, m in curves.items()}
+    middle = {name: float(np.interp(0.5, p, grid)) for name, p in table.items() if p[0] < 0.5 < p[-1]}
+    if len(middle) < 2:
+        return None
+    mild = max(middle, key=lambda n: middle[n])
+    rivals = [n for n in middle if n != mild and middle[n] < middle[mild] / _SAME]
+    if not rivals:
+        return None
+    harsh = np.min([table[n] for n in rivals], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        count = np.ceil(np.log(_RULED_OUT) / np.log1p(-np.clip(harsh, 1e-12, 1.0 - 1e-12)))
+        fair = (1.0 - table[mild]) ** count >= _FAIR
+    if not fair.any():
+        return None
+    best = int(np.argmin(np.where(fair, count, np.inf)))
+    where = f"{two(float(grid[best]) * answer.axis.factor, 1)} {answer.axis.unit}"
+    names = " and ".join(n.lower() for n in rivals[:2])
+    return f"{int(count[best])} spheres at {where}", f"None broken rules out {names} (95 % sure)."
+
+
+def _cautions(contents: Contents, answers: Sequence[Answer]) -> Iterator[str]:
+    """What moves the answers most, the largest first: assumptions, then what few tests leave open, then checks."""
+    found: list[tuple[float, str]] = []
+    for limit in contents.results.limits.values():
+        miss = limit.miss.value
+        if miss is None:
+            continue
+        for entry in limit.assumed:
+            other = entry.miss.value
+            if other is None:
+                continue
+            crosses = limit.target is not None and (other > limit.target) != (miss > limit.target)
+            moved = abs(_log_odds(other) - _log_odds(miss))
+            if moved > math.log(_SAME) and share(other) != share(miss):
+                told = f"{_assumption(entry.assumption, entry.taken, entry.instead)}: {share(other, limit.target)}"
+                found.append((moved + (1e3 if crosses else 0.0), f"{told}{', over target' if crosses else ''}."))
+        if limit.ignorance.known and limit.ignorance.fitted:
+            high = float(limit.ignorance.miss[1])
+            tests = sum(entry.tests for entry in limit.ignorance.fitted)
+            if share(high) == share(miss):
+                continue
+            text = f"{tests} tests leave up to {share(high, limit.target)} open."
+            found.append((abs(_log_odds(high) - _log_odds(miss)), text))
+    yield from dict.fromkeys(text for _, text in sorted(found, reverse=True))
+    for check in contents.results.validity:
+        if check.share_failure + check.share_warning > 0.01:
+            yield check.text[:1].upper() + check.text[1:].rstrip(".") + "."
+
+
+def _log_odds(p: float) -> float:
+    p = min(max(p, 1e-12), 1.0 - 1e-12)
+    return math.log(p / (1.0 - p))
+
+
+def _assumption(kind: str, taken: object, instead: object) -> str:
+    if kind == "dependence":
+        return "If strength and stiffness are independent"
+    if kind == "law":
+        return f"With a {instead} law for {taken}"
+    label = {"modulus": "Weibull modulus", "cov": "Scatter of strength"}[kind]
+    return f"{label} {float(str(instead)):.2g} for {float(str(taken)):.2g}"

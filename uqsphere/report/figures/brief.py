@@ -1,0 +1,333 @@
+"""The drawings of the brief, written as SVG: each for a screen, for paper and for a phone, none of them scaled.
+
+Colours and dashes stand in the style sheet of the page, by class; here is where things lie.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from uqsphere.report.brief import Answer, Mode, share, two
+from uqsphere.report.figures.canvas import clean
+
+#: probabilities that are marked on probability paper
+_TICKS: Final = (0.001, 0.01, 0.1, 0.5, 0.9, 0.99)
+#: ends of probability paper
+_LEAST, _MOST = 0.0007, 0.993
+#: probability at which the name of the k-th curve stands beside it
+_NAMED: Final = (0.6, 0.3, 0.15, 0.8, 0.05)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """What a drawing is made for: its width and height, letters of the type, and its class."""
+
+    name: str
+    width: float
+    height: float
+    type: float
+
+
+#: the three drawings of a curve
+SHEETS: Final = (
+    Sheet(name="wide", width=644, height=330, type=12),
+    Sheet(name="paper", width=644, height=300, type=13),
+    Sheet(name="narrow", width=368, height=300, type=14),
+)
+
+
+#: how every kind of line, area and text is drawn on paper; the style sheet has other colours for the dark
+_DRAWN: Final = {
+    "grid": 'stroke="#d3d8dd"',
+    "axis": 'stroke="#14181d"',
+    "plan": 'stroke="#14181d"',
+    "target": 'stroke="#14181d" stroke-width="1.3" stroke-dasharray="1.5 3"',
+    "bar": 'stroke="#14181d" stroke-width="6"',
+    "band": 'fill="#d3e1ee"',
+    "curve contact": 'fill="none" stroke="#0a5a9c" stroke-width="2.4"',
+    "curve core": 'fill="none" stroke="#96357a" stroke-width="2.4" stroke-dasharray="8 4"',
+    "curve energy": 'fill="none" stroke="#14181d" stroke-width="2.4" stroke-dasharray="9 3 2 3"',
+    "curve other": 'fill="none" stroke="#14181d" stroke-width="2.4" stroke-dasharray="3 3"',
+    "test": 'fill="#ffffff" stroke="#14181d" stroke-width="1.6"',
+    "over": 'fill="#14181d"',
+    "soft": 'fill="#55606b"',
+    "strong": 'font-weight="700"',
+    "contact": 'fill="#0a5a9c"',
+    "core": 'fill="#96357a"',
+}
+
+
+def _kind_of(kind: str) -> str:
+    """Class and paper's attributes of a shape or a text."""
+    drawn = _DRAWN.get(kind) or " ".join(_DRAWN[part] for part in kind.split() if part in _DRAWN)
+    return f'class="{kind}" {drawn}'.rstrip()
+
+
+def _text(x: float, y: float, words: str, *, at: str = "start", kind: str = "plain") -> str:
+    return f'<text {_kind_of(kind)} x="{x:.1f}" y="{y:.1f}" text-anchor="{at}">{html.escape(clean(words))}</text>'
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, kind: str) -> str:
+    return f'<line {_kind_of(kind)} x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
+
+
+def _path(points: Sequence[tuple[float, float]], kind: str) -> str:
+    return f'<path {_kind_of(kind)} d="M' + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + '"/>'
+
+
+def _circle(x: float, y: float, radius: float, kind: str) -> str:
+    return f'<circle {_kind_of(kind)} cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"/>'
+
+
+def _svg(sheet: Sheet, title: str, parts: Sequence[str]) -> str:
+    box = f'viewBox="0 0 {sheet.width:g} {sheet.height:g}"'
+    head = f'<svg class="{sheet.name}" {box} role="img" font-size="{sheet.type:g}">'
+    return head + f"<title>{html.escape(clean(title))}</title>" + "".join(parts) + "</svg>"
+
+
+def _beside(paper: _Paper, x: float, y: float, words: str, *, left: bool = False, kind: str = "strong halo") -> str:
+    """A text beside a place, on the side that is asked for if it has room there."""
+    wide = 0.58 * paper.sheet.type * len(words) + 8.0
+    left = (left and x - wide > paper.left) or x + wide > paper.right
+    return _text(x - 6 if left else x + 6, y, words, at="end" if left else "start", kind=kind)
+
+
+# --- the curve ------------------------------------------------------------------------------------------------
+
+
+class _Paper:
+    """Probability paper: normal scores of the share broken over the logarithm of the solved number."""
+
+    def __init__(self, answers: Sequence[Answer], sheet: Sheet) -> None:
+        axis = answers[0].axis
+        assert axis is not None
+        self.axis, self.sheet = axis, sheet
+        self.left, self.right = 3.6 * sheet.type, sheet.width - 4.0
+        self.top, self.bottom = 1.2 * sheet.type, sheet.height - 3.4 * sheet.type
+        inside = [x for answer in answers for mode in answer.modes for x, p in mode.curve if _LEAST < p < _MOST]
+        inside += [v for a in answers for v in ((a.axis.planned if a.axis else None), *_solved(a)) if v]
+        self.low, self.high = min(inside) * 0.97, max(inside) * 1.03
+        self.log = self.low > 0.0
+
+    def x(self, value: float) -> float:
+        low, high, at = self.low, self.high, value
+        if self.log:
+            low, high, at = math.log(low), math.log(high), math.log(max(value, 1e-300))
+        return self.left + (self.right - self.left) * (at - low) / (high - low)
+
+    def y(self, probability: float) -> float:
+        low, high = ndtri(_LEAST), ndtri(_MOST)
+        score = float(ndtri(min(max(probability, 1e-12), 1.0 - 1e-12)))
+        return float(self.bottom - (self.bottom - self.top) * (score - low) / (high - low))
+
+    def inside(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+    def curve(self, mode: Mode) -> list[tuple[float, float]]:
+        """The points of a curve within the paper, dense enough for a line."""
+        x = np.array([v for v, _ in mode.curve])
+        p = np.clip([q for _, q in mode.curve], 1e-12, 1.0 - 1e-12)
+        at = np.log(x) if self.log else x
+        fine = np.linspace(at[0], at[-1], 240)
+        scores = np.interp(fine, at, ndtri(p))
+        kept = (scores >= ndtri(_LEAST)) & (scores <= ndtri(_MOST))
+        values = np.exp(fine) if self.log else fine
+        kept &= (values >= self.low) & (values <= self.high)
+        return [(self.x(float(v)), self.y(float(ndtr(s)))) for v, s in zip(values[kept], scores[kept], strict=True)]
+
+    def at(self, mode: Mode, probability: float) -> float | None:
+        """Where a curve has a probability; None where it does not reach it within the paper."""
+        for (x0, p0), (x1, p1) in pairwise(mode.curve):
+            if min(p0, p1) <= probability <= max(p0, p1) and p0 != p1:
+                value = x0 + (x1 - x0) * (probability - p0) / (p1 - p0)
+                return value if self.inside(value) else None
+        return None
+
+
+def _solved(answer: Answer) -> list[float]:
+    return [v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None]
+
+
+def _nice(low: float, high: float, factor: float, most: int) -> Iterator[float]:
+    """Round numbers between two (SI), in the unit shown."""
+    first, last = low * factor, high * factor
+    if first <= 0.0:
+        step = 10.0 ** math.floor(math.log10((last - first) / most))
+        step *= next(m for m in (1, 2, 5, 10) if (last - first) / (m * step) <= most)
+        yield from (k * step for k in range(math.ceil(first / step), math.floor(last / step) + 1))
+        return
+    decades = range(math.floor(math.log10(first)), math.ceil(math.log10(last)) + 1)
+    for marks in ((1, 1.5, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,)):
+        found = [m * 10.0**d for d in decades for m in marks if first <= m * 10.0**d <= last]
+        if len(found) <= most or len(marks) == 1:
+            yield from found
+            return
+
+
+def curve_drawings(answers: Sequence[Answer]) -> list[str]:
+    """Share broken over the solved number by every way of breaking, with targets, plan, answers and tests."""
+    drawn = [a for a in answers if a.axis is not None and any(len(m.curve) > 1 for m in a.modes)]
+    same = [a for a in drawn if a.axis is not None and drawn[0].axis is not None and a.axis.path == drawn[0].axis.path]
+    return [_curve(same, sheet) for sheet in SHEETS] if same else []
+
+
+def _curve(answers: Sequence[Answer], sheet: Sheet) -> str:
+    paper, size = _Paper(answers, sheet), sheet.type
+    modes = list({m.name: m for a in answers for m in a.modes if len(m.curve) > 1}.values())
+    parts: list[str] = []
+    lines = {m.name: paper.curve(m) for m in modes}
+    shown = [m for m in modes if len(lines[m.name]) > 1]
+    if len(shown) > 1:
+        parts.append(_band([lines[m.name] for m in shown]))
+    for p in _TICKS:
+        parts += [
+            _line(paper.left, paper.y(p), paper.right, paper.y(p), "grid"),
+            _text(
+                paper.left - 5,
+                paper.y(p) + 0.35 * size,
+                f"{100 * p:g}{' %' if p == 0.99 else ''}",
+                at="end",
+                kind="soft",
+            ),
+        ]
+    parts += _scale(paper)
+    for answer in answers:
+        parts += _target(paper, answer)
+    for mode in shown:
+        parts.append(_path(lines[mode.name], f"curve {_kind(mode)}"))
+    for answer in answers:
+        parts += _tests(paper, answer)
+    parts += _names(paper, shown)
+    for answer in answers:
+        parts += _cross(paper, answer)
+    title = "Share broken over " + paper.axis.words + ": " + ", ".join(m.name.lower() for m in shown)
+    return _svg(sheet, title, parts)
+
+
+def _kind(mode: Mode) -> str:
+    return {"contact": "contact", "core": "core", "": "energy"}.get(mode.place, "other")
+
+
+def _band(lines: Sequence[Sequence[tuple[float, float]]]) -> str:
+    """What lies between the outermost of several curves."""
+    y = np.linspace(min(p[1] for line in lines for p in line), max(p[1] for line in lines for p in line), 120)
+    columns = [np.interp(y, [p[1] for p in line][::-1], [p[0] for p in line][::-1]) for line in lines]
+    low, high = np.min(columns, axis=0), np.max(columns, axis=0)
+    edge = [*zip(low.tolist(), y.tolist(), strict=True), *zip(high[::-1].tolist(), y[::-1].tolist(), strict=True)]
+    return _path(edge, "band")
+
+
+def _scale(paper: _Paper) -> list[str]:
+    size, axis = paper.sheet.type, paper.axis
+    parts = [_line(paper.left, paper.bottom, paper.right, paper.bottom, "axis")]
+    for mark in _nice(paper.low, paper.high, axis.factor, 8 if paper.sheet.width > 400 else 6):
+        x = paper.x(mark / axis.factor)
+        parts += [
+            _line(x, paper.bottom, x, paper.bottom + 4, "axis"),
+            _text(x, paper.bottom + 1.4 * size, f"{mark:g}", at="middle", kind="soft"),
+        ]
+    parts.append(_text(paper.right, paper.bottom + 2.9 * size, f"{axis.words}, {axis.unit}".rstrip(", "), at="end"))
+    return parts
+
+
+def _target(paper: _Paper, answer: Answer) -> list[str]:
+    parts, size = [], paper.sheet.type
+    if answer.level is not None:
+        y, solved = paper.y(answer.level), [paper.x(v) for v in _solved(answer) if paper.inside(v)]
+        right = not solved or max(solved) < 0.75 * paper.right
+        x, at = (paper.right - 2, "end") if right else (paper.left + 4, "start")
+        parts += [
+            _line(paper.left, y, paper.right, y, "target"),
+            _text(x, y - 5, f"target {100 * answer.level:g} %", at=at, kind="halo"),
+        ]
+    planned = answer.axis.planned if answer.axis else None
+    if planned is not None and paper.inside(planned):
+        x = paper.x(planned)
+        side = "end" if x > paper.left + 6 * size else "start"
+        parts += [
+            _line(x, paper.top, x, paper.bottom, "plan"),
+            _text(x + (-5 if side == "end" else 5), paper.top + size, "planned", at=side, kind="strong halo"),
+        ]
+    return parts
+
+
+def _tests(paper: _Paper, answer: Answer) -> list[str]:
+    points = [(paper.x(v), paper.y(p)) for v, p in answer.tests if paper.inside(v)]
+    parts = [_circle(x, y, 3.6, "test") for x, y in points]
+    if not points:
+        return parts
+    count = len(answer.tests) + answer.left_whole
+    x, y = points[len(points) // 3]
+    made = " made-up" if answer.made_up else ""
+    parts.append(_text(x - 9, y + 4, f"{count}{made} tests", at="end", kind="halo"))
+    if answer.left_whole:
+        x, y = points[-1]
+        parts += [_text(x - 9, y - 6, f"{answer.left_whole} left whole →", at="end", kind="halo")]
+    return parts
+
+
+def _names(paper: _Paper, modes: Sequence[Mode]) -> list[str]:
+    """The name of every curve beside it, each at a height of its own."""
+    parts = []
+    for mode, level in zip(modes, _NAMED, strict=False):
+        found = ((p, paper.at(mode, p)) for p in (level, 0.5, 0.2, 0.05, 0.01))
+        p, value = next(((p, v) for p, v in found if v is not None), (0.5, None))
+        if value is not None:
+            y = paper.y(p) + 0.35 * paper.sheet.type
+            parts.append(_beside(paper, paper.x(value) + 4, y, mode.name.lower(), kind=f"strong halo {_kind(mode)}"))
+    return parts
+
+
+def _cross(paper: _Paper, answer: Answer) -> list[str]:
+    """The two answers: a bar on the target and a bar on the plan, their ends with their numbers."""
+    axis, size, parts = paper.axis, paper.sheet.type, []
+    solved = [v for v in _solved(answer) if paper.inside(v)]
+    if solved and answer.level is not None:
+        low, high, y = min(solved), max(solved), paper.y(answer.level)
+        parts += [
+            _line(paper.x(low), y, max(paper.x(high), paper.x(low) + 1.5), y, "bar"),
+            _beside(paper, paper.x(low), y - 6, two(low * axis.factor), left=True),
+        ]
+        if high > 1.02 * low:
+            parts.append(_beside(paper, paper.x(high), y + 1.25 * size, f"{two(high * axis.factor)} {axis.unit}"))
+    broken = [m.broken for m in answer.modes if m.broken is not None and _LEAST < m.broken < _MOST]
+    planned = answer.axis.planned if answer.axis else None
+    if planned is not None and paper.inside(planned) and broken:
+        x, low, high = paper.x(planned), min(broken), max(broken)
+        parts.append(_line(x, paper.y(low) + 1.5, x, paper.y(high) - 1.5, "bar"))
+        if high > 1.2 * low:
+            parts.append(_beside(paper, x, paper.y(high) + 1, share(high), left=True))
+        parts.append(_beside(paper, x, paper.y(low) + size, share(low)))
+    return parts
+
+
+# --- ways of breaking -----------------------------------------------------------------------------------------
+
+#: shares at the ends of the little axis
+_FROM, _TO = 1e-4, 1.0
+
+
+def mode_dots(mode: Mode, answer: Answer) -> str:
+    """A probability as a dot on a logarithmic axis with its range, the target dotted: filled where it is missed."""
+    width, height = 150.0, 26.0
+
+    def x(p: float) -> float:
+        return 6.0 + (width - 12.0) * math.log(min(max(p, _FROM), _TO) / _FROM) / math.log(_TO / _FROM)
+
+    parts = [_line(x(p), 0, x(p), height, "grid") for p in (1e-3, 1e-2, 1e-1)]
+    if answer.target is not None:
+        parts.append(_line(x(answer.target), 0, x(answer.target), height, "target"))
+    if mode.low is not None and mode.high is not None:
+        parts.append(_line(x(mode.low), height / 2, x(mode.high), height / 2, "plan"))
+    if mode.miss is not None:
+        over = answer.target is not None and mode.miss > answer.target
+        parts.append(_circle(x(mode.miss), height / 2, 5.5, "over" if over else "test"))
+    return f'<svg viewBox="0 0 {width:g} {height:g}" aria-hidden="true">' + "".join(parts) + "</svg>"
