@@ -29,7 +29,9 @@ LARGEST_ARRAY: Final = 1 << 30
 #: entries of a result folder
 MOST_FILES: Final = 200_000
 #: folders that a result folder has
-FOLDERS: Final = ("evaluations", "tables", "figures", "export")
+FOLDERS: Final = ("evaluations", "tables", "figures", "export", "services")
+#: of which these hold what is not the run's own, but made from it, or another run's
+_OTHERS: Final = ("export", "services")
 #: columns of a stored table: numbers, counts and flags
 _COLUMNS: Final = frozenset(("<f8", "<i8", "|u1", "|b1"))
 _DEVICES: Final = frozenset(
@@ -183,8 +185,9 @@ def refuse_links(folder: Path) -> None:
     FolderError
         For a folder inside it that is a link or no folder, and a lock that is no plain file.
     """
-    for name in FOLDERS:
-        path = folder / name
+    services = folder / "services"
+    inner = sorted(services.iterdir()) if services.is_dir() and not services.is_symlink() else []
+    for path in (*(folder / name for name in FOLDERS), *inner):
         if path.is_symlink() or (path.exists() and not path.is_dir()):
             raise FolderError(f"{path} is not a plain folder: it could lead out of {folder}")
     for name in (".lock", "log.jsonl"):
@@ -203,7 +206,7 @@ def plain_files(folder: Path) -> Iterator[Path]:
     """
     refuse_links(folder)
     seen = 0
-    for place in (folder, *(folder / name for name in FOLDERS if name != "export")):
+    for place in (folder, *(folder / name for name in FOLDERS if name not in _OTHERS)):
         if not place.is_dir():
             continue
         with os.scandir(place) as entries:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from uqsphere.console import plain, print_document, say, screen_width, table, wrap
 from uqsphere.errors import AccessError, UsageError
@@ -12,9 +14,13 @@ from uqsphere.study import Study, json_schema, load_study, shipped_studies
 
 
 def warn(study: Study) -> None:
-    """Say what a user should know of a study."""
+    """Say what a user should know of a study, and of its services what was not said yet."""
     for text in study.warnings:
         say(f"warning: {text}")
+    for name, service in study.services.items():
+        for text in service.warnings:
+            if text not in study.warnings:
+                say(f"warning: service {plain(name)}: {text}")
 
 
 def command_new(chosen: argparse.Namespace) -> int:
@@ -62,34 +68,57 @@ def _short(text: str, longest: int = 60) -> str:
 
 
 def command_check(chosen: argparse.Namespace) -> int:
-    """Validate a study; print the resolved scene and what a run will cost."""
-    from uqsphere.runner.forecast import plan_run, plan_text
+    """Validate a study; print the resolved scene and what a run will cost, and the same of its services."""
+    from uqsphere.runner.forecast import plan_run
 
     study = load_study(chosen.study, chosen.overrides)
     warn(study)
     plan = plan_run(study)
+    plans = plan.pop("services", {})
     if chosen.json:
-        print_document({**study.resolved(), "hash": study.hash, "plan": plan})
+        services = {
+            name: {**own.resolved(), "hash": own.hash, "plan": plans[name]} for name, own in study.services.items()
+        }
+        nested = {"services": services} if services else {}
+        print_document({**study.resolved(), "hash": study.hash, "plan": plan, **nested})
         return 0
+    print(wrap(f"{study.title}: the study is valid", screen_width()))
+    for name, part in study.parts.items():
+        if name:
+            print(f"\nservice {plain(name)}")
+        _show_part(part, plans[name] if name else plan)
+    return 0
+
+
+def _show_part(study: Study, plan: Mapping[str, Any]) -> None:
+    """The numbers of one rig, and its plan."""
+    from uqsphere.runner.forecast import plan_text
+
     width = screen_width()
-    print(wrap(f"{study.title}: the study is valid", width) + "\n")
     rows = []
     for name, value in study.at_means().items():
         law = study.random.get(name)
         text = format_value(value, name) if not study.black_box else f"{value:.6g}"
         source = study.sources.get(name)
         rows.append((name, text, law.family.name if law else "fixed", _short(source.text) if source else "study"))
-    print(table(("number", "mean", "law", "source"), rows, width))
+    print("\n" + table(("number", "mean", "law", "source"), rows, width))
     print()
     if not study.black_box:
-        numbers = plan["scene"]
+        print("\n".join(wrap(line, width) for line in _scene_lines(study, plan["scene"])))
+    print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
+
+
+def _scene_lines(study: Study, numbers: Mapping[str, float | None]) -> list[str]:
+    """What loads the sphere, with the similarity numbers at the means."""
+    if study.rig == "bars":
         bars = "infinite" if study.options["bars.infinite"] else "finite"
-        print(f"pulse: {study.options['pulse.shape']}; bars: {bars}")
         theta = f"{numbers['theta']:.4g}" if numbers["theta"] is not None else "infinite"
         text = f"mu = {numbers['mu']:.4g} (mass of the sphere), theta = {theta} (length of the pulse); at the means"
-        print(wrap(text, width))
-    print("\n".join(wrap(line, width) for line in plan_text(study, plan).split("\n")))
-    return 0
+        return [f"pulse: {study.options['pulse.shape']}; bars: {bars}", text]
+    words = [f"{name.partition('.')[0]}: {word}" for name, word in study.options.items() if name.endswith(".kind")]
+    speed = numbers["speed"]
+    closing = "" if speed is None else f"; the bodies close at {format_value(speed, 'rig.speed')} square to the face"
+    return [f"{'; '.join(words)}{closing}"]
 
 
 def command_history(chosen: argparse.Namespace) -> int:
@@ -101,6 +130,8 @@ def command_history(chosen: argparse.Namespace) -> int:
     warn(study)
     if study.black_box:
         raise UsageError("history shows an impact scene; this study is a black box")
+    if study.rig == "none":
+        raise UsageError("history shows the study's own rig, and this study has none but its services")
     trace = history_of(study)
     with reading_units(units_of_history(trace)):
         summary = history_summary(trace)

@@ -54,16 +54,20 @@ class Verification:
     keys: list[str] = field(default_factory=list)
     repeated: list[Repeated] = field(default_factory=list)
     results: str | None = None
+    services: dict[str, Verification] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        """Whole, damaged or unfinished."""
-        return DAMAGED if self.faults else (WHOLE if self.finished else UNFINISHED)
+        """Whole, damaged or unfinished: the worst of the run and its services."""
+        if self.faults or any(own.verdict == DAMAGED for own in self.services.values()):
+            return DAMAGED
+        return WHOLE if self.finished else UNFINISHED
 
     def document(self) -> dict[str, object]:
         """The same as plain values."""
-        kept = {key: value for key, value in asdict(self).items() if key not in ("finished", "keys")}
-        return {**kept, "folder": str(self.folder), "verdict": self.verdict}
+        kept = {key: value for key, value in asdict(self).items() if key not in ("finished", "keys", "services")}
+        nested = {"services": {name: own.document() for name, own in self.services.items()}} if self.services else {}
+        return {**kept, "folder": str(self.folder), "verdict": self.verdict, **nested}
 
 
 def verify_folder(folder: Path, *, chunks: int = 3, seed: int = 0, model: str | None = None) -> Verification:
@@ -158,6 +162,8 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
 
     folder = found.folder
     run = open_run(folder)
+    for name in run.results.services:
+        found.services[name] = verify_folder(folder / "services" / name, chunks=chunks, seed=seed)
     for name, text in tables(run.results).items():
         path = folder / "tables" / name
         if not path.is_file() or read_whole(path).decode("utf-8", "replace") != text:
@@ -181,7 +187,8 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
             chunks = 0
         store = Store(folder=folder, lock=None)
         store.look()
-        rehearsal, missing = rehearse(store, study, _draw(found.keys, chunks, seed), again, box)
+        rehearsal, missing = rehearse(store, study, _draw(found.keys, chunks, seed), again, box,
+                                      run.results.services)  # fmt: skip
         found.repeated = list(rehearsal.repeated)
         unused = len(set(found.keys) - rehearsal.used)
         _compare(found, run, study.model.tolerance, missing, unused, again)
@@ -261,8 +268,11 @@ def _compare_files(found: Verification, again: Path) -> None:
     """What the rehearsal wrote against what is stored, byte for byte."""
     found.results = "the same"
     for name in ("results.json", "samples.json", "samples.npy"):
-        path = found.folder / name
-        if not path.is_file() or read_whole(path, LARGEST_ARRAY) != (again / name).read_bytes():
+        # a study without a rig of its own has no samples
+        stored, made = (
+            read_whole(path, LARGEST_ARRAY) if path.is_file() else None for path in (found.folder / name, again / name)
+        )
+        if stored != made:
             found.faults.append(f"{name} does not follow from the stored evaluations")
             found.results = "different"
 
@@ -286,4 +296,5 @@ def verify_text(found: Verification) -> str:
     parts = [headline, "", table(("looked at", "found"), looked)]
     parts += [f"- {plain(text)}" for text in found.faults]
     parts += [f"note: {plain(text)}" for text in found.notes]
-    return "\n".join(parts)
+    nested = [f"\n\nservice {plain(name)}: {verify_text(own)}" for name, own in found.services.items()]
+    return "".join(("\n".join(parts), *nested))

@@ -20,6 +20,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import Field
+
 from uqsphere.console import plain, screen_width, table, wrap, writable
 from uqsphere.errors import FolderError
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
@@ -108,6 +110,7 @@ class Comparison(Entry):
     only_before: tuple[str, ...]
     only_after: tuple[str, ...]
     page: str = ""
+    services: dict[str, Comparison] = Field(default_factory=dict)
 
 
 def difference_interval(
@@ -365,6 +368,11 @@ def compare_folders(before: Path, after: Path) -> Comparison:
         perhaps=sum(c.verdict == PERHAPS for c in changes),
         only_before=tuple(lone_a),
         only_after=tuple(lone_b),
+        services={
+            name: compare_folders(before / "services" / name, after / "services" / name)
+            for name in first.services
+            if name in second.services
+        },
     )
 
 
@@ -427,7 +435,9 @@ def headline(found: Comparison) -> str:
 def comparison_text(found: Comparison, width: int | None = None) -> str:
     """The comparison for the terminal, no line longer than `width` columns (the terminal's where it is None)."""
     with reading_units(_units(found.changes)):
-        return writable("\n".join(_parts(found, screen_width() if width is None else width)))
+        text = writable("\n".join(_parts(found, screen_width() if width is None else width)))
+    nested = (f"\n\nservice {name}: {comparison_text(own, width)}" for name, own in found.services.items())
+    return "".join((text, *nested))
 
 
 def _parts(found: Comparison, width: int) -> list[str]:
@@ -499,7 +509,7 @@ _WORDS: Final = {True: "met", False: "not met", None: "undecided"}
 
 
 def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
-    """Write the page of `uqsphere.report.compare.compare_folders`.
+    """Write the page of `uqsphere.report.compare.compare_folders`, and beside it one for each service.
 
     Parameters
     ----------
@@ -515,6 +525,9 @@ def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
     page = out if out.suffix.lower() in (".html", ".htm") else out / "compare.html"
     if page.is_symlink():
         raise FolderError(f"{page} is a link: name another file")
+    for name, own in found.services.items():
+        beside = page.with_name(f"{page.stem}-{name}.html")
+        write_page(before / "services" / name, after / "services" / name, own, beside)
     contents = read_contents(before), read_contents(after)
     shared = [name for name in contents[0].results.quantities if name in contents[1].results.quantities]
     laws = [

@@ -13,10 +13,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.errors import FolderError
 from uqsphere.quantities import lookup, unit_that_reads
-from uqsphere.results import (
-    Results,
-    read_results,
-)
+from uqsphere.results import NO_RIG, Results, read_results
 from uqsphere.results.entries import LawTable, Manifest, Resolved, read_manifest, read_resolved
 from uqsphere.runner.samples import read_points
 from uqsphere.store import read_json
@@ -39,7 +36,7 @@ class Contents:
 
     `resolved` is study.resolved.json; `samples` are by quantity, `failed` the share of the sampled rows that
     have no answer; `points` are the inputs of the rows that have one (n,), in SI; `courses` is courses.json, where
-    forces were followed over time.
+    forces were followed over time; `services` are the contents of the services' own folders.
     """
 
     results: Results
@@ -49,6 +46,7 @@ class Contents:
     failed: float
     points: Mapping[str, Array] = field(default_factory=dict)
     courses: Mapping[str, Any] | None = None
+    services: Mapping[str, Contents] = field(default_factory=dict)
 
     @property
     def black_box(self) -> bool:
@@ -107,6 +105,11 @@ def read_contents(folder: Path) -> Contents:
     strange += [name for name in results.inputs if name not in resolved.random]
     if strange:
         raise FolderError(f"{folder / 'results.json'} is not that of the study beside it: {strange[0]!r}")
+    services = {name: read_contents(folder / "services" / name) for name in results.services}
+    if results.rig == NO_RIG:
+        return Contents(
+            results=results, manifest=manifest, resolved=resolved, samples={}, failed=0.0, services=services
+        )
     inputs, quantities, rows = read_points(folder)
     d, q = len(inputs), len(quantities)
     good = rows[:, -1] == 0.0
@@ -127,6 +130,7 @@ def read_contents(folder: Path) -> Contents:
         failed=failed,
         points=points,
         courses=courses,
+        services=services,
     )
 
 

@@ -21,8 +21,10 @@ from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.margins import margin_verdicts
+from uqsphere.report.services import service_chapters, service_verdicts
 from uqsphere.report.tables import commands, repeat_rows
 from uqsphere.report.verdict import cautions, glances, verdicts
+from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.sums import write_sums
 from uqsphere.store import csv_text, write_atomically
@@ -186,7 +188,7 @@ LONGEST: Final = 1500
 
 
 def build_report(folder: Path) -> Path:
-    """Write figures/*.svg and report.html of a finished run, from what is stored there.
+    """Write figures/*.svg and report.html of a finished run and of its services, from what is stored there.
 
     Parameters
     ----------
@@ -205,12 +207,15 @@ def build_report(folder: Path) -> Path:
         When a file cannot be written.
     """
     contents = read_contents(folder)
+    for name in contents.services:
+        build_report(folder / "services" / name)
     with reading_units(units_of(contents.results, courses=contents.courses)):
         return _build(folder, contents)
 
 
 def _build(folder: Path, contents: Contents) -> Path:
-    chapters = _distinct(build_chapters(contents))
+    own = build_chapters(contents) if contents.results.rig != NO_RIG else []
+    chapters = _distinct([*service_chapters(contents), *own])
     written = []
     for block in _blocks(chapters):
         if block.picture is not None and block.picture.header:
@@ -317,7 +322,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         "title": title,
         "margin_boxes": Markup(margin_boxes(title, contents.manifest)),
         "numbers_of": _numbers_of,
-        "verdicts": [*margin_verdicts(contents), *verdicts(contents)],
+        "verdicts": [*service_verdicts(contents), *margin_verdicts(contents), *verdicts(contents)],
         "glances": glances(contents),
         "cautions": cautions(contents),
         "chapters": chapters,

@@ -284,13 +284,17 @@ def _index(entry: Est, decimals: int) -> str:
 
 
 def summary_of(results: Results, width: int | None = None) -> str:
-    """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions.
+    """The answers of a run for the terminal: verdicts, what they hang on, quantities, drivers, margins, cautions; then
+    those of every service.
 
     No line is longer than `width` columns (those of the terminal where it is None); numbers and units are those of
     the page.
     """
-    with reading_units(units_of(results)):
-        return writable("\n".join(_parts(results, screen_width() if width is None else width)))
+    texts = []
+    for part in results.parts.values():
+        with reading_units(units_of(part)):
+            texts.append(writable("\n".join(_parts(part, screen_width() if width is None else width))))
+    return "\n\n".join(texts)
 
 
 def _parts(results: Results, width: int) -> list[str]:

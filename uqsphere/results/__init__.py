@@ -651,6 +651,10 @@ class SavedEntry(Part):
     text: StrictStr = ""
 
 
+#: the rig of a study that has none of its own
+NO_RIG = "none"
+
+
 class ModelEntry(Entry):
     """The fidelity that was taken, and what was evaluated."""
 
@@ -768,6 +772,13 @@ class Results(Entry):
     accuracy: AccuracyEntry
     warnings: tuple[StrictStr, ...] = ()
     paper: tuple[PaperRow, ...] = ()
+    rig: StrictStr = "bars"
+    services: dict[Name, Results] = Field(default_factory=dict)
+
+    @property
+    def parts(self) -> dict[str, Results]:
+        """The rig's own answers by an empty name, where it has one, and those of every service."""
+        return {**({} if self.rig == NO_RIG else {"": self}), **self.services}
 
     @model_validator(mode="after")
     def _belonging(self) -> Self:

@@ -11,7 +11,7 @@ from uqsphere.runner.drivers import find_drivers
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.expensive import Expensive, answer_expensive, keep_answers, keep_indices, keep_margins, price
 from uqsphere.runner.fidelity import Pilot, first_look
-from uqsphere.runner.finish import finish
+from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
 from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
@@ -27,6 +27,8 @@ from uqsphere.study import Study
 
 def analyse(work: Work, store: Store, notice: Callable[[str], None] | None = None) -> Run:
     """Every analysis of a run, one after the other, and its files; what is stored already is not evaluated again."""
+    if work.study.rig == "none":
+        return finish_bare(work, store)
     ledger = work.ledger
     pilot = first_look(work)
     work = replace(work, fidelity=pilot.chosen, fallback=pilot.fallback)

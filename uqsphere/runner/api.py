@@ -81,6 +81,7 @@ def run(
     from uqsphere.runner.cluster import as_executor
     from uqsphere.runner.evaluate import Ledger, OutOfBudget, Work
     from uqsphere.runner.log import logged
+    from uqsphere.runner.services import run_services
     from uqsphere.runner.workers import Engine
 
     _check_usage(study, model, executor)
@@ -104,7 +105,14 @@ def run(
         can_spawn=reference is not None,
         limited=study.analysis.time_limit is not None,
     )
+
+    def one(service: Study, place: Path, left: float) -> Run:
+        return run(service, out=place, executor=executor, threads=threads, fresh=fresh, extend=extend, seconds=left,
+                   progress=progress, notice=notice, stop=stop, reached=reached)  # fmt: skip
+
     try:
+        whole = study.analysis.budget.time if seconds is None else seconds
+        services, left = run_services(study, folder, whole, one)
         work = Work(
             study=study,
             store=store,
@@ -116,9 +124,10 @@ def run(
             digest=digest,
             engine=engine,
             progress=progress,
-            seconds=study.analysis.budget.time if seconds is None else seconds,
+            seconds=left,
             stop=stop,
             reached=reached,
+            services=services,
         )
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
         with threadpool_limits(limits=1, user_api="blas"), logged(folder, hash=study.hash, fresh=fresh) as log:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -23,7 +23,7 @@ from uqsphere.model import (
     is_answered,
     status_text,
 )
-from uqsphere.results import SpeedRow
+from uqsphere.results import Results, SpeedRow
 from uqsphere.runner.chunks import chosen_columns, collect
 from uqsphere.runner.remote import Task
 from uqsphere.runner.schedule import REPLICATES
@@ -112,6 +112,8 @@ class Work:
     reached: Callable[[list[dict[str, Any]]], None] | None = None
     #: the rows only help to answer for others: one without an answer is no failure of the study
     spare: bool = False
+    #: what the services of the study have answered
+    services: Mapping[str, Results] = field(default_factory=dict)
 
     @property
     def asked_to_stop(self) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.errors import FolderError, UsageError
+from uqsphere.results import NO_RIG
 from uqsphere.results.tables import tables
 from uqsphere.store import plain_cell, write_atomically
 
@@ -45,7 +46,8 @@ def _frames(run: Run) -> dict[str, pd.DataFrame]:
         if not (run.folder / "tables" / name).is_file():
             raise FolderError(f"{run.folder} has no tables/{name}: it is damaged; run the study again")
     frames = {name.removesuffix(".csv"): pd.read_csv(io.StringIO(text)) for name, text in found}
-    return {"samples": run.samples(), **frames}
+    own = {} if run.results.rig == NO_RIG else {"samples": run.samples()}
+    return {**own, **frames}
 
 
 def _content(frame: pd.DataFrame, form: str) -> bytes:
@@ -62,7 +64,7 @@ def _content(frame: pd.DataFrame, form: str) -> bytes:
 
 
 def export_run(run: Run, form: str, folder: Path) -> list[Path]:
-    """Write the samples and every table; the paths written.
+    """Write the samples and every table, those of services in folders of their names; the paths written.
 
     Raises
     ------
@@ -76,4 +78,6 @@ def export_run(run: Run, form: str, folder: Path) -> list[Path]:
         path = folder / f"{name}.{form}"
         write_atomically(path, _content(frame, form))
         written.append(path)
+    for name, service in run.services.items():
+        written += export_run(service, form, folder / "services" / name)
     return written

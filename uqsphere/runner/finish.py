@@ -12,7 +12,7 @@ from uqsphere.runner.datafiles import keep_data
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run
-from uqsphere.runner.results import Findings, build_manifest, build_results, write_results
+from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
 from uqsphere.store import Store
 
@@ -44,5 +44,15 @@ def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None
         affordable_evaluations=way.affordable,
     )
     manifest = build_manifest(work, work.ledger, [*work.ledger.times, *ends], prices)
+    write_results(store, results, manifest)
+    return Run(folder=store.folder, results=results, manifest=manifest)
+
+
+def finish_bare(work: Work, store: Store) -> Run:
+    """Write what the services of a study without a rig of its own have found."""
+    store.take_over()
+    keep_data(work.study, store.folder)
+    results = bare_results(work.study, work.services)
+    manifest = build_manifest(work, work.ledger, [], PricesEntry())
     write_results(store, results, manifest)
     return Run(folder=store.folder, results=results, manifest=manifest)

@@ -26,8 +26,14 @@ class Run:
 
     @property
     def met(self) -> bool:
-        """Whether every limit with a target meets it."""
-        return all(limit.met is True for limit in self.results.limits.values() if limit.target is not None)
+        """Whether every limit with a target meets it, those of services too."""
+        limits = [limit for part in self.results.parts.values() for limit in part.limits.values()]
+        return all(limit.met is True for limit in limits if limit.target is not None)
+
+    @property
+    def services(self) -> dict[str, Run]:
+        """The runs of the study's services, as their own folders have them."""
+        return {name: open_run(self.folder / "services" / name) for name in self.results.services}
 
     def _table(self, name: str) -> pd.DataFrame:
         from uqsphere.runner.export import read_table

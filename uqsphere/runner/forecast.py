@@ -11,9 +11,10 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.errors import UsageError
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
 from uqsphere.quantities import lookup
 from uqsphere.runner.schedule import (
@@ -35,6 +36,9 @@ from uqsphere.runner.schedule import (
 from uqsphere.study import Limit, Study
 from uqsphere.study.faults import one_of
 from uqsphere.uq.law import Law
+
+if TYPE_CHECKING:
+    from uqsphere.mechanics.scene import Scene
 
 #: parts that evaluate a cheaper model, by the part that it may help
 CHEAPER: Final = ("cheaper model beside sampling", "cheaper model beside the indices")
@@ -202,7 +206,7 @@ def reflected(study: Study) -> bool:
     """Whether waves come back from the ends of the bars, so that the first loading is a part of the record alone."""
     ends = [f"bars.{bar}_end" for bar in ("incident", "receiving")]
     echoes = any(study.at_means().get(end, 0.0) or end in study.random for end in ends)
-    return echoes and not study.options["bars.infinite"] and not study.model.first_loading_only
+    return echoes and not study.options.get("bars.infinite") and not study.model.first_loading_only
 
 
 def _fracture(study: Study, budget: float) -> tuple[float, float]:
@@ -373,6 +377,8 @@ def choose_way(study: Study, cost: float | None = None, seconds: float | None = 
 _STEP_SECONDS = 0.5e-6
 #: seconds to start and to write the report; those of a limit beside its evaluations, and of each of its curves
 _START, _LIMIT, _CURVE_PLAN = 4.0, 1.0, 2.5
+#: steps that a closed form is as dear as, and times t_c for which a blow with two contacts is followed
+_STEPS_CLOSED, _TOUCHES = 2.0, 10.0
 #: parts whose seconds are told
 _TOLD = 3
 
@@ -380,6 +386,8 @@ _TOLD = 3
 def _scene_numbers(study: Study) -> dict[str, float | None]:
     """mu, theta and the steps an evaluation takes, at the means."""
     scene = scene_of(study, {}, 1)
+    if study.rig != "bars":
+        return _blow_numbers(study, scene)
     mu = float(scene.scales.mass_number[0])
     theta = float(scene.scales.pulse_number[0])
     time = float(scene.scales.time[0])
@@ -395,11 +403,27 @@ def _scene_numbers(study: Study) -> dict[str, float | None]:
     return {"mu": mu, "theta": theta if math.isfinite(theta) else None, "steps": 60.0 + phase}
 
 
+def _blow_numbers(study: Study, scene: Scene) -> dict[str, float | None]:
+    """The same of another rig than `bars`, and the speed at which the bodies close square to the face [m/s]."""
+    from uqsphere.mechanics.scene import STATUS
+
+    code = int(scene.status[0])
+    if code:
+        raise UsageError(f"the scene at its means cannot be computed: {STATUS[code]}")
+    mu = float(scene.scales.mass_number[0])
+    rig = RIGS[study.rig]
+    # closed forms take as long as a few steps; a light sphere rattles between its two contacts
+    steps = _STEPS_CLOSED if rig.contacts == 1 or not rig.blow else 60.0 + _TOUCHES * math.sqrt(3.0 / mu)
+    return {"mu": mu, "theta": None, "steps": steps, "speed": float(scene.closing_speed[0]) if rig.blow else None}
+
+
 def plan_run(study: Study) -> dict[str, Any]:
     """Evaluations and seconds that a run will take, roughly, and by which way.
 
     Seconds are None for a black box whose cost is not given, and so is its way where the cost decides.
     """
+    if study.rig == "none":
+        return {"services": {name: plan_run(service) for name, service in study.services.items()}}
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     way = choose_way(study)
     parts = forecast(study, way.affordable, way.surrogate)
@@ -417,6 +441,8 @@ def plan_run(study: Study) -> dict[str, Any]:
         "way": ("surrogate" if way.surrogate else "sampling") if known else None,
         "why": way.why if known else "the first runs of the model are timed, and that decides",
     }
+    if study.services:
+        plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
     if study.black_box:
         plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
         plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
@@ -426,7 +452,7 @@ def plan_run(study: Study) -> dict[str, Any]:
             _time_parts(plan, cost, {})
         return plan
     numbers = _scene_numbers(study)
-    plan["scene"] = {"mu": numbers["mu"], "theta": numbers["theta"]}
+    plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
     _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, _beside(study))
     plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
     return plan

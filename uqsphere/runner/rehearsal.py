@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from uqsphere.black_box import BlackBox
 from uqsphere.errors import FolderError, StudyError, UsageError
+from uqsphere.results import Results
 from uqsphere.store import Store
 from uqsphere.study import Study, load_study
 
@@ -126,9 +127,14 @@ def stored_study(text: str, resolved: Mapping[str, Any], place: Path, data: Mapp
 
 
 def rehearse(
-    source: Store, study: Study, chosen: frozenset[str], place: Path, black_box: BlackBox | None = None
+    source: Store,
+    study: Study,
+    chosen: frozenset[str],
+    place: Path,
+    black_box: BlackBox | None = None,
+    services: Mapping[str, Results] | None = None,
 ) -> tuple[Rehearsal, str]:
-    """Repeat a run from its chunks; what it writes lies in `place` afterwards.
+    """Repeat a run from its chunks, its services as they are; what it writes lies in `place` afterwards.
 
     Returns
     -------
@@ -143,7 +149,8 @@ def rehearse(
     store = Rehearsal(folder=place, source=source, chosen=chosen)
     # a rehearsal has what an analysis asks of a store, and no more
     standing_in = cast(Store, store)
-    work = Work(study=study, store=standing_in, ledger=Ledger(), fidelity="full", black_box=black_box)
+    work = Work(study=study, store=standing_in, ledger=Ledger(), fidelity="full", black_box=black_box,
+                services=services or {})  # fmt: skip
     # what a run has in its folder before it begins
     for name in ("study.toml", "study.resolved.json"):
         (place / name).write_bytes((source.folder / name).read_bytes())

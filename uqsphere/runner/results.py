@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import CheckEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
+from uqsphere.results import NO_RIG, CheckEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
@@ -29,7 +29,7 @@ from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.sums import write_sums
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
-from uqsphere.study import Margins
+from uqsphere.study import Margins, Study
 from uqsphere.study.axis import limit_of, quantity_of
 from uqsphere.uq.estimate import Estimate
 
@@ -255,8 +255,34 @@ def build_results(work: Work, found: Findings) -> Results:
         },
         "warnings": list(study.warnings),
         "paper": found.paper,
+        **({} if study.rig == "bars" else {"rig": study.rig}),
+        **_nested(work.services),
     }
     return Results.model_validate(content)
+
+
+def _nested(services: Mapping[str, Results]) -> dict[str, Any]:
+    return {"services": {name: results.document() for name, results in services.items()}} if services else {}
+
+
+def bare_results(study: Study, services: Mapping[str, Results]) -> Results:
+    """The content of results.json of a study whose services alone are run."""
+    missed = [f"{name}: {text}" for name, results in services.items() for text in results.accuracy.missed]
+    model = {"chosen": NO_RIG, "why": "the study has no rig of its own", "measured_error": {}, "failures": 0,
+             "evaluations": {}}  # fmt: skip
+    return Results.model_validate({
+        "schema_version": SCHEMA_VERSION,
+        "study": {"title": study.title, "hash": study.hash, "seed": study.seed},
+        "versions": versions(),
+        **{key: {} for key in ("inputs", "quantities", "sensitivity", "limits", "margins")},
+        "model": model,
+        "validity": [],
+        "speed_error": [],
+        "accuracy": {"met": not missed, "missed": missed},
+        "warnings": list(study.warnings),
+        "rig": NO_RIG,
+        **_nested(services),
+    })  # fmt: skip
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -269,9 +295,10 @@ def write_results(store: Store, results: Results, manifest: Manifest) -> None:
         write_atomically(store.folder / "tables" / name, text)
     write_json(store.folder / "manifest.json", manifest.document())
     write_json(store.folder / "results.json", results.document())
-    fixed = ["manifest.json", "results.json", "samples.json", "samples.npy", "study.resolved.json", "study.toml"]
+    fixed = ["manifest.json", "results.json", "study.resolved.json", "study.toml"]
     data = named_files((store.folder / "study.toml").read_text("utf-8", "replace"))
-    fixed += [name for name in ("courses.json", "tables/courses.csv", *data) if (store.folder / name).is_file()]
+    others = ("samples.json", "samples.npy", "courses.json", "tables/courses.csv", *data)
+    fixed += [name for name in others if (store.folder / name).is_file()]
     write_sums(store.folder, [*(f"tables/{name}" for name in found), *fixed])
 
 

@@ -16,14 +16,13 @@ from uqsphere.study.document import (
     Analysis,
     Dependence,
     Document,
-    ModelChoice,
     ToleranceRequest,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.limits import LimitReading, known_quantity, read_limits, share_fracture_energy, valid_name
 from uqsphere.study.margins import check_moved_mean, read_margins
 from uqsphere.study.numbers import Reading, plain_quantity, read_number
-from uqsphere.study.rigs import read_rig, refuse_other_tables
+from uqsphere.study.rigs import model_of, read_rig, refuse_other_tables
 from uqsphere.study.scene import Scene, check_scene, read_damper, read_gauges, read_scene
 from uqsphere.study.services import split
 from uqsphere.study.study import Margins, Study, tie_of
@@ -111,7 +110,7 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
     """The study of one rig."""
     document = read_table(Document, data, findings)
     black_box = _kind(data, findings)
-    scene, outputs, model = Scene(), None, document.model or ModelChoice()
+    scene, outputs, model = Scene(), None, model_of(document, findings)
     if black_box:
         outputs = _read_outputs(document, findings)
         _read_inputs(document, scene, findings)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 from uqsphere.materials import library
 from uqsphere.quantities import INPUTS
-from uqsphere.study.document import RIG_TABLES, Document, TargetTable
+from uqsphere.study.document import RIG_TABLES, Document, ModelChoice, TargetTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene, require, take_from_library
@@ -30,6 +31,11 @@ NEEDS: Final[dict[str, dict[str, str]]] = {
 #: numbers of a target or an anvil that belong to one kind of it
 _OWN: Final = {"thickness": "plate", "width": "plate", "mass": "mass", "diameter": "bar", "length": "bar", "end": "bar"}
 _ELASTIC: Final = {"E": '"210 GPa"', "nu": "0.3"}
+#: what every answer of a machine leaves out
+NO_SPHERE: Final = (
+    "a rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
+    "the same mass; a ratio that was measured enters as limits.NAME.model_factor"
+)
 #: table whose speed or drop height starts a rig
 _STARTS: Final = {"impact": "rig", "sphere_on_sphere": "rig", "drop_weight": "hammer", "load_cell": "hammer"}
 
@@ -55,10 +61,29 @@ def refuse_other_tables(document: Document, data: Mapping[str, Raw], findings: F
             findings.add(("rig", key), f"{key} does not belong to the rig {shown(rig)}: it stands in {where}")
 
 
+def model_of(document: Document, findings: Findings) -> ModelChoice:
+    """Which mechanics: rigs other than `bars` have closed forms, or the full model."""
+    model = document.model or ModelChoice()
+    if document.rig_kind == "bars" or not findings.clean(("model",)):
+        return model
+    plain_words = {
+        "fidelity": model.fidelity in ("auto", "full"),
+        "first_loading_only": not model.first_loading_only,
+        "compare_with_paper": not model.compare_with_paper,
+    }
+    for key, plain in plain_words.items():
+        if not plain:
+            said = f'{key} = {shown(getattr(model, key))} belongs to the rig "bars": leave it out'
+            findings.add(("model", key), said)
+    return replace(model, fidelity="full")
+
+
 def read_rig(document: Document, scene: Scene, findings: Findings) -> None:
     """The options and defaults of every rig but `bars`; what is missing or does not go together is noted."""
     rig = document.rig_kind
     scene.options["rig.kind"] = rig
+    if rig not in ("none", "platens"):
+        findings.warn((), NO_SPHERE)
     for table in RIG_TABLES[rig]:
         if getattr(document, table) is None:
             if not findings.touched((table,)):
