@@ -281,6 +281,8 @@ def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry 
         curve=() if margin is None else tuple((float(p.value), float(p.probability)) for p in margin.curve),
         at_target=None if margin is None or not margin.value else margin.value.value,
         sure=None if margin is None else margin.ignorance.sure,
+        force=None if margin is None else margin.validity.medians.get("P_max"),
+        energy=None if margin is None else margin.validity.medians.get("specific_energy"),
         reason="" if limit.miss.value is not None else shorten(str(limit.miss.reason or ""), 120),
     )
 

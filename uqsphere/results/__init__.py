@@ -528,13 +528,14 @@ class BarsEntry(Part):
 
 
 class ValidityAtEntry(Part):
-    """Validity checks at the answer."""
+    """Validity checks at the answer, and the medians of force and energy there."""
 
     NEEDS = ("value", "samples", "checks")
 
     value: Number = 0.0
     samples: Count = 0
     checks: tuple[CheckEntry, ...] = ()
+    medians: dict[Name, Number] = Field(default_factory=dict)
 
 
 class MarginEntry(Entry):

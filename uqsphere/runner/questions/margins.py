@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
-from uqsphere.results import CheckEntry
+from uqsphere.results import ValidityAtEntry
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
@@ -162,7 +164,7 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
     """
     if work.study.margins is None or work.study.black_box or not axis_of(work).moves_rows:
         return dict(margins)
-    found, seen = dict(margins), dict[float, list[CheckEntry] | None]()
+    found, seen = dict(margins), dict[float, ValidityAtEntry | None]()
     for limit in work.study.limits:
         margin = margins.get(limit.name)
         value = ((margin.about.get("value") or {}) if margin else {}).get("value")
@@ -170,16 +172,14 @@ def judge_answers(work: Work, margins: Mapping[str, MarginAnswer]) -> dict[str, 
             continue
         if value not in seen:
             seen[value] = _checks_at(work, limit, float(value))
-        checks = seen[value]
-        if checks is not None:
-            tables = [one.document() for one in checks]
-            about = {**margin.about, "validity": {"value": float(value), "samples": CHECKED, "checks": tables}}
-            found[limit.name] = replace(margin, about=about)
+        judged = seen[value]
+        if judged is not None:
+            found[limit.name] = replace(margin, about={**margin.about, "validity": judged.document()})
     return found
 
 
-def _checks_at(work: Work, limit: Limit, value: float) -> list[CheckEntry] | None:
-    """Checks with the free scalar at a value; None where they cannot be made."""
+def _checks_at(work: Work, limit: Limit, value: float) -> ValidityAtEntry | None:
+    """Checks, force and energy with the free scalar at a value; None where they cannot be made."""
     count = CHECKED if work.scene_names else 1
     placed = study_at(work, limit, value)
     if isinstance(placed, str) or work.ledger.total + count > work.study.analysis.budget.evaluations:
@@ -201,4 +201,13 @@ def _checks_at(work: Work, limit: Limit, value: float) -> list[CheckEntry] | Non
 
     answers = remembered(work.store, "validity.full", scene, ["full", tolerance, None], solved)
     work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + count
-    return check_table(scene, answers, work.quantities)
+    return ValidityAtEntry(
+        value=value,
+        samples=CHECKED,
+        checks=tuple(check_table(scene, answers, work.quantities)),
+        medians={
+            name: float(np.nanmedian(answers.values[name]))
+            for name in ("P_max", "specific_energy")
+            if name in answers.values and np.isfinite(answers.values[name]).any()
+        },
+    )
