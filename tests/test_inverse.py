@@ -13,7 +13,8 @@ from tests.campaigns.inverse import Made, coverage, make_test, read_back, rig_of
 from uqsphere.cli import main
 from uqsphere.mechanics.dispersion import disperse
 from uqsphere.records.inverse import Rig, at_faces, forces_of
-from uqsphere.records.record import RecordError, Table, make_record, set_baseline
+from uqsphere.records.record import make_record, mend
+from uqsphere.records.table import RecordError, Table
 
 STUDY = """\
 title = "a test"
@@ -83,7 +84,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
 
 def test_more_noise_and_a_less_certain_gain_widen_the_intervals() -> None:
     made = make_test(scene_of_test(), noise=1e-6, rng=np.random.default_rng(1))
-    record = set_baseline(make_record(made.table, 2))
+    record = mend(make_record(made.table, 2), "tension")
     faces = at_faces(record, rig_of(made.scene))
     columns = {name: float(column[0]) for name, column in made.scene.columns.items()}
     plain, gained = forces_of(faces, columns), forces_of(faces, columns, 0.05)
@@ -140,7 +141,7 @@ def test_dispersion_between_gauges_and_faces_is_undone(clean: Made) -> None:
     gauge_b = seen(second, -rig.receiving_gauge)
     values = np.column_stack([time, gauge_a, gauge_b])
     table = Table(names=clean.table.names, units=clean.table.units, values=values)
-    record = set_baseline(make_record(table, 2))
+    record = mend(make_record(table, 2), "tension")
     columns = {name: float(column[0]) for name, column in clean.scene.columns.items()}
     errors = {}
     for corrected in (False, True):
@@ -162,8 +163,8 @@ def test_three_waves_of_their_own_gauges_say_the_same(clean: Made) -> None:
     before = np.arange(len(time)) < split
     values = np.column_stack([time, np.where(before, first, 0.0), np.where(before, 0.0, first), second])
     table = Table(names=("t", "i", "r", "t3"), units=("s", "", "", ""), values=values)
-    three = at_faces(set_baseline(make_record(table, 3)), rig)
-    two = at_faces(set_baseline(make_record(clean.table, 2)), rig)
+    three = at_faces(mend(make_record(table, 3), "tension"), rig)
+    two = at_faces(mend(make_record(clean.table, 2), "tension"), rig)
     count = min(len(two.incident), len(three.incident))
     assert not three.shared
     assert np.abs(three.reflected[:count] - two.reflected[:count]).max() < 1e-9
@@ -171,7 +172,7 @@ def test_three_waves_of_their_own_gauges_say_the_same(clean: Made) -> None:
 
 
 def test_what_cannot_be_read_back_is_refused(clean: Made) -> None:
-    record = set_baseline(make_record(clean.table, 2))
+    record = mend(make_record(clean.table, 2), "tension")
     bar = rig_of(clean.scene).bar
     with pytest.raises(RecordError, match="overlap at the incident gauge"):
         at_faces(record, Rig(bar=bar, incident_gauge=0.3, receiving_gauge=0.6))

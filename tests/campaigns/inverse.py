@@ -27,7 +27,8 @@ from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
 from uqsphere.records.inverse import Faces, Inverse, Rig, at_faces, invert
 from uqsphere.records.pulse import Bar
-from uqsphere.records.record import Table, make_record, set_baseline
+from uqsphere.records.record import make_record, mend
+from uqsphere.records.table import Table
 
 Array = npt.NDArray[np.float64]
 
@@ -124,7 +125,7 @@ def make_test(scene: Scene, *, rng: np.random.Generator | None = None, noise: fl
 
 def read_back(made: Made, gain_sd: float, departure: bool = False) -> tuple[Faces, Inverse]:
     """What the records say, the stiffness searched for from a wrong beginning."""
-    record = set_baseline(make_record(made.table, 2))
+    record = mend(make_record(made.table, 2), "tension")
     faces = at_faces(record, rig_of(made.scene))
     columns = {name: float(column[0]) for name, column in made.scene.columns.items()}
     columns["sphere.E"] *= 1.5

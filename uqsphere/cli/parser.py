@@ -170,6 +170,8 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
     parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
     parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
+    parser.add_argument("--polarity", choices=("auto", "tension", "compression"), default="auto",
+                        help="what is positive in the record (default: the first wave presses)")  # fmt: skip
     parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
     parser.add_argument(
         "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"

@@ -43,7 +43,7 @@ def _window(text: str | None) -> tuple[float | None, float | None]:
 
 def command_records(chosen: argparse.Namespace) -> int:
     """The pulse of a record, or forces, stiffness and the end of the elastic contact of a test."""
-    from uqsphere.records.record import RecordError
+    from uqsphere.records.table import RecordError
     from uqsphere.study import load_study
 
     for name in ("gauge_factor", "amplification", "active_arms"):
@@ -91,7 +91,8 @@ def _write(folder: Path, files: Mapping[str, str]) -> list[str]:
 
 def _read(chosen: argparse.Namespace) -> tuple[Record, int]:
     """The record with its baseline and sign, and how many signals it has."""
-    from uqsphere.records.record import Wiring, make_record, read_table, set_baseline, turn_sign
+    from uqsphere.records.record import Wiring, make_record, mend
+    from uqsphere.records.table import read_table
 
     wiring = Wiring(unit=chosen.unit, gauge_factor=chosen.gauge_factor, excitation=chosen.excitation,
                     amplification=chosen.amplification, active_arms=chosen.active_arms,
@@ -104,9 +105,9 @@ def _read(chosen: argparse.Namespace) -> tuple[Record, int]:
             f"{chosen.record.name} has {signals} signals: name the study with sphere and bars by --study, or the one "
             "that is the pulse by --columns TIME,SIGNAL"
         )
-    record = set_baseline(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns))
-    record = turn_sign(record, 0)
-    return (turn_sign(record, record.strain.shape[1] - 1) if signals > 1 else record), signals
+    if signals == 4 and not columns:
+        signals = 2  # two gauges a bar
+    return mend(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns), chosen.polarity), signals
 
 
 def _numbers(study: Study) -> dict[str, float]:
@@ -117,7 +118,7 @@ def _numbers(study: Study) -> dict[str, float]:
 
 def _bar(columns: Mapping[str, float]) -> Bar:
     from uqsphere.records.pulse import Bar
-    from uqsphere.records.record import RecordError
+    from uqsphere.records.table import RecordError
 
     if not 0.0 <= columns["bars.nu"] < 0.5:
         raise RecordError("the dispersion of bars is known for Poisson ratios from 0 to below 0.5")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -22,11 +22,15 @@ from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.pulses import NOISE_MODES, MeasuredPulse, noise_names, pulse_value
 from uqsphere.mechanics.scene import Scene
-from uqsphere.records.pulse import Bar, CutPulse, cut_pulse, fit_pulse
-from uqsphere.records.record import Record, RecordError
+from uqsphere.records.pulse import WINDOW, Bar, CutPulse, cut_pulse, fit_pulse
+from uqsphere.records.record import Record
+from uqsphere.records.table import RecordError
 
 #: samples at the faces, at the least
 _FEWEST: Final = 50
+#: share of its peak that the tail of the incident wave may have where the reflected one comes to the same gauge, and
+#: part of the time between the two over which they may meet
+_TAIL, _MEETING = 0.10, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +45,10 @@ class Rig:
     incident_length, receiving_length : float
         Of the bars [m]; infinite where nothing comes back.
     correct_dispersion : bool
+    absorbing_length : float
+        Of the bars whose ends are said to send nothing back [m]: from its gauge to there, the shorter one.
+    receiving_bar : Bar, optional
+        Where it is another than the incident bar.
     """
 
     bar: Bar
@@ -49,6 +57,8 @@ class Rig:
     incident_length: float = math.inf
     receiving_length: float = math.inf
     correct_dispersion: bool = False
+    absorbing_length: float = math.inf
+    receiving_bar: Bar | None = None
 
     def __post_init__(self) -> None:
         for name in ("incident", "receiving"):
@@ -61,8 +71,13 @@ class Rig:
     @property
     def undisturbed(self) -> float:
         """Time after first touch up to which no wave from a far end mixes with those at the gauges [s]."""
-        spans = (self.incident_length - self.incident_gauge, self.receiving_length - self.receiving_gauge)
-        return 2.0 * min(spans) / self.bar.wave_speed
+        return 2.0 * min((self.incident_length - self.incident_gauge) / self.bar.wave_speed,
+                         (self.receiving_length - self.receiving_gauge) / self.behind.wave_speed)  # fmt: skip
+
+    @property
+    def behind(self) -> Bar:
+        """The receiving bar."""
+        return self.receiving_bar or self.bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +96,10 @@ class Faces:
         Samples of the incident wave; it is taken as over behind them.
     shared : bool
         Incident and reflected wave come from one gauge, and share gain and baseline.
+    overlap : (n,) array
+        Strain by which the tail of the incident wave may be wrong at face A, where it meets the reflected one.
+    spread : (n,) array
+        Bending that the gauges of the receiving bar show, 0 with one.
     pulse : CutPulse
         The incident wave as samples.
     """
@@ -94,6 +113,8 @@ class Faces:
     offset: Array
     known: int
     shared: bool
+    overlap: Array
+    spread: Array
     pulse: CutPulse
     notes: tuple[str, ...]
 
@@ -153,28 +174,24 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
     if signals not in (2, 3):
         raise RecordError(f"found {signals} signals; two (one gauge per bar) or three waves are due")
     bar, step, length = rig.bar, record.step, len(record.strain)
-    distance = rig.incident_gauge if rig.correct_dispersion else 0.0
-    cut = cut_pulse(record, bar=bar if distance else None, distance=distance, begin=begin, end=end)
+    delay = 2.0 * rig.incident_gauge / bar.wave_speed / step
+    cut, tail = _incident(record, rig, delay if shared else math.inf, begin, end)
     # places of samples: the incident wave at its gauge, the reflected one there, the transmitted one at the other
     first = (cut.begin - record.start) / step
-    delay = 2.0 * rig.incident_gauge / bar.wave_speed / step
     again = first + delay
-    behind = first + (rig.incident_gauge + rig.receiving_gauge) / bar.wave_speed / step
-    if shared:
-        _refuse_overlap(cut, delay, step, rig)
+    behind = first + (rig.incident_gauge / bar.wave_speed + rig.receiving_gauge / rig.behind.wave_speed) / step
     count, notes = _samples(int(min(length - 3 - again, length - 3 - behind)), rig, step)
     channels = [0, 0, 1] if shared else [0, 1, 2]
+    count = _known(record, [(channels[1], int(again)), (channels[2], int(behind))], count, notes)
     grown, waves = np.ones(3), []
     for k, place, way in ((1, again, -rig.incident_gauge), (2, behind, -rig.receiving_gauge)):
         values = record.strain[:, channels[k]]
         if rig.correct_dispersion:
             alone = _within(values, int(again) if k == 1 and shared else 0, length)
-            values, grown[k] = _carried(alone, step, bar, way)
+            values, grown[k] = _carried(alone, step, bar if k == 1 else rig.behind, way)
         wave, spread = _read_at(values, place, count)
         grown[k] *= spread
         waves.append(wave)
-        if record.held[int(place) : int(place) + count].any():
-            raise RecordError("samples are missing in the reflected or transmitted wave, more than can be filled")
     # behind its window the incident wave is known until the reflected one comes to the same gauge
     last = min(count, int(delay)) if shared else count
     incident = np.zeros(count)
@@ -184,21 +201,62 @@ def at_faces(record: Record, rig: Rig, *, begin: float | None = None, end: float
         values, grown[0] = _carried(alone, step, bar, rig.incident_gauge)
     incident[:last] = values[round(first) : round(first) + last]
     noise, memory = record.noise[channels] * grown, record.memory[channels] / np.square(grown)
+    # the tail of the incident wave stands in the beginning of the reflected one, and is missing where it belongs
+    overlap, over = np.zeros(count), round(_MEETING * delay) if tail else 0
+    overlap[:over] = tail
+    overlap[last:][:over] = tail
     return Faces(
         step=step, incident=incident, reflected=waves[0], transmitted=waves[1], noise=noise, memory=memory,
         offset=record.offset[channels], known=last, shared=shared, pulse=cut, notes=(*cut.notes, *notes),
+        overlap=overlap, spread=_read_at(record.spread[:, channels[2]], behind, count)[0],
     )  # fmt: skip
 
 
-def _refuse_overlap(cut: CutPulse, delay: float, step: float, rig: Rig) -> None:
-    """One gauge that sees incident and reflected wave must see them one after the other."""
-    lasts = len(cut.strain) - 1
+def _incident(record: Record, rig: Rig, delay: float, begin: float | None,
+              end: float | None) -> tuple[CutPulse, float]:  # fmt: skip
+    """The incident wave, which one gauge must see before the reflected one `delay` samples later, and the strain of
+    its tail that meets that."""
+    bar, step = rig.bar, record.step
+    distance = rig.incident_gauge if rig.correct_dispersion else 0.0
+    cut = cut_pulse(record, begin=begin, end=end)
+    lasts, tail = len(cut.strain) - 1, 0.0
     if lasts > delay * (1.0 + 1e-9):
-        raise RecordError(
-            f"incident and reflected wave overlap at the incident gauge: the pulse lasts {lasts * step * 1e6:.4g} us, "
-            f"and {delay * step * 1e6:.4g} us lie between the two at {rig.incident_gauge:.4g} m from the sphere; "
-            "shorten the pulse or set the gauge further back"
-        )
+        # of a long foot and tail the wave is what stands between; a part of its tail may meet the reflected one
+        strain = cut.strain
+        peak, split = float(strain.max()), int(delay)
+        tail = float(np.abs(strain[split:]).max())
+        if end is not None or tail > _TAIL * peak:
+            raise RecordError(
+                f"incident and reflected wave overlap at the incident gauge: the pulse lasts {lasts * step * 1e6:.4g} "
+                f"us, and {delay * step * 1e6:.4g} us lie between the two at {rig.incident_gauge:.4g} m from the "
+                f"sphere, where {tail / peak:.0%} of its peak are left; shorten the pulse, set the gauge further back, "
+                f"or say where the pulse stands by {WINDOW}"
+            )
+        end = record.start + step * (round((cut.begin - record.start) / step) + split)
+        cut = cut_pulse(record, begin=cut.begin, end=end)
+        cut = replace(cut, notes=(*cut.notes, f"the tail of the pulse, {tail / peak:.1%} of its peak, meets the "
+                                  "reflected wave: the force at A is so much less sure there"))  # fmt: skip
+    if distance:
+        notes = cut.notes[len(record.notes) :]
+        cut = cut_pulse(record, bar=bar, distance=distance, begin=cut.begin if tail else begin, end=end)
+        cut = replace(cut, notes=(*cut.notes, *notes))
+    return cut, tail
+
+
+def _known(record: Record, waves: list[tuple[int, int]], count: int, notes: list[str]) -> int:
+    """Samples of the reflected and the transmitted wave before the first that nobody knows."""
+    left = count
+    for signal, place in waves:
+        lost = np.flatnonzero(record.held[max(place, 0) : place + count, signal])
+        if len(lost) and int(lost[0]) < left:
+            left = int(lost[0])
+            if left < _FEWEST:
+                record.refuse_held(signal, place, place + count, "in the reflected or transmitted wave")
+            notes.append(
+                f"{record.names[signal]}: samples are not known from {left * record.step * 1e6:.4g} us after first "
+                "touch on: what is later is left out"
+            )
+    return left
 
 
 def _samples(count: int, rig: Rig, step: float) -> tuple[int, list[str]]:
@@ -207,8 +265,17 @@ def _samples(count: int, rig: Rig, step: float) -> tuple[int, list[str]]:
     if math.isfinite(rig.undisturbed) and int(rig.undisturbed / step) < count:
         count = int(rig.undisturbed / step)
         notes = [f"waves from the far ends mix in after {rig.undisturbed * 1e6:.4g} us: what is later is left out"]
+    silent = 2.0 * rig.absorbing_length / rig.bar.wave_speed
+    if count * step > silent:
+        notes.append(
+            f"the record outlasts the {silent * 1e6:.4g} us that a wave takes to an end called absorbing and back: if "
+            "that end does not absorb, what is later is wrong"
+        )
     if count < _FEWEST:
-        raise RecordError(f"{max(count, 0)} samples are left behind first touch, {_FEWEST} at least are needed")
+        raise RecordError(
+            f"{max(count, 0)} samples are left behind first touch, {_FEWEST} at least are needed: the record ends "
+            f"before the wave that is looked for, or {WINDOW} says where the incident wave stands"
+        )
     return count, notes
 
 
@@ -317,7 +384,8 @@ def _stiffness_of_bar(columns: Mapping[str, float]) -> float:
     return float(columns["bars.E"] * bars.section(columns["bars.diameter"]))
 
 
-def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0) -> Forces:
+def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0,
+              receiving: float | None = None) -> Forces:  # fmt: skip
     """Forces at the faces by two waves at A and one at B.
 
     Parameters
@@ -327,10 +395,13 @@ def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0) 
         Numbers of the scene, SI; the bars are needed.
     gain_sd : float
         Relative standard deviation of the gain of each gauge, which is taken as 1.
+    receiving : float, optional
+        E A of the receiving bar [N], where it is another.
     """
     scale = _stiffness_of_bar(columns)
+    scale_b = scale if receiving is None else receiving
     force_a = -scale * (faces.incident + faces.reflected)
-    force_b = -scale * faces.transmitted
+    force_b = -scale_b * faces.transmitted
     base_a = (faces.offset[0] + faces.offset[1]) if faces.shared else math.hypot(faces.offset[0], faces.offset[1])
     # where the incident wave is taken as over there is no noise of it
     there = np.arange(len(force_a)) < faces.known
@@ -340,8 +411,8 @@ def forces_of(faces: Faces, columns: Mapping[str, float], gain_sd: float = 0.0) 
         gained = np.square(gain_sd * force_a)
     else:
         gained = np.square(gain_sd * scale) * (np.square(faces.incident) + np.square(faces.reflected))
-    sd_a = np.sqrt(np.square(scale) * (noise_a + rest_a) + gained)
-    sd_b = np.sqrt(np.square(scale) * (np.square(faces.noise[2]) + np.square(faces.offset[2]))
+    sd_a = np.sqrt(np.square(scale) * (noise_a + rest_a + np.square(faces.overlap)) + gained)
+    sd_b = np.sqrt(np.square(scale_b) * (np.square(faces.noise[2]) + np.square(faces.offset[2]))
                    + np.square(gain_sd * force_b))  # fmt: skip
     return Forces(time=faces.time, force_a=force_a, force_b=force_b, sd_a=sd_a, sd_b=sd_b)
 

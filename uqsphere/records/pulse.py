@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -15,14 +15,12 @@ from uqsphere.mechanics.dispersion import correct, first_mode
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.records.record import (
     Record,
-    RecordError,
     Wiring,
-    find_onset,
+    first_wave,
     make_record,
-    read_table,
-    set_baseline,
-    turn_sign,
+    mend,
 )
+from uqsphere.records.table import RecordError, read_bytes, read_table
 
 #: samples of a pulse, at the least
 _FEWEST: Final = 30
@@ -34,6 +32,8 @@ _FINE: Final = 2e-4
 _FEET: Final = 0.2
 #: share of the peak below which a pulse is over
 _OVER: Final = 0.02
+#: how a window is asked for, on the command line and in a study
+WINDOW: Final = '--window "BEGIN us,END us" (in a study pulse.window)'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,34 +75,18 @@ class CutPulse:
     inside: float = 1.0
 
 
-def _smooth(values: Array, samples: int) -> Array:
-    if samples < 2:
-        return values
-    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
-
-
 def _window(values: Array, step: float, noise: float) -> tuple[int, int]:
     """First and last sample of the first wave of `values`, compression above zero."""
-    onset = find_onset(values, noise)
-    # the peak of the first wave, not of a later one: up to where it first falls back
-    width = max(1, round(2e-6 / step))
-    high = np.flatnonzero(_smooth(values, width)[onset.sample :] > 0.5 * onset.peak)
-    if len(high) == 0:
+    wave = first_wave(values, step, noise)
+    if wave.sign < 0.0:
         raise RecordError("the first wave of the record does not press: there is no incident pulse")
-    half = onset.sample + int(high[0])
-    # means over a part of the rise see its foot and the end of the fall through the noise
-    width = max(width, (half - onset.sample) // 5 + 1)
-    calm = _smooth(values, width)
-    level = max(0.01 * onset.peak, 4.0 * noise / np.sqrt(width))
-    before = np.flatnonzero(calm[:half] < level)
-    foot = int(before[-1]) + 1 if len(before) else 0
-    below = np.flatnonzero(calm[half:] < max(_OVER * onset.peak, level))
-    if len(below) == 0:
-        raise RecordError("the record begins or ends inside the pulse: its end is not at the level of its beginning")
-    end = half + int(below[0])
-    falling = end - int(np.flatnonzero(calm[: end + 1] > 0.5 * onset.peak)[-1])
-    lead, tail = (max(2, round(_FEET * length)) for length in (half - foot, falling))
-    return max(foot - lead, 0), min(end + tail, len(values) - 2)
+    if not wave.ended:
+        raise RecordError(
+            "the record begins or ends inside the pulse: its end is not at the level of its beginning; "
+            f"{WINDOW} takes what is there of it"
+        )
+    lead, tail = (max(2, round(_FEET * length)) for length in (wave.rising, wave.end - wave.falling))
+    return max(wave.foot - lead, 0), min(wave.end + tail, len(values) - 2)
 
 
 def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, begin: float | None = None,
@@ -131,11 +115,16 @@ def cut_pulse(record: Record, *, bar: Bar | None = None, distance: float = 0.0, 
     if end is not None:
         last = int(np.searchsorted(time, end, side="right")) - 1
     if not 0 <= first < last < len(values):
-        raise RecordError("the window of the pulse lies outside the record, or is empty")
-    if record.held[first : last + 1].any():
-        raise RecordError("samples are missing inside the pulse, more than can be filled")
+        raise RecordError(
+            f"the window of the pulse lies outside the record, or is empty: the record has {time[0] * 1e6:.6g} to "
+            f"{time[-1] * 1e6:.6g} us"
+        )
+    record.refuse_held(signal, first, last, "inside the pulse")
     if last - first + 1 < _FEWEST:
-        raise RecordError(f"the pulse has {last - first + 1} samples, {_FEWEST} at least are needed")
+        raise RecordError(
+            f"the pulse has {last - first + 1} samples, {_FEWEST} at least are needed: if this is not the pulse, "
+            f"{WINDOW} says where it stands"
+        )
     inside = 1.0
     if bar is not None and distance > 0.0:
         values, first, last, inside = _corrected(values, first, last, record.step, bar, distance, notes)
@@ -177,9 +166,9 @@ def _corrected(values: Array, first: int, last: int, step: float, bar: Bar, dist
     moved[first : last + 1] = there[place]
     peak = float(np.abs(there[place]).max())
     above = np.flatnonzero(np.abs(there[place]) > _OVER * peak)
-    high = np.flatnonzero(there[place] > 0.5 * peak)
+    high, low = (np.flatnonzero(there[place] > share * peak) for share in (0.5, 0.1))
     # what is below that share on the way up and down belongs to the wave as well
-    lead, tail = max(2, int(high[0] - above[0])), max(2, int(above[-1] - high[-1]))
+    lead, tail = max(2, int(high[0] - low[0])), max(2, int(low[-1] - high[-1]))
     return moved, first + max(int(above[0]) - lead, 0), first + min(int(above[-1]) + tail, last - first), inside
 
 
@@ -247,15 +236,9 @@ def measured_pulse(path: str | Path, *, wiring: Wiring | None = None, columns: S
     Raises
     ------
     RecordError
-        See `read_table`, `make_record`, `set_baseline`, `cut_pulse` and `fit_pulse`.
+        See `read_table`, `make_record`, `mend`, `cut_pulse` and `fit_pulse`.
     """
     path = Path(path)
-    record = set_baseline(make_record(read_table(path), 1, wiring=wiring, columns=columns))
-    if polarity == "auto":
-        record = turn_sign(record, 0)
-    elif polarity == "compression":
-        record = replace(record, strain=-record.strain)
-    elif polarity != "tension":
-        raise RecordError(f"polarity {polarity!r} is not known; allowed: auto, tension, compression")
+    record = mend(make_record(read_table(path), 1, wiring=wiring, columns=columns), polarity)
     cut = cut_pulse(record, bar=bar, distance=distance, begin=begin, end=end)
-    return fit_pulse(cut, path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+    return fit_pulse(cut, path.name, hashlib.sha256(read_bytes(path)).hexdigest())

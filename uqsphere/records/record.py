@@ -1,317 +1,23 @@
-"""A table of numbers as a recorder writes it: CSV or TSV, any line ends, decimal point or comma, with or without names.
+"""From the columns of a table to strain over even time, and the chain that mends it.
 
-What is not a number becomes NaN and is counted; rows that do not fit the others are an error with their line.
-Nothing is mended here: that is `uqsphere.records.record`.
+Units, clocks and gaps come first (`make_record`); then `mend`: spikes, clipped stretches, sign, baseline with drift,
+several gauges of a bar.  Every step says what it changed, with signal, sample, time and size; what cannot be changed
+without inventing a record is an error, or held: no answer may rest on it.
 """
 
 from __future__ import annotations
 
-import codecs
-import csv
-import os
-import re
-import stat
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
+from uqsphere.records.table import SIGNAL_UNITS, RecordError, Table
 from uqsphere.units import UNITS
 
-#: bytes of a file; 10 million rows of two columns have about a third of this
-LARGEST_RECORD: Final = 1 << 30
-#: rows that are read one by one where the fast way meets something odd
-_MOST_ODD: Final = 2_000_000
-#: what the kinds of line, separator and names are told from
-_HEAD: Final = 1 << 16
-#: words that a recorder writes for a number it does not have, in lower case
-_ABSENT: Final = frozenset(
-    {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "inf", "-inf", "+inf", "overflow"}
-)
-_NAME: Final = re.compile(r"^(?P<name>.*?)\s*[\[(/]\s*(?P<unit>[^\])]*?)\s*[\])]?\s*$")
-
-
-class RecordError(ValueError):
-    """A record cannot be used; says where, what was found and what to do."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """Columns of a file.
-
-    Attributes
-    ----------
-    names : tuple of str
-        As written, without units; ``column 1`` … where the file has none.
-    units : tuple of str
-        As written in brackets behind the name, else empty.
-    values : (n, columns) array
-        NaN where the file has no number.
-    notes : tuple of str
-        What was done to read it.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
-    notes: tuple[str, ...] = field(default=())
-
-
-def read_table(path: str | Path) -> Table:
-    """The columns of a record.
-
-    Parameters
-    ----------
-    path : str or Path
-        Text in UTF-8, UTF-16 or Latin-1; columns divided by comma, semicolon, tab or blanks; lines that begin with
-        ``#`` are left out.
-
-    Raises
-    ------
-    RecordError
-        Where the file is missing, too large, empty or no table of numbers.
-    """
-    path = Path(path)
-    encoding = _check_file(path)
-    with open(path, encoding=encoding, newline=None, errors="strict") as stream:
-        try:
-            head = stream.read(_HEAD)
-        except UnicodeDecodeError as error:
-            raise RecordError(f"{path.name}: this is not text ({error.reason})") from None
-    if "\0" in head:
-        raise RecordError(f"{path.name}: found a NUL byte: export the record as text (CSV)")
-    form = _form(head, path.name)
-    try:
-        values = _fast(path, encoding, form)
-    except (ValueError, UnicodeDecodeError):
-        values = _slow(path, encoding, form)
-    strange = int(np.isnan(values).sum())
-    if len(values) < 2:
-        raise RecordError(f"{path.name}: found {len(values)} rows of numbers, a record needs more")
-    notes = list(form.notes)
-    if strange:
-        notes.append(f"{strange} cells hold no number")
-    return Table(names=form.names, units=form.units, values=values, notes=tuple(notes))
-
-
-def _check_file(path: Path) -> str:
-    """The encoding of a file that can be read at all."""
-    try:
-        kind = os.stat(path)
-        if not stat.S_ISREG(kind.st_mode):
-            raise RecordError(f"{path.name}: this is no file")
-        if kind.st_size > LARGEST_RECORD:
-            raise RecordError(
-                f"{path.name}: {kind.st_size / 2**20:,.0f} MiB is more than the {LARGEST_RECORD >> 20:,} MiB that are "
-                "read: cut the record to the test, or thin it"
-            )
-        with open(path, "rb") as stream:
-            begin = stream.read(_HEAD)
-    except FileNotFoundError:
-        raise RecordError(f"{path.name}: there is no such file") from None
-    except OSError as error:
-        raise RecordError(f"{path.name}: cannot be read: {error.strerror}") from None
-    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(begin)
-    except UnicodeDecodeError:
-        return "latin-1"  # the micro sign of an older recorder
-    return "utf-8-sig"
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Form:
-    """How the file is written: separator (None: blanks), decimal comma, lines before the first number, names."""
-
-    separator: str | None
-    comma: bool
-    skip: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def _split(line: str, separator: str | None) -> list[str]:
-    if separator is None:
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-
-
-def _number(cell: str, comma: bool) -> float | None:
-    """The number of a cell, NaN where it says that there is none, None where it is something else."""
-    text = cell.strip().strip('"')
-    if text.lower() in _ABSENT:
-        return float("nan")
-    try:
-        return float(text.replace(",", ".") if comma else text)
-    except ValueError:
-        return None
-
-
-#: separator (None: blanks) and decimal comma, the likelier first
-_WRITTEN: Final = (
-    (";", False), (";", True), ("\t", False), ("\t", True), (",", False), (None, False), (None, True),
-)  # fmt: skip
-
-
-def _counts(line: str) -> bool:
-    """Whether a line is neither blank nor a comment."""
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _columns_of(lines: Sequence[str], separator: str | None, comma: bool) -> tuple[int, int]:
-    """Rows of numbers with the usual number of columns, and that number."""
-    rows = [[_number(cell, comma) for cell in _split(line, separator)] for line in lines if _counts(line)]
-    good = [len(row) for row in rows if len(row) > 1 and None not in row and not _empty(row)]
-    usual = max(set(good), key=good.count) if good else 0
-    return good.count(usual), usual
-
-
-def _form(head: str, name: str) -> _Form:
-    lines = head.split("\n")
-    if len(head) == _HEAD:
-        lines = lines[:-1]  # cut in the middle
-    found = [(_columns_of(lines[:400], *way), way) for way in _WRITTEN]
-    (score, width), (separator, comma) = max(found, key=lambda one: one[0][0])
-    if not score:
-        single = any(_number(line, True) is not None for line in filter(str.strip, lines))
-        raise RecordError(
-            f"{name}: no table of numbers was found (columns of numbers: {'one column only' if single else 'none'}); a "
-            "record has a column of time and one or more of strain or volts, divided by comma, semicolon or tab"
-        )
-    skip, header = _above_numbers(lines, separator, comma, width)
-    names, notes = list(header or ()), [] if header else ["the file names no columns"]
-    if len(names) == width + 1 and not names[-1]:
-        names = names[:-1]
-    names += [f"column {k + 1}" for k in range(len(names), width)]
-    split = [_unit_of(text) for text in names]
-    units = _units_below(lines[:skip], separator, header, [unit for _, unit in split])
-    notes += ["decimal comma"] * comma
-    return _Form(separator=separator, comma=comma, skip=skip, names=tuple(text for text, _ in split),
-                 units=tuple(units), notes=tuple(notes))  # fmt: skip
-
-
-def _above_numbers(
-    lines: Sequence[str], separator: str | None, comma: bool, width: int
-) -> tuple[int, list[str] | None]:
-    """Lines before the first row of numbers, and the cells of the one that names the columns."""
-    header = None
-    for skip, line in enumerate(lines):
-        if not _counts(line):
-            continue
-        cells = _split(line, separator)
-        row = [_number(cell, comma) for cell in cells]
-        if len(row) < 2:
-            continue
-        if row[0] is not None and not _empty(row):
-            return skip, header
-        if None in row and (header is None or len(cells) == width):
-            header = cells
-    return len(lines), header
-
-
-def _empty(row: Sequence[float | None]) -> bool:
-    return all(value is None or value != value for value in row)
-
-
-def _unit_of(text: str) -> tuple[str, str]:
-    """Name and unit of a heading such as ``time [us]``."""
-    found = _NAME.match(text)
-    if found is None or not found["name"] or not any(mark in text for mark in "[("):
-        return text, ""
-    return found["name"], found["unit"]
-
-
-def _units_below(lines: Sequence[str], separator: str | None, header: list[str] | None, units: list[str]) -> list[str]:
-    """Units from a line of their own below the names."""
-    if header is None or any(units):
-        return units
-    at = [k for k, line in enumerate(lines) if line.strip() and _split(line, separator) == header]
-    for line in lines[at[-1] + 1 :] if at else []:
-        cells = [cell.strip("[]() ") for cell in _split(line, separator)] if line.strip() else []
-        if cells and cells[0] in UNITS["time"]:
-            return [*cells, *[""] * len(units)][: len(units)]
-    return units
-
-
-def _lines(path: Path, encoding: str, form: _Form) -> Iterator[tuple[int, str]]:
-    """Lines with their number, from the first number on."""
-    with open(path, encoding=encoding, newline=None) as stream:
-        for number, line in enumerate(stream, start=1):
-            if number > form.skip:
-                yield number, line
-
-
-def _fast(path: Path, encoding: str, form: _Form) -> Array:
-    """A clean file, by numpy's own reader."""
-    width = len(form.names)
-    if form.comma:
-        lines: object = (line.replace(",", ".") for _, line in _lines(path, encoding, form))
-    else:
-        lines = (line for _, line in _lines(path, encoding, form))
-    values = np.loadtxt(lines, delimiter=form.separator, comments="#", ndmin=2, dtype=float)  # type: ignore[call-overload]
-    if values.shape[1] != width:
-        raise ValueError("not the columns of the head")
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _slow(path: Path, encoding: str, form: _Form) -> Array:
-    """Row by row: cells without a number become NaN, the first row that does not fit is an error."""
-    rows: list[list[float]] = []
-    try:
-        for number, line in _lines(path, encoding, form):
-            if _counts(line):
-                rows.append(_row(line, form, f"{path.name}: line {number}"))
-            if len(rows) > _MOST_ODD:
-                raise RecordError(
-                    f"{path.name}: more than {_MOST_ODD:,} rows, some of which are not plain numbers: cut or clean it"
-                )
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordError(f"{path.name}: this is no table of numbers: {error}") from None
-    values = np.asarray(rows, dtype=float).reshape(len(rows), len(form.names))
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _row(line: str, form: _Form, where: str) -> list[float]:
-    """The numbers of a line."""
-    width, cells = len(form.names), _split(line, form.separator)
-    if len(cells) == width + 1 and cells[-1] == "":
-        cells = cells[:-1]  # a separator at the end of the line
-    if len(cells) != width:
-        raise RecordError(
-            f"{where} has {len(cells)} columns, the lines before have {width}: {line.strip()[:60]!r}"
-            + _comma_hint(form)
-        )
-    row = []
-    for cell in cells:
-        value = _number(cell, form.comma)
-        if value is None:
-            raise RecordError(f"{where}: found {cell[:40]!r}, where a number is due")
-        row.append(value)
-    return row
-
-
-def _comma_hint(form: _Form) -> str:
-    if form.separator == "," and not form.comma:
-        return "; with a decimal comma the columns must be divided by semicolons or tabs"
-    return ""
-
-
-# --- From the columns of a table to strain over even time: units, gaps, uneven steps, clipping, baseline.
-# Whatever is changed is said in a note; what cannot be changed without inventing a record is an error.
-
-
-#: unit of a signal -> factor to strain, or to volts where the second entry says so
-SIGNAL_UNITS: Final[dict[str, tuple[float, bool]]] = {
-    "strain": (1.0, False), "m/m": (1.0, False), "mm/mm": (1.0, False), "-": (1.0, False), "1": (1.0, False),
-    "microstrain": (1e-6, False), "ustrain": (1e-6, False), "ue": (1e-6, False), "µε": (1e-6, False),
-    "με": (1e-6, False), "um/m": (1e-6, False), "µm/m": (1e-6, False), "%": (1e-2, False),
-    "V": (1.0, True), "mV": (1e-3, True), "uV": (1e-6, True), "µV": (1e-6, True),
-}  # fmt: skip
 #: missing samples in a row that are filled from their neighbours
 _SHORT_GAP: Final = 10
 #: samples beyond which a record is thinned, and about how many are left
@@ -322,10 +28,38 @@ _MOST_STRAIN: Final = 0.05
 _LONGEST: Final = 10.0
 #: equal samples in a row at the largest value that make a clipped record
 _FLAT: Final = 8
-#: samples that make a baseline
-_BASELINE: Final = 20
-#: share of the peak, and multiple of the noise, at which a wave begins
-_ONSET_SHARE, _ONSET_NOISE = 0.03, 5.0
+#: samples of a record, and of a baseline, at the least
+_FEWEST, _BASELINE = 20, 10
+#: no wave of a bar lasts shorter: it would have to cross a bar of 5 mm in this time [s]
+_SHORTEST: Final = 1e-6
+#: samples of a spike where these are more; robust standard deviations, and share of the peak, beyond which it is one
+_SPIKE, _SPIKE_NOISE, _SPIKE_SHARE = 5, 8.0, 0.02
+#: samples of a spike at the most, for the time that running medians take
+_SPIKE_MOST: Final = 40
+#: samples between parts of one spike that rings, and the share of its size that they have
+_RINGING, _RINGS = 3, 0.05
+#: share of a spike that its neighbours have to jump: a wave climbs to its top in more than two samples
+_JUMP: Final = 0.4
+#: share of the peak, and standard deviations of a mean, at which a wave begins and ends
+_FOOT_SHARE, _FOOT_NOISE = 0.01, 4.0
+#: part of the longest excursion that a first wave has to last: bursts of a trigger do not
+_LASTS: Final = 0.25
+#: a gauge that shows less than this share of what its partner shows is dead
+_DEAD: Final = 0.2
+#: share of the peak beyond which a bending, a drift or a burst is told of
+_TOLD: Final = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What a step of mending did or found: in words and, where it can be told, sample, time [s] and size [strain]."""
+
+    step: str
+    text: str
+    signal: str = ""
+    sample: int | None = None
+    time: float | None = None
+    size: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -372,15 +106,20 @@ class Record:
         Time of the first sample and between samples [s].
     strain : (n, k) array
         One column per signal, tension positive.
-    held : (n,) array of bool
-        Samples inside gaps too long to be filled with any right.
+    held : (n, k) array of bool
+        Samples that nobody knows: in gaps too long to be filled with any right, or clipped.
     noise : (k,) array
         Standard deviation of a sample at rest; 0 where there is no baseline to tell it from.
     memory : (k,) array
         Samples over which the noise is correlated, at least 1.
     offset : (k,) array
         Standard deviation of the baseline that was taken off.
-    names, notes : tuples of str
+    spread : (n, k) array
+        Half the difference of the gauges of a bar, the bending they show; 0 with one gauge.
+    bars : tuple of tuples of int
+        The gauges that make a signal, before they are joined; one each after that.
+    names : tuple of str
+    changes : tuple of Change
     """
 
     start: float
@@ -390,85 +129,137 @@ class Record:
     noise: Array
     memory: Array
     offset: Array
+    spread: Array
+    bars: tuple[tuple[int, ...], ...]
     names: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
 
     @property
     def time(self) -> Array:
         """Instants of the samples, (n,) [s]."""
         return np.asarray(self.start + self.step * np.arange(len(self.strain)), dtype=float)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was changed, in words."""
+        return tuple(change.text for change in self.changes)
 
-def _pick(table: Table, signals: int, columns: Sequence[str]) -> list[int]:
-    """Places of time and signals among the columns."""
+    def refuse_held(self, signal: int, first: int, last: int, where: str) -> None:
+        """Raise RecordError where samples from `first` to `last` of a signal are not known, with what hides them."""
+        lost = np.flatnonzero(self.held[max(first, 0) : last + 1, signal])
+        if len(lost) == 0:
+            return
+        clipped = [one.text for one in self.changes if one.step == "clipped" and one.signal in self.names[signal]]
+        why = f"; {clipped[0]}" if clipped else ", more than can be filled"
+        raise RecordError(
+            f"samples are missing {where}, {len(lost)} from {self.time[max(first, 0) + lost[0]] * 1e6:.8g} us on{why}"
+        )
+
+
+# --- columns, units, clocks, gaps ----------------------------------------------------------------------
+
+
+def _place(table: Table, text: str) -> list[int]:
+    """Columns that a name, a number from 1 on, or several with + between them stand for."""
+    if table.names.count(text) == 1:
+        return [table.names.index(text)]
+    if "+" in text:
+        return [at for part in text.split("+") for at in _place(table, part.strip())]
+    if text.isdecimal() and 1 <= int(text) <= len(table.names):
+        return [int(text) - 1]
+    said = "more than once" if text in table.names else "not"
+    raise RecordError(
+        f"the column {text!r} is {said} in the file, which has {', '.join(table.names)}; a number from 1 to "
+        f"{len(table.names)} names one too"
+    )
+
+
+def _pick(table: Table, signals: int, columns: Sequence[str]) -> tuple[int, list[list[int]]]:
+    """Places of the time and of the gauges of every signal among the columns."""
     count = len(table.names)
     if columns:
         if len(columns) != signals + 1:
             raise RecordError(f"{len(columns)} columns are named, {signals + 1} are due: time and {signals} of strain")
-        for name in columns:
-            if table.names.count(name) != 1:
-                said = "more than once" if name in table.names else "not"
-                raise RecordError(f"the column {name!r} is {said} in the file, which has {', '.join(table.names)}")
-        return [table.names.index(name) for name in columns]
+        places = [_place(table, text) for text in columns]
+        if len(places[0]) != 1:
+            raise RecordError("the time is one column")
+        return places[0][0], places[1:]
+    if signals > 1 and count == 2 * signals + 1:
+        return 0, [[2 * k + 1, 2 * k + 2] for k in range(signals)]
     if count != signals + 1:
         what = "too few" if count < signals + 1 else "too many"
         raise RecordError(
             f"found {count} columns ({', '.join(table.names)}), {what}: time and {signals} of strain or volts are due; "
-            "name those that count with columns"
+            "name those that count with columns, several gauges of a bar as A+B"
         )
-    return list(range(count))
+    return 0, [[at] for at in range(1, count)]
 
 
-def make_record(table: Table, signals: int = 1, *, wiring: Wiring | None = None,
+def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wiring] | None = None,
                 columns: Sequence[str] = ()) -> Record:  # fmt: skip
-    """Strains of a table over even time, as they were recorded: baseline and sign are untouched.
+    """Strains of a table over even time, one column for every gauge, as they were recorded.
 
     Parameters
     ----------
     table : Table
     signals : int
-        Columns of strain that are due beside the time.
+        Signals that are due beside the time, of one gauge or more each.
     wiring : Wiring, optional
+        One for all signals or one for each.
     columns : sequence of str
-        Names of the time's and the signals' columns; all in their order if empty.
+        Names or numbers of the time's and the signals' columns, gauges of one bar as ``A+B``; all in their order if
+        empty, two gauges a bar where there are twice as many.
 
     Raises
     ------
     RecordError
-        For a wrong number of columns, an unknown unit, time that runs backwards, a clipped signal, numbers that no bar
-        can have, fewer than 20 samples.
+        For a wrong number of columns, an unknown unit, time that runs backwards, numbers that no bar can have, fewer
+        than 20 samples.
     """
-    wiring = Wiring() if wiring is None else wiring
-    at = _pick(table, signals, columns)
+    wirings = [wiring or Wiring()] * signals if wiring is None or isinstance(wiring, Wiring) else list(wiring)
+    clock, groups = _pick(table, signals, columns)
     notes = list(table.notes)
-    unit = wiring.time_unit or table.units[at[0]] or "s"
+    unit = wirings[0].time_unit or table.units[clock] or "s"
     if unit not in UNITS["time"]:
         raise RecordError(f"the unit {unit!r} of the time is not known; allowed: {', '.join(UNITS['time'])}")
-    time = table.values[:, at[0]] * UNITS["time"][unit]
-    factors = [wiring.factor(table.units[place], table.names[place]) for place in at[1:]]
-    raw = table.values[:, at[1:]] * np.array(factors)
-    names = tuple(table.names[place] for place in at[1:])
+    time = table.values[:, clock] * UNITS["time"][unit]
     there = np.isfinite(time)
     if not there.all():
         notes.append(f"{int((~there).sum())} rows without a time are left out")
-        time, raw = time[there], raw[there]
-    if len(time) < _BASELINE:
-        raise RecordError(f"found {len(time)} samples, a record has {_BASELINE} at least")
+    time = time[there]
+    if len(time) < _FEWEST:
+        raise RecordError(f"found {len(time)} samples, a record has {_FEWEST} at least")
     time = _ascending(time, notes)
     if time[-1] - time[0] > _LONGEST:
         raise RecordError(
             f"the record lasts {time[-1] - time[0]:.4g} s, more than any test: is its time in another unit? "
             'Say so, as in time_unit = "us"'
         )
-    for column, name in zip(raw.T, names, strict=True):
-        _refuse_nonsense(column, name)
-        _refuse_clipped(time, column, name)
-    start, step, strain, held = _even(time, raw, notes)
+    raw: list[Array] = []
+    names: list[str] = []
+    bars: list[tuple[int, ...]] = []
+    for group, own in zip(groups, wirings, strict=True):
+        faults, used = [], []
+        for at in group:
+            values = table.values[there, at] * own.factor(table.units[at], table.names[at])
+            fault = _nonsense(values, table.names[at])
+            if fault:
+                faults.append(fault)
+                continue
+            used.append(len(raw))
+            raw.append(values)
+            names.append(table.names[at])
+        if not used:
+            raise RecordError(faults[0])
+        notes += [f"{fault}: the other gauges of the bar stand alone" for fault in faults]
+        bars.append(tuple(used))
+    start, step, strain, held = _even(time, np.stack(raw, axis=1), notes)
     if len(strain) > _LARGE:
         start, step, strain, held = _thinned(start, step, strain, held, notes)
-    unknown, memory = np.zeros(signals), np.ones(signals)
-    return Record(start=start, step=step, strain=strain, held=held, noise=unknown, memory=memory,
-                  offset=unknown.copy(), names=names, notes=tuple(notes))  # fmt: skip
+    none = np.zeros(len(raw))
+    return Record(start=start, step=step, strain=strain, held=held, noise=none, memory=none + 1.0, offset=none,
+                  spread=np.zeros_like(strain), bars=tuple(bars), names=tuple(names),
+                  changes=tuple(Change(step="read", text=note) for note in notes))  # fmt: skip
 
 
 def _ascending(time: Array, notes: list[str]) -> Array:
@@ -492,18 +283,21 @@ def _ascending(time: Array, notes: list[str]) -> Array:
     return np.asarray(time[0] + slope * np.arange(len(time)))
 
 
-def _refuse_nonsense(column: Array, name: str) -> None:
+def _nonsense(column: Array, name: str) -> str:
+    """Why a column can be no signal of a bar, empty if it can."""
     good = column[np.isfinite(column)]
-    if len(good) < max(_BASELINE, len(column) // 2):
-        raise RecordError(f"{name}: {len(column) - len(good)} of {len(column)} samples are no numbers")
-    size = float(np.abs(good - np.median(good)).max())
-    if size == 0.0:
-        raise RecordError(f"{name}: every sample is the same: there is no wave in it")
+    if len(good) < max(_FEWEST, len(column) // 2):
+        return f"{name}: {len(column) - len(good)} of {len(column)} samples are no numbers"
+    away = np.abs(good - np.median(good))
+    if away.max() == 0.0:
+        return f"{name}: every sample is the same: there is no wave in it"
+    size = float(np.quantile(away, 0.98))  # spikes are fewer
     if size > _MOST_STRAIN:
-        raise RecordError(
+        return (
             f"{name}: reaches {size:.3g}, which is no strain of an elastic bar: is it in microstrain or volts? "
             'Say so, as in unit = "microstrain"'
         )
+    return ""
 
 
 def _longest_run(same: Flags) -> tuple[int, int]:
@@ -516,23 +310,6 @@ def _longest_run(same: Flags) -> tuple[int, int]:
     return int(lengths[best]), int(edges[2 * best])
 
 
-def _refuse_clipped(time: Array, column: Array, name: str) -> None:
-    """A recorder at the end of its range writes one number again and again, where elsewhere it writes noise."""
-    good = np.isfinite(column)
-    values, at = column[good], time[good]
-    head = values[: max(len(values) // 20, _BASELINE)]
-    if np.ptp(head) == 0.0:  # without noise a flat top may be one
-        return
-    quiet, _ = _longest_run(np.concatenate([[False], np.diff(head) == 0.0]))
-    for extreme in (values.max(), values.min()):
-        run, first = _longest_run(values == extreme)
-        if run >= _FLAT and run > 2 * (quiet + 1):
-            raise RecordError(
-                f"{name} is clipped at {extreme:.6g}: {run} samples from {at[first] * 1e6:.6g} us on are the same; "
-                "its peak is not in the record: record again with a wider range"
-            )
-
-
 def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Array, Flags]:
     """Even steps and no missing numbers; `held` marks what lies in long gaps."""
     steps = np.diff(time)
@@ -542,12 +319,12 @@ def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Arra
         step = float((time[-1] - time[0]) / (len(time) - 1))
     missing = np.isnan(raw)
     if not uneven and not missing.any():
-        return float(time[0]), step, raw, np.zeros(len(raw), dtype=bool)
+        return float(time[0]), step, raw, np.zeros(raw.shape, dtype=bool)
     count = round((time[-1] - time[0]) / step) + 1
     if count > 4 * len(time) + 1000:
         raise RecordError("the steps of time differ too much: most of the record is missing")
     grid = time[0] + step * np.arange(count)
-    strain, held = np.empty((count, raw.shape[1])), np.zeros(count, dtype=bool)
+    strain, held = np.empty((count, raw.shape[1])), np.zeros((count, raw.shape[1]), dtype=bool)
     filled = 0
     for k in range(raw.shape[1]):
         good = ~missing[:, k]
@@ -558,7 +335,7 @@ def _even(time: Array, raw: Array, notes: list[str]) -> tuple[float, float, Arra
         inside = (grid > own[after - 1] + 1e-6 * step) & (grid < own[after] - 1e-6 * step)
         inside |= (grid < own[0]) | (grid > own[-1])
         filled += int((inside & (wide > 1.5 * step)).sum())
-        held |= inside & (wide > (_SHORT_GAP + 1.5) * step)
+        held[:, k] = inside & (wide > (_SHORT_GAP + 1.5) * step)
     jitter = uneven and bool(np.abs(steps[steps < 1.5 * step] - step).max(initial=0.0) > 0.01 * step)
     if jitter:
         notes.append(
@@ -578,112 +355,342 @@ def _thinned(start: float, step: float, strain: Array, held: Flags,
     whole = len(strain) // block * block
     notes.append(f"{len(strain):,} samples are thinned to {whole // block:,}, the means of {block} each")
     means = strain[:whole].reshape(-1, block, strain.shape[1]).mean(axis=1)
-    lost = np.asarray(held[:whole].reshape(-1, block).any(axis=1))
+    lost = np.asarray(held[:whole].reshape(-1, block, strain.shape[1]).any(axis=1))
     return start + 0.5 * (block - 1) * step, step * block, np.asarray(means, dtype=float), lost
 
 
+# --- the first wave of a signal ------------------------------------------------------------------------
+
+
+def smooth(values: Array, samples: int) -> Array:
+    """Running means of a number of samples."""
+    if samples < 2:
+        return values
+    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
+
+
 @dataclass(frozen=True, kw_only=True)
-class Onset:
-    """Where a wave begins: sample, level that it exceeds there, largest value against rest."""
+class Wave:
+    """The first wave of a signal, by its shape: samples of its foot, first and last half of the top, and end.
 
-    sample: int
-    level: float
+    `rising` samples lie between a tenth and half the way up; `peak` is the largest size of the smoothed signal, `sign`
+    that of the wave; `ended` whether the signal comes back to its rest.
+    """
+
+    foot: int
+    half: int
+    falling: int
+    end: int
+    rising: int
     peak: float
+    sign: float
+    ended: bool
 
 
-def find_onset(values: Array, noise: float = 0.0) -> Onset:
-    """The first sample that leaves the rest before the wave for good, on values about zero."""
-    peak = float(np.abs(values).max())
-    level = max(_ONSET_SHARE * peak, _ONSET_NOISE * noise)
-    if not level < peak:
-        raise RecordError("no wave rises above the noise of the record")
-    above = np.abs(values) > level
-    # one spike is no wave: three samples in a row
-    sure = above[:-2] & above[1:-1] & above[2:]
-    if not sure.any():
-        raise RecordError("no wave of three samples or more rises above the noise of the record")
-    return Onset(sample=int(np.argmax(sure)), level=level, peak=peak)
-
-
-def _rest(values: Array) -> tuple[float, float]:
-    """Middle of the first samples, and the scatter of neighbours, both robust."""
-    some = values[: max(_BASELINE, len(values) // 50)]
-    return float(np.median(some)), 1.4826 * float(np.median(np.abs(np.diff(values)))) / np.sqrt(2.0)
-
-
-def set_baseline(record: Record) -> Record:
-    """Every signal about its own rest, with the noise that was found there.
+def first_wave(values: Array, step: float, noise: float) -> Wave:
+    """Where the first wave of a signal about zero stands, told back and forth from its body, not from its first noise.
 
     Raises
     ------
     RecordError
-        Where a signal is nowhere at rest.
+        Where no wave rises above the noise.
     """
-    strain, notes = record.strain.copy(), list(record.notes)
-    noise, memory, unsure = record.noise.copy(), record.memory.copy(), record.offset.copy()
+    width = max(1, round(2.0 * _SHORTEST / step))
+    calm = smooth(values, width)
+    peak = float(np.abs(calm).max())
+    if not peak > 5.0 * noise / math.sqrt(width) or peak == 0.0:
+        raise RecordError("no wave rises above the noise of the record")
+    high = np.abs(calm) > 0.5 * peak
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]]).astype(np.int8)))
+    begins, lengths = edges[::2], edges[1::2] - edges[::2]
+    if lengths.max() < 3:
+        raise RecordError("no wave of three samples or more rises above the noise of the record")
+    first = int(np.argmax(lengths >= max(3.0, _LASTS * lengths.max())))
+    half, falling = int(begins[first]), int(begins[first] + lengths[first]) - 1
+    sign = math.copysign(1.0, calm[half])
+    top = float((sign * calm[half : falling + 1]).max())
+    low = np.flatnonzero(sign * calm[:half] < 0.1 * top)
+    rising = half - (int(low[-1]) if len(low) else 0)
+    # means over a part of the rise see its foot and the end of the fall through the noise
+    width = max(width, rising // 5 + 1)
+    calm = sign * smooth(values, width)
+    level = max(_FOOT_SHARE * top, _FOOT_NOISE * noise / math.sqrt(width))
+    before = np.flatnonzero(calm[:half] < level)
+    behind = np.flatnonzero(calm[falling:] < max(2.0 * _FOOT_SHARE * top, level))
+    end = falling + int(behind[0]) if len(behind) else len(values) - 1
+    return Wave(foot=int(before[-1]) + 1 if len(before) else 0, half=half, falling=falling, end=end, rising=rising,
+                peak=top, sign=sign, ended=len(behind) > 0)  # fmt: skip
+
+
+# --- mending -------------------------------------------------------------------------------------------
+
+
+def mend(record: Record, polarity: str = "auto") -> Record:
+    """The chain: spikes, clipped stretches, baseline and drift, sign, the gauges of a bar; one signal a bar is left.
+
+    Parameters
+    ----------
+    record : Record
+    polarity : str
+        ``auto`` takes the first wave of every gauge as compression, ``tension`` a record that is positive in tension,
+        ``compression`` one that is positive in compression.
+
+    Raises
+    ------
+    RecordError
+        Where a bar has no signal with a wave and a rest to tell it from.
+    """
+    if polarity not in ("auto", "tension", "compression"):
+        raise RecordError(f"polarity {polarity!r} is not known; allowed: auto, tension, compression")
+    return _joined(_marked(_despiked(record)), polarity)
+
+
+def _despiked(record: Record) -> Record:
+    """Without samples that stand alone: against running medians, beyond what the residuals around them scatter.
+
+    What is shorter than any wave of a bar and jumps up and down within two samples is a spike; lines between its
+    neighbours take its place.
+    """
+    from scipy.ndimage import median_filter
+
+    most = min(max(_SPIKE, math.ceil(_SHORTEST / record.step)), _SPIKE_MOST)
+    width = 4 * most + 1
+    strain, changes = record.strain.copy(), []
+    if len(strain) < 2 * width:
+        return record
     for k, name in enumerate(record.names):
         values = strain[:, k]
-        middle, scatter = _rest(values)
-        try:
-            onset = find_onset(values - middle, scatter)
-        except RecordError as error:
-            raise RecordError(f"{name}: {error}") from None
-        count = onset.sample - max(3, onset.sample // 20)
-        quiet = values[: max(count, 0)]
-        if count < _BASELINE or abs(quiet.mean() - middle) > 0.05 * onset.peak:
-            quiet = _rest_behind(values, name, onset.peak)
-            notes.append(f"{name}: no baseline before the wave, taken from the end of the record")
-        offset = float(quiet.mean())
-        if abs(offset) > 0.005 * onset.peak:
-            notes.append(f"{name}: a baseline of {offset * 1e6:.4g} microstrain is taken off")
-        noise[k], memory[k], drift = _scatter(quiet)
-        unsure[k] = noise[k] * np.sqrt(min(1.0, memory[k] / len(quiet)))
-        if drift > 0.02 * onset.peak:
-            notes.append(f"{name}: the baseline drifts by {drift * 1e6:.3g} microstrain, which is left in")
-        strain[:, k] = values - offset
-    return replace(record, strain=strain, noise=noise, memory=memory, offset=unsure, notes=tuple(notes))
+        for _ in range(3):  # what a large spike hides shows behind it
+            middle = median_filter(values, width, mode="nearest")
+            left = values - middle
+            local = 1.4826 * median_filter(np.abs(left), 5 * width, mode="nearest")
+            scatter = np.maximum(local, 1.4826 * float(np.median(np.abs(left))))
+            peak = float(np.abs(middle - np.median(middle[: max(_FEWEST, len(middle) // 50)])).max())
+            bounds = np.maximum(_SPIKE_NOISE * scatter, _SPIKE_SHARE * peak)
+            odd = _spikes(values, left, bounds, most, peak)
+            if not odd:
+                break
+            for first, last in odd:
+                inner = np.arange(first, last + 1)
+                size = float(left[inner[np.argmax(np.abs(left[inner]))]])
+                values[inner] = np.interp(inner, [first - 1, last + 1], values[[first - 1, last + 1]])
+                at = record.start + first * record.step
+                count = f"{len(inner)} sample{'s' * (len(inner) > 1)}"
+                changes.append(Change(
+                    step="spike", signal=name, sample=first, time=at, size=size,
+                    text=f"{name}: a spike of {size * 1e6:.4g} microstrain at {at * 1e6:.8g} us, {count}, is taken out",
+                ))  # fmt: skip
+    return replace(record, strain=strain, changes=(*record.changes, *changes))
 
 
-def _rest_behind(values: Array, name: str, peak: float) -> Array:
-    last = values[-max(_BASELINE, len(values) // 20) :]
+def _spikes(values: Array, left: Array, bounds: Array, most: int, peak: float) -> list[tuple[int, int]]:
+    """First and last samples of runs beyond the bounds that are short, and jump up and down; twice as long with their
+    ringing where they rise above the peak of the record, which no wave does in two samples."""
+    away = np.abs(left)
+    found: list[tuple[int, int]] = []
+    for at in np.flatnonzero(away > bounds):
+        # a large spike moves the medians around it by what the wave climbs there
+        around = slice(max(at - 2 * most, 0), at + 2 * most + 1)
+        near = away > np.maximum(0.5 * bounds, _RINGS * away[around].max())
+        if not near[at]:
+            continue
+        first = last = int(at)
+        while first > 1 and near[first - 1]:
+            first -= 1
+        while last < len(left) - 2 and near[last + 1 : last + 1 + _RINGING].any():
+            last += 1
+        if found and first <= found[-1][1] + 1:
+            found[-1] = (found[-1][0], max(last, found[-1][1]))
+        else:
+            found.append((first, last))
+    spikes = []
+    for first, last in found:
+        inner = left[first : last + 1]
+        size = float(inner[np.argmax(np.abs(inner))])
+        allowed = 2 * most if abs(size) > peak else most
+        if first < 1 or last > len(left) - 2 or last - first + 1 > allowed:
+            continue
+        jumps = np.diff(values[first - 1 : last + 2]) / size
+        if jumps.max() > _JUMP and jumps.min() < -_JUMP:
+            spikes.append((first, last))
+    return spikes
+
+
+def _marked(record: Record) -> Record:
+    """Clipped stretches held: a recorder at the end of its range writes one number again and again, where elsewhere it
+    writes noise."""
+    held, changes = record.held.copy(), []
+    for k, name in enumerate(record.names):
+        values = record.strain[:, k]
+        head = values[: max(len(values) // 20, _FEWEST)]
+        if np.ptp(head) == 0.0:  # without noise a flat top may be one
+            continue
+        quiet, _ = _longest_run(np.concatenate([[False], np.diff(head) == 0.0]))
+        for extreme in (values.max(), values.min()):
+            same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
+            run, first = _longest_run(same)
+            if run >= _FLAT and run > 2 * (quiet + 1):
+                held[same, k] = True
+                at = record.start + first * record.step
+                changes.append(Change(
+                    step="clipped", signal=name, sample=first, time=at, size=float(extreme),
+                    text=f"{name} is clipped at {extreme:.6g}: {int(same.sum())} samples from {at * 1e6:.6g} us on are "
+                    "the same; its peak is not in the record: record again with a wider range",
+                ))  # fmt: skip
+    return replace(record, held=held, changes=(*record.changes, *changes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rested:
+    """A signal about its own rest, with noise, memory and standard deviation of the baseline found there."""
+
+    values: Array
+    noise: float
+    memory: float
+    offset: float
+    wave: Wave
+
+
+def _rested(values: Array, step: float, name: str, time: Array, changes: list[Change] | None) -> _Rested:
+    """A signal without its baseline and drift, told from the samples before its first wave.
+
+    Raises
+    ------
+    RecordError
+        Where the signal has no wave or is nowhere at rest.
+    """
+    told: list[Change] = []
+    middle = float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
+    try:
+        wave = first_wave(values - middle, step, scatter)
+    except RecordError as error:
+        raise RecordError(f"{name}: {error}") from None
+    count = wave.foot - max(3, wave.rising // 5)
+    quiet = values[: max(count, 0)]
+    place = np.arange(len(quiet), dtype=float)
+    if count < _BASELINE or abs(np.median(quiet) - middle) > 0.05 * wave.peak:
+        quiet, place = _rest_behind(values, name, wave.peak)
+        told.append(Change(step="baseline", signal=name,
+                           text=f"{name}: no baseline before the wave, taken from the end of the record"))  # fmt: skip
+    else:
+        away = np.abs(quiet - np.median(quiet))
+        burst = away > max(6.0 * 1.4826 * float(np.median(away)), _TOLD * wave.peak)
+        if 0 < burst.sum() < len(quiet) // 3:
+            worst = int(np.argmax(away))
+            told.append(Change(
+                step="trigger noise", signal=name, sample=worst, time=float(time[worst]), size=float(away[worst]),
+                text=f"{name}: {int(burst.sum())} samples before the wave, of up to {away[worst] * 1e6:.4g} "
+                f"microstrain at {time[worst] * 1e6:.8g} us, are noise of the trigger and no rest",
+            ))  # fmt: skip
+            quiet, place = quiet[~burst], place[~burst]
+    offset, centre = float(quiet.mean()), float(place.mean())
+    noise, memory, slope, slope_sd = _scatter(quiet, place)
+    unsure = noise * math.sqrt(min(1.0, memory / len(quiet)))
+    line = np.full(len(values), offset)
+    reach = wave.end - centre
+    if abs(offset) > 0.005 * wave.peak:
+        told.append(Change(step="baseline", signal=name, size=offset,
+                           text=f"{name}: a baseline of {offset * 1e6:.4g} microstrain is taken off"))  # fmt: skip
+    if abs(slope) > 5.0 * slope_sd and abs(slope * reach) > 0.01 * wave.peak:
+        line += slope * (np.arange(len(values)) - centre)
+        unsure = math.hypot(unsure, slope_sd * reach)
+        told.append(Change(step="drift", signal=name, size=slope * reach,
+                           text=f"{name}: a drift of {slope * reach * 1e6:.3g} microstrain up to the end of the wave "
+                           "is taken off"))  # fmt: skip
+    if changes is not None:
+        changes += told
+    return _Rested(values=values - line, noise=noise, memory=memory, offset=unsure, wave=wave)
+
+
+def _rest_behind(values: Array, name: str, peak: float) -> tuple[Array, Array]:
+    """The end of a record, if it is at rest, and its places."""
+    last = values[-max(2 * _BASELINE, len(values) // 20) :]
     begins = float(np.median(values[:5]))
     if np.ptp(last) > 0.1 * peak:
         raise RecordError(f"{name}: the signal is at rest neither before the wave nor at the end: there is no baseline")
     if abs(begins - last.mean()) > 0.1 * np.abs(values - last.mean()).max():
         raise RecordError(f"{name}: the record begins inside the wave: its beginning is missing")
-    return last
+    return last, np.arange(len(values) - len(last), len(values), dtype=float)
 
 
-def _scatter(quiet: Array) -> tuple[float, float, float]:
-    """Standard deviation about a line, samples over which it is correlated, drift along the baseline."""
-    place = np.linspace(-0.5, 0.5, len(quiet))
-    slope = float((place * (quiet - quiet.mean())).sum() / np.square(place).sum())
-    left = quiet - quiet.mean() - slope * place
+def _scatter(quiet: Array, place: Array) -> tuple[float, float, float, float]:
+    """Standard deviation about a line, samples over which it is correlated, slope per sample and its scatter."""
+    about = place - place.mean()
+    slope = float((about * (quiet - quiet.mean())).sum() / np.square(about).sum())
+    left = quiet - quiet.mean() - slope * about
     sd = float(left.std(ddof=2))
-    unsure = sd / np.sqrt(len(quiet) / 12.0)
-    drift = abs(slope) if abs(slope) > 4.0 * unsure else 0.0
     if sd <= 1e-12 * float(np.abs(quiet).max()):  # rounding is no noise
-        return 0.0, 1.0, drift
+        return 0.0, 1.0, slope, 1e-6 * abs(slope)
     memory = 1.0
     for lag in range(1, min(len(left) // 4, 200)):
         alike = float((left[lag:] * left[:-lag]).mean() / sd**2)
         if alike < 2.0 / np.sqrt(len(left)):
             break
         memory += 2.0 * alike
-    return sd, memory, drift
+    return sd, memory, slope, sd * math.sqrt(memory / float(np.square(about).sum()))
 
 
-def turn_sign(record: Record, signal: int) -> Record:
-    """The first wave of a signal made compression, below zero, if it is not."""
-    values = record.strain[:, signal]
-    onset = find_onset(values, float(record.noise[signal]))
-    first = values[onset.sample :]
-    over = np.flatnonzero(np.abs(first) > 0.5 * onset.peak)
-    if first[over[0]] < 0.0:
-        return record
-    strain = record.strain.copy()
-    strain[:, signal] = -values
-    said = (
-        f"{record.names[signal]}: its first wave was positive; a wave that presses is negative here, the sign is turned"
-    )
-    return replace(record, strain=strain, notes=(*record.notes, said))
+def _joined(record: Record, polarity: str) -> Record:
+    """Every gauge about its rest and with its sign; those of a bar averaged, with the bending they show."""
+    changes = list(record.changes)
+    signs: list[str] = []
+    columns, helds, spreads, names, rests = [], [], [], [], []
+    for bar in record.bars:
+        alive = _alive(record, bar, polarity, changes, signs)
+        known = np.stack([~record.held[:, k] for k, _ in alive], axis=1)
+        gauges = np.stack([one.values for _, one in alive], axis=1)
+        share = known / np.maximum(known.sum(axis=1, keepdims=True), 1)
+        mean = np.where(known.any(axis=1), (share * gauges).sum(axis=1), gauges.mean(axis=1))
+        name = " and ".join(record.names[k] for k, _ in alive)
+        rest = alive[0][1]
+        spread = np.zeros(len(mean))
+        if len(alive) > 1:
+            rest = _rested(mean, record.step, name, record.time, None)
+            spread = 0.5 * np.ptp(gauges, axis=1) * known.all(axis=1)
+            part = slice(rest.wave.foot, rest.wave.end + 1)
+            bent = float(spread[part].max()) / rest.wave.peak
+            changes.append(Change(step="gauges", signal=name, size=bent * rest.wave.peak,
+                                  text=f"{name} are averaged; they show a bending of up to {bent:.1%} of the "
+                                  "wave"))  # fmt: skip
+        columns.append(rest.values)
+        helds.append(~known.any(axis=1))
+        spreads.append(spread)
+        names.append(name)
+        rests.append(rest)
+    if signs:
+        changes.append(Change(step="sign", signal=", ".join(signs), text=f"{', '.join(signs)}: the first wave was "
+                              "positive; a wave that presses is negative here, the sign is turned"))  # fmt: skip
+    return replace(
+        record, strain=np.stack(columns, axis=1), held=np.stack(helds, axis=1), spread=np.stack(spreads, axis=1),
+        names=tuple(names), bars=tuple((k,) for k in range(len(names))), changes=tuple(changes),
+        noise=np.array([one.noise for one in rests]), memory=np.array([one.memory for one in rests]),
+        offset=np.array([one.offset for one in rests]),
+    )  # fmt: skip
+
+
+def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Change],
+           signs: list[str]) -> list[tuple[int, _Rested]]:  # fmt: skip
+    """Gauges of a bar that show its wave, about their rest and with their sign."""
+    found: list[tuple[int, _Rested]] = []
+    faults = []
+    for k in bar:
+        try:
+            rest = _rested(record.strain[:, k], record.step, record.names[k], record.time, changes)
+        except RecordError as error:
+            faults.append(str(error))
+            continue
+        turned = polarity == "compression" or (polarity == "auto" and rest.wave.sign > 0.0)
+        found.append((k, replace(rest, values=-rest.values) if turned else rest))
+        if turned and polarity == "auto":
+            signs.append(record.names[k])
+    if not found:
+        raise RecordError(faults[0])
+    largest = max(rest.wave.peak for _, rest in found)
+    for k, rest in found:
+        if rest.wave.peak < _DEAD * largest:
+            faults.append(f"{record.names[k]}: shows {rest.wave.peak / largest:.1%} of what its partner shows")
+    for fault in faults:
+        changes.append(Change(step="dead gauge", signal=fault.partition(":")[0],
+                              text=f"{fault}: left out, the other gauges of the bar stand alone"))  # fmt: skip
+    return [(k, rest) for k, rest in found if rest.wave.peak >= _DEAD * largest]

@@ -74,7 +74,7 @@ _MOST_ROWS: Final = 16_384
 
 
 def _signal_units() -> Iterable[str]:
-    from uqsphere.records.record import SIGNAL_UNITS
+    from uqsphere.records.table import SIGNAL_UNITS
 
     return SIGNAL_UNITS
 

@@ -287,7 +287,7 @@ def _read_record(pulse: PulseTable, scene: Scene, findings: Findings) -> Measure
     if path is None or faulty or (pulse.correct_dispersion and bar is None):
         return None
     from uqsphere.records.pulse import measured_pulse
-    from uqsphere.records.record import RecordError
+    from uqsphere.records.table import RecordError
 
     begin, end = pulse.window or (None, None)
     try:
