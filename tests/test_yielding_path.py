@@ -147,9 +147,20 @@ def test_a_law_the_series_cannot_follow_has_no_answer(softening):
     assert (scene.status == 1).all()
 
 
-def test_quantities_that_follow_hertz_are_refused():
+def test_a_linear_contact_does_not_yield():
     scene = granite_rows(onset_pressure=1.3e9, hardness=2.4e9, pile_up=2.0)
-    with pytest.raises(ValueError, match="faces that yield"):
-        solve.solve(scene)
-    with pytest.raises(ValueError, match="faces that yield"):
-        solve.motion(scene, 0)
+    with pytest.raises(ValueError, match="linear contact does not yield"):
+        solve.motion(scene, 0, fidelity="linear")
+
+
+@pytest.mark.parametrize("case", SCENES[1:], ids=lambda case: case["name"])
+def test_a_motion_has_approaches_and_forces_of_faces_that_yield(case):
+    scene = scene_of(case["scene"])
+    found = solve.motion(scene, 0, tolerance=1e-8)
+    times = np.linspace(0.0, case["answer"]["contact_time"], 20_001)
+    assert found.forces_at(times).max() == pytest.approx(case["answer"]["P_max"], rel=1e-4)
+    assert found.states_at(times)[:, :2].max() == pytest.approx(case["answer"]["alpha_max"], rel=1e-4)
+    # where contact is lost first, the dent stays
+    at = found.states_at(np.array([case["answer"]["contact_time"]]))[0]
+    dents = [case["answer"][f"residual_{face}"] for face in "AB"]
+    assert min(abs(at[:2] - dents)) < 1e-6 * case["answer"]["alpha_max"]

@@ -44,7 +44,7 @@ def leaving(motion: Motion, bar: int, times: Array, *, sides: Array | None = Non
         -1 takes the value before a jump at that instant, 1 (everywhere if None) the value after it.
     """
     if bar == 1 and motion.returning is not None:
-        force = motion.force_at(motion.states_at(times)[:, 1])
+        force = motion.forces_at(times)[:, 1]
         return np.asarray(force / motion.impedance + motion.returning(times))
     return _echoes(motion, bar, times, _sided(motion, times, sides), first=0)
 
@@ -76,7 +76,7 @@ def _echoes(motion: Motion, bar: int, times: Array, nudge: Array, *, first: int)
     k, strength = first, end**first
     while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
         earlier = times - k * trip if k else times
-        part = motion.force_at(motion.states_at(earlier)[:, bar]) / impedance
+        part = motion.forces_at(earlier)[:, bar] / impedance
         if bar == 0:
             part = _pulse(scene, row, earlier + nudge) - part
         total += strength * part

@@ -202,7 +202,7 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
     times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
     states = found.states_at(times)
     waves = waves_at(found, times, sides=sides)
-    forces = [found.force_at(states[:, face]) for face in (0, 1)]
+    forces = list(found.forces_at(times).T)
     pressures = [found.pressure_at(force) for force in forces]
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
@@ -317,7 +317,7 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
         time = _golden(approach, nodes[max(highest - 1, 0)], nodes[min(highest + 1, len(nodes) - 1)])
         if approach(np.array([time]))[0] < approach(nodes[[highest]])[0]:
             time = nodes[highest]
-        force = float(found.force_at(approach(np.array([time])))[0])
+        force = float(found.forces_at(np.array([time]))[0, face])
         if force > 0.0 and (best is None or force > best.force):
             best = Peak(time=float(time), face=name, pressure=float(found.pressure_at(force)), force=force)
     return best

@@ -218,7 +218,7 @@ def march(
             attempts[j] += 1
             h[j] = trial
             misfit[j] = 0.0
-            over = end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
+            over = not rigged and end[j] == math.inf and time[j] >= pulse_end[row[j]] * (1.0 - 1e-12)
             low[j] = share * max(track[tracked.FACE_A, j], track[tracked.FACE_B, j]) if over else -math.inf
             if over and own[j]:
                 low[j] = tail_level(law, j, track[tracked.FACE_A, j], track[tracked.FACE_B, j], tracked.TAIL_SHARE)

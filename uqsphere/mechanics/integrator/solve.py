@@ -1,11 +1,13 @@
-"""The impact of a bar on a sphere held between two bars: all quantities of interest of a batch of scenes.
+"""A sphere between two bars, or any two partners: all quantities of interest of a batch of scenes.
 
-The equations are theory (3) in the scaled variables of theory (9):
+The equations are theory (3) in the scaled variables of theory (9), and (R3) for the other rigs:
 
-    x_1' = 2 f - q(x_1) - u      x_2' = u - q(x_2) - 2 h      mu u' = q(x_1) - q(x_2)
+    x_1' = 2 f - zeta_A q_1 + U_A - u      x_2' = u - zeta_B q_2 - 2 h - U_B      mu u' = q_1 - q_2
+    mu_A U_A' = -q_1                       mu_B U_B' = q_2
 
-with q(x) = max(x, 0)^(3/2) (`full`), max(x, 0) (`linear`), or mu = 0 (`massless`), f and h the waves that run
-towards the sphere, theory (4) and (5).
+with q = max(x, 0)^(3/2) (`full`), max(x, 0) (`linear`), or mu = 0 (`massless`), f and h the waves that run towards
+the sphere, theory (4) and (5); between bars zeta = 1 and U = 0.  Faces that differ or yield have laws of their own
+(`uqsphere.mechanics.integrator.faces`).
 """
 
 from __future__ import annotations
@@ -32,7 +34,18 @@ from uqsphere.mechanics.integrator.tracked import (
     ANSWER_WIDTHS,
     ANSWER_X_MAX,
     FULL,
+    LAW_ONSET,
+    LAW_PILE_UP,
+    LAW_SHARE,
+    LAW_SOFTENING,
+    LAW_STIFFNESS,
+    LAWS,
     NOT_FINITE,
+    RIG_GIVES,
+    RIG_LIGHTNESS,
+    RIG_SPEED,
+    RIG_THERE,
+    RIGS,
     WANT_ALL,
     WANT_CONTACT,
     WANT_DIFFERENCE,
@@ -134,18 +147,22 @@ class Motion:
         """Whether anything comes back from a bar's far end."""
         return self.reflection(bar) != 0.0 or (bar == 1 and self.returning is not None)
 
-    def states_at(self, times: Array) -> Array:
-        """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
-        scales, row = self.scene.scales, self.row
-        s = times / scales.time[row]
+    def _at(self, series: Array, times: Array) -> Array:
+        """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first touch."""
+        s = times / self.unit
         n = np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
         share = ((s - self.start[n]) / self.length[n])[:, None]
-        coefficients = self.states[n]
+        coefficients = series[n]
         total = coefficients[:, :, -1]
         for k in range(coefficients.shape[2] - 2, -1, -1):
             total = total * share + coefficients[:, :, k]
-        units = np.array([scales.approach[row], scales.approach[row], 0.5 * self.scene.columns["striker.speed"][row]])
-        return np.where((s >= 0.0)[:, None], total * units, 0.0)
+        return np.where((s >= 0.0)[:, None], total, 0.0)
+
+    def states_at(self, times: Array) -> Array:
+        """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before first touch."""
+        scales, row = self.scene.scales, self.row
+        units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
+        return np.asarray(self._at(self.states, times) * units)
 
     def force_at(self, approach: Array) -> Array:
         """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
@@ -156,7 +173,9 @@ class Motion:
 
     def forces_at(self, times: Array) -> Array:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
-        return self.force_at(self.states_at(times)[:, :2])
+        if self.forces is None:
+            return self.force_at(self.states_at(times)[:, :2])
+        return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row])
 
     def pressure_at(self, force: Values) -> Values:
         """Contact pressure p_0 [Pa] at a contact force [N]."""
@@ -182,7 +201,10 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
     echoing = scene.reflections[rows] != 0.0
     breaks = pulse.breaks[rows] / time[:, None]
     powers = time[:, None] ** np.arange(4)
-    duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
+    if scene.rig == "bars":
+        duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
+    else:  # no wave comes in
+        duration = np.ones(len(rows))
     return {
         "mass": scene.scales.mass_number[rows],
         "ends": scene.reflections[rows],
@@ -195,25 +217,43 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "level": 0.1 * np.minimum(1.0, duration),
         "graze": np.zeros(len(rows)),
         "laws": _laws(scene, rows),
-        "rigs": np.zeros((len(rows), 0, 2)),
-        "speed": np.zeros(len(rows)),
+        "rigs": _rigs(scene, rows),
+        "speed": scene.start[rows, 0] / scene.scales.speed[rows],
     }
 
 
 def _laws(scene: Scene, rows: Places) -> Array:
-    """Onset, softening, pile-up and stiffness of both faces in scaled variables, (n, LAWS, 2); (n, 0, 2): elastic."""
-    faces = scene.faces
-    if faces is None:
+    """Laws of both faces in scaled variables, (n, LAWS, 2): see `tracked`; (n, 0, 2): both forces are x^(3/2)."""
+    faces = [partner.face if partner and scene.contact_dynamics == "path" else None for partner in scene.partners]
+    if scene.rig == "bars" and faces == [None, None]:
         return np.zeros((len(rows), 0, 2))
-    softening = faces.softening[rows]
-    columns = [
-        faces.onset_approach[rows] / scene.scales.approach[rows],
-        np.where(np.abs(softening) < 1e-12, 0.0, softening),
-        faces.pile_up[rows],
-        np.ones(len(rows)),
-        np.zeros(len(rows)),
-    ]
-    return np.ascontiguousarray(np.repeat(np.stack(columns, axis=1)[:, :, None], 2, axis=2))
+    laws = np.ones((len(rows), LAWS, 2))
+    laws[:, LAW_ONSET] = np.inf
+    for pole, (partner, face) in enumerate(zip(scene.partners, faces, strict=True)):
+        if partner is None:
+            continue
+        laws[:, LAW_STIFFNESS, pole] = (partner.hertz_constant / scene.scales.hertz_constant)[rows]
+        laws[:, LAW_SHARE, pole] = partner.share[rows]
+        if face is not None:
+            yields, b = np.isfinite(face.onset[rows]), face.softening[rows]
+            laws[yields, LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[rows][yields]
+            laws[yields, LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[yields]
+            laws[yields, LAW_PILE_UP, pole] = face.pile_up[rows][yields]
+    return laws
+
+
+def _rigs(scene: Scene, rows: Places) -> Array:
+    """What stands at the poles in scaled variables, (n, RIGS, 2): see `tracked`; (n, 0, 2): two bars."""
+    if scene.rig == "bars":
+        return np.zeros((len(rows), 0, 2))
+    scales, rigs = scene.scales, np.zeros((len(rows), RIGS, 2))
+    for pole, partner in enumerate(scene.partners):
+        if partner is not None:
+            rigs[:, RIG_GIVES, pole] = (scales.force / (partner.impedance * scales.speed))[rows]
+            rigs[:, RIG_LIGHTNESS, pole] = (scales.force * scales.time / (partner.mass * scales.speed))[rows]
+            rigs[:, RIG_SPEED, pole] = (1 - 2 * pole) * (scene.start[:, 1 + pole] / scales.speed)[rows]
+            rigs[:, RIG_THERE, pole] = 1.0
+    return rigs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -372,13 +412,16 @@ def motions(
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
-    if scene.faces is not None:
-        raise ValueError(
-            "quantities of faces that yield are not answered here: read depths off `integrate`, and force, pressure, "
-            "dent and work off `Scene.faces`"
-        )
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
+    if scene.rig == "platens":
+        raise ValueError("between platens nothing moves: their answers are static, without an integrator")
+    if scene.rig != "bars" and fidelity != "full":
+        raise ValueError(f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'")
+    if fidelity == "linear" and scene.faces is not None:
+        raise ValueError(
+            "a linear contact does not yield: choose the fidelity full or massless, or [contact] law hertz"
+        )
     if not 1e-12 <= tolerance <= 1e-2:
         raise ValueError(f"tolerance must lie between 1e-12 and 1e-2, found {tolerance!r}")
 
@@ -397,8 +440,8 @@ def solve(
     ----------
     scene : Scene
     fidelity : str
-        `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact) or
-        `massless` (mu = 0).
+        `full`, `linear` (a spring of the secant stiffness beta sqrt(alpha_c) in place of the Hertz contact; not where
+        faces yield) or `massless` (mu = 0), both between bars alone.
     tolerance : float
         Relative error asked for in every quantity, 1e-12 to 1e-2.
     threads : int, optional
@@ -414,6 +457,11 @@ def solve(
     _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
+    if scene.faces is not None or scene.rig != "bars":
+        raise ValueError(
+            "quantities of faces that yield or differ are not answered here: read depths off `integrate`, and force, "
+            "pressure, dent and work off the faces of `Scene.partners`"
+        )
     found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     linear = fidelity == "linear"
     solved = answers_of(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
