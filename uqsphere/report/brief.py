@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from uqsphere.quantities import OUTPUTS, display_unit
-from uqsphere.report.contents import Contents, law_of
+from uqsphere.quantities import OUTPUTS, display_unit, reading_units
+from uqsphere.report.contents import Contents, law_of, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import plain_percent, short_input, unit_text
-from uqsphere.results import LimitEntry, MarginEntry, Results
+from uqsphere.results import NO_RIG, LimitEntry, MarginEntry, Results
 from uqsphere.study.axis import limit_of, strength_name
 
 #: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn
@@ -94,6 +94,7 @@ class Answer:
     aim: str
     modes: tuple[Mode, ...]
     axis: Axis | None
+    service: str = ""
     tests: tuple[tuple[float, float], ...] = ()
     left_whole: int = 0
     made_up: bool = False
@@ -183,21 +184,21 @@ def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]
 
 def make_brief(contents: Contents) -> Brief:
     """The brief of a finished run."""
-    results = contents.results
-    answers = tuple(_answers(contents))[:_ANSWERS]
-    leading = _leading(results)
-    drivers, driven = _drivers(results, leading)
+    results, parts = contents.results, _parts(contents)
+    answers = tuple(_all_answers(parts))[:_ANSWERS]
+    drivers, driven = next((found for part in parts.values() if (found := _drivers(part.results))[0]), ((), ""))
     manifest = contents.manifest
-    rows = sum(results.model.evaluations.values())
+    rows = sum(sum(part.results.model.evaluations.values()) for part in parts.values())
+    chosen = ", ".join(dict.fromkeys(part.results.model.chosen for part in parts.values()))
     footer = " · ".join(
         text
         for text in (
             str(results.study.hash)[:8],
             str(manifest.finished)[:10],
             f"uqsphere {results.versions.get('uqsphere', '')}".strip(),
-            "user’s model" if contents.black_box else f"impact model ({results.model.chosen})",
+            "user’s model" if contents.black_box else f"impact model ({chosen})",
             f"{rows:,} rows".replace(",", "\u202f"),
-            "strength integrated" if results.limits else "",
+            "strength integrated" if any(part.results.limits for part in parts.values()) else "",
         )
         if text
     )
@@ -206,10 +207,22 @@ def make_brief(contents: Contents) -> Brief:
         answers=answers,
         drivers=drivers,
         driven=shorten(driven, 40),
-        measure=_next_measurement(contents, answers, leading),
-        cautions=tuple(shorten(text, 220) for text in _cautions(contents, answers))[:_CAUTIONS],
+        measure=_next_measurement(parts, answers),
+        cautions=tuple(shorten(text, 220) for text in _cautions(parts))[:_CAUTIONS],
         footer=footer,
     )
+
+
+def _parts(contents: Contents) -> dict[str, Contents]:
+    """The rig's own answers, where it has one, and those of the services by their names."""
+    own = {} if contents.results.rig == NO_RIG else {"": contents}
+    return {**own, **contents.services}
+
+
+def _all_answers(parts: dict[str, Contents]) -> Iterator[Answer]:
+    for name, part in parts.items():
+        with reading_units(units_of(part.results)):
+            yield from _answers(part, name, several=len(parts) > 1)
 
 
 def _leading(results: Results) -> str | None:
@@ -218,7 +231,7 @@ def _leading(results: Results) -> str | None:
     return max(known, key=lambda name: known[name] or 0.0) if known else next(iter(results.limits), None)
 
 
-def _answers(contents: Contents) -> Iterator[Answer]:
+def _answers(contents: Contents, service: str, *, several: bool) -> Iterator[Answer]:
     """One answer for every aim of the limits; a quantity each where there are none."""
     limits = contents.results.limits
     if not limits:
@@ -228,7 +241,7 @@ def _answers(contents: Contents) -> Iterator[Answer]:
     for name, limit in limits.items():
         groups.setdefault(limit.aim, {})[name] = limit
     for group in groups.values():
-        yield _limit_answer(contents, group, several=len(groups) > 1)
+        yield _limit_answer(contents, group, service, several=several or len(groups) > 1)
 
 
 def _quantity_answers(contents: Contents) -> Iterator[Answer]:
@@ -287,7 +300,7 @@ def _mode(contents: Contents, name: str, limit: LimitEntry, margin: MarginEntry 
     )
 
 
-def _limit_answer(contents: Contents, group: dict[str, LimitEntry], *, several: bool) -> Answer:
+def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str, *, several: bool) -> Answer:
     """The answer of limits with one aim: their ways of breaking are its rivals."""
     results = contents.results
     margins = results.margins
@@ -306,7 +319,7 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], *, several: 
     if several and axis is not None and solved and target is not None:
         must = f"{plain_percent(target)} may break" if survive else f"{plain_percent(1.0 - target)} must break"
         question, big, unit = (
-            f"{'Highest' if survive else 'Least'} {axis.words} ({must})",
+            f"{'Highest' if survive else 'Least'} {axis.words}{f', {service}' if service else ''} ({must})",
             span(solved, safe_is_low=survive),
             axis.unit,
         )
@@ -314,7 +327,7 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], *, several: 
         best = next((m.at_target for m in modes if m.at_target is not None), None)
         note = planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else "")
     else:
-        question = what + at
+        question = what + at + (f", {service}" if service else "")
         big, unit = share_span(misses, target) if misses else ("not known", "")
         note = allowed
         if axis is not None and solved and target is not None:
@@ -325,7 +338,7 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], *, several: 
     answer = Answer(
         question=question, big=big, unit=unit, note=note, second=second, verdict=verdict, reasons=reasons,
         vetoed=verdict == "not established" and all(limit.met for limit in group.values()),
-        target=target, aim=first.aim, modes=tuple(modes), axis=axis,
+        target=target, aim=first.aim, modes=tuple(modes), axis=axis, service=service,
     )  # fmt: skip
     return _with_tests(contents, answer)
 
@@ -375,8 +388,9 @@ def _with_tests(contents: Contents, answer: Answer) -> Answer:
     return answer
 
 
-def _drivers(results: Results, name: str | None) -> tuple[tuple[tuple[str, float], ...], str]:
+def _drivers(results: Results) -> tuple[tuple[tuple[str, float], ...], str]:
     """The two inputs with the largest shares in what decides, and of what."""
+    name = _leading(results)
     if name is None:
         for quantity, entry in results.sensitivity.items():
             shares = {n: e.value for n, e in entry.first.items() if e.value is not None}
@@ -393,32 +407,41 @@ def _largest(shares: dict[str, float]) -> tuple[tuple[str, float], ...]:
     return tuple((words[n], float(shares[n])) for n in order if shares[n] > 0.005)
 
 
-def _next_measurement(contents: Contents, answers: Sequence[Answer], leading: str | None) -> tuple[str, str] | None:
+def _next_measurement(parts: dict[str, Contents], answers: Sequence[Answer]) -> tuple[str, str] | None:
     """The one measurement that can change the verdict."""
     for answer in answers:
         found = _between_rivals(answer)
         if found is not None:
             return found
-    for name, limit in contents.results.limits.items():
+    for part in parts.values():
+        found = _of_strength(part.results)
+        if found is not None:
+            return found
+    return None
+
+
+def _of_strength(results: Results) -> tuple[str, str] | None:
+    """How many tests settle a target or give the value, or what to measure for a probability."""
+    for name, limit in results.limits.items():
         settle = limit.tests_to_settle
         if settle and settle.tests and limit.met is not False:
             said = f"They settle the target of {shorten(name, 30)} ({plain_percent(float(settle.confidence))} sure)."
             return f"{settle.tests} tests of strength", said
-    for name, margin in contents.results.margins.items():
+    for name, margin in results.margins.items():
         more = margin.more_tests
         if more and more.to_settle:
-            count = int(more.to_settle)
-            return f"{count} more tests of strength", f"They settle the target of {name}, if they fall as those before."
+            said = f"They settle the target of {shorten(name, 30)}, if they fall as those before."
+            return f"{int(more.to_settle)} more tests of strength", said
         if more and more.to_know_the_value and more.known_to:
-            count = int(more.to_know_the_value)
-            return f"{count} tests of strength", f"They give the value to {plain_percent(float(more.known_to))}."
-    if leading is not None:
-        entry = contents.results.limits[leading].measure_first
-        if entry and entry.rows:
-            row = entry.rows[0]
-            what = "strength" if limit_of(row.input) else _DRIVERS.get(row.input, short_input(row.input))
-            return f"{row.tests} tests of {what}", "What is assumed of it moves the share broken most."
-    return None
+            said = f"They give the value to {plain_percent(float(more.known_to))}."
+            return f"{int(more.to_know_the_value)} tests of strength", said
+    leading = _leading(results)
+    entry = None if leading is None else results.limits[leading].measure_first
+    if not entry or not entry.rows:
+        return None
+    row = entry.rows[0]
+    what = "strength" if limit_of(row.input) else _DRIVERS.get(row.input) or shorten(short_input(row.input), 40)
+    return f"{row.tests} tests of {what}", "What is assumed of it moves the share broken most."
 
 
 def _between_rivals(answer: Answer) -> tuple[str, str] | None:
@@ -447,33 +470,35 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     return f"{int(count[best])} spheres at {where}", f"None broken rules out {names} (95 % sure)."
 
 
-def _cautions(contents: Contents, answers: Sequence[Answer]) -> Iterator[str]:
+def _cautions(parts: dict[str, Contents]) -> Iterator[str]:
     """What moves the answers most, the largest first: assumptions, then what few tests leave open, then checks."""
-    found: list[tuple[float, str]] = []
-    for limit in contents.results.limits.values():
-        miss = limit.miss.value
-        if miss is None:
-            continue
-        for entry in limit.assumed:
-            other = entry.miss.value
-            if other is None:
-                continue
-            crosses = limit.target is not None and (other > limit.target) != (miss > limit.target)
-            moved = abs(_log_odds(other) - _log_odds(miss))
-            if moved > math.log(_SAME) and share(other) != share(miss):
-                told = f"{_assumption(entry.assumption, entry.taken, entry.instead)}: {share(other, limit.target)}"
-                found.append((moved + (1e3 if crosses else 0.0), f"{told}{', over target' if crosses else ''}."))
-        if limit.ignorance.known and limit.ignorance.fitted:
-            high = float(limit.ignorance.miss[1])
-            tests = sum(entry.tests for entry in limit.ignorance.fitted)
-            if share(high) == share(miss):
-                continue
-            text = f"{tests} tests leave up to {share(high, limit.target)} open."
-            found.append((abs(_log_odds(high) - _log_odds(miss)), text))
+    found = [moved for part in parts.values() for limit in part.results.limits.values() for moved in _moved(limit)]
     yield from dict.fromkeys(text for _, text in sorted(found, reverse=True))
-    for check in contents.results.validity:
-        if check.share_failure + check.share_warning > 0.01:
-            yield check.text[:1].upper() + check.text[1:].rstrip(".") + "."
+    for part in parts.values():
+        for check in part.results.validity:
+            if check.share_failure + check.share_warning > 0.01:
+                yield check.text[:1].upper() + check.text[1:].rstrip(".") + "."
+
+
+def _moved(limit: LimitEntry) -> Iterator[tuple[float, str]]:
+    """How far other assumptions, and few tests, move the probability of missing an aim, in log odds, and in words."""
+    miss, target = limit.miss.value, limit.target
+    if miss is None:
+        return
+    for entry in limit.assumed:
+        other = entry.miss.value
+        if other is None or share(other) == share(miss):
+            continue
+        crosses = target is not None and (other > target) != (miss > target)
+        moved = abs(_log_odds(other) - _log_odds(miss))
+        if moved > math.log(_SAME):
+            told = f"{_assumption(entry.assumption, entry.taken, entry.instead)}: {share(other, target)}"
+            yield moved + (1e3 if crosses else 0.0), f"{told}{', over target' if crosses else ''}."
+    if limit.ignorance.known and limit.ignorance.fitted:
+        high = float(limit.ignorance.miss[1])
+        if share(high) != share(miss):
+            tests = sum(entry.tests for entry in limit.ignorance.fitted)
+            yield abs(_log_odds(high) - _log_odds(miss)), f"{tests} tests leave up to {share(high, target)} open."
 
 
 def _log_odds(p: float) -> float:

@@ -357,15 +357,15 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
 
     brief = make_brief(contents)
     modes = [
-        (mode, Markup(mode_dots(mode, answer)), "" if mode.miss is None else share(mode.miss, answer.target))
+        (mode, Markup(mode_dots(mode, answer)), "" if mode.miss is None else share(mode.miss, answer.target), answer)
         for answer in brief.answers
         for mode in answer.modes
     ]
     return {
         "brief": brief,
-        "curves": [Markup(drawing) for drawing in curve_drawings(brief.answers)],
+        "curves": [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)],
         "modes": modes,
-        "forces": any(mode.force is not None for mode, _, _ in modes),
+        "forces": any(mode.force is not None for mode, *_ in modes),
     }
 
 

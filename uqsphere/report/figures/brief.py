@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -172,11 +172,17 @@ def _nice(low: float, high: float, factor: float, most: int) -> Iterator[float]:
             return
 
 
-def curve_drawings(answers: Sequence[Answer]) -> list[str]:
-    """Share broken over the solved number by every way of breaking, with targets, plan, answers and tests."""
-    drawn = [a for a in answers if a.axis is not None and any(len(m.curve) > 1 for m in a.modes)]
-    same = [a for a in drawn if a.axis is not None and drawn[0].axis is not None and a.axis.path == drawn[0].axis.path]
-    return [_curve(same, sheet) for sheet in SHEETS] if same else []
+def curve_drawings(answers: Sequence[Answer]) -> list[list[str]]:
+    """Share broken over the solved number by every way of breaking, with targets, plan, answers and tests.
+
+    One drawing for every number that is solved for, each in the sizes of `SHEETS`; beside each other in the smallest.
+    """
+    groups: dict[tuple[str, str], list[Answer]] = {}
+    for answer in answers:
+        if answer.axis is not None and any(len(mode.curve) > 1 for mode in answer.modes):
+            groups.setdefault((answer.service, answer.axis.path), []).append(answer)
+    sheets = SHEETS if len(groups) == 1 else (replace(SHEETS[-1], name="every", type=12),)
+    return [[_curve(group, sheet) for sheet in sheets] for group in groups.values()]
 
 
 def _curve(answers: Sequence[Answer], sheet: Sheet) -> str:
@@ -208,6 +214,8 @@ def _curve(answers: Sequence[Answer], sheet: Sheet) -> str:
     parts += _names(paper, shown)
     for answer in answers:
         parts += _cross(paper, answer)
+    if answers[0].service:
+        parts.append(_text(paper.left, paper.bottom + 2.9 * size, answers[0].service, kind="strong"))
     title = "Share broken over " + paper.axis.words + ": " + ", ".join(m.name.lower() for m in shown)
     return _svg(sheet, title, parts)
 
