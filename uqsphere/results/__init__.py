@@ -751,6 +751,13 @@ class PaperRow(Entry):
     note: StrictStr
 
 
+class AnalysisEntry(Entry):
+    """An analysis that the study asked for by name: estimates by quantity, row and column, or why there are none."""
+
+    values: dict[Name, dict[Name, Ests]] = Field(default_factory=dict)
+    reason: StrictStr = ""
+
+
 # --- the documents --------------------------------------------------------------------------------------
 
 
@@ -766,6 +773,7 @@ class Results(Entry):
     limits: dict[Name, LimitEntry]
     margins: dict[Name, MarginEntry]
     fracture: Maybe[FractureEntry] = Field(default_factory=FractureEntry)
+    analyses: dict[Name, AnalysisEntry] = Field(default_factory=dict)
     model: ModelEntry
     validity: tuple[CheckEntry, ...]
     plan: PlanEntry = Field(default_factory=PlanEntry)

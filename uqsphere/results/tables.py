@@ -156,6 +156,15 @@ def tables(results: Results) -> dict[str, str]:
     }
     if results.fracture:
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(results.fracture))
+    if results.analyses:
+        rows = [
+            [analysis, quantity, of, statistic, *_row(estimate)]
+            for analysis, entry in results.analyses.items()
+            for quantity, table in entry.values.items()
+            for of, columns in table.items()
+            for statistic, estimate in columns.items()
+        ]
+        found["analyses"] = (("analysis", "quantity", "of", "statistic", *_ESTIMATE), rows)
     if results.paper:
         found["paper"] = (
             ("quantity", "unit", "as_printed", "corrected", "full", "note"),

@@ -16,6 +16,7 @@ from uqsphere.runner.finished import Run
 from uqsphere.runner.multifidelity import propose
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
+from uqsphere.runner.questions.further import find_analyses
 from uqsphere.runner.questions.margins import find_margins, judge_answers
 from uqsphere.runner.questions.probabilities import refine_limits
 from uqsphere.runner.questions.shapley import share_variance
@@ -60,6 +61,7 @@ def _by_surrogate(work: Work, pilot: Pilot, one: Expensive) -> Findings | None:
         sensitivity=one.sensitivity,
         margins=one.margins,
         tolerance=tolerance,
+        analyses=find_analyses(work),
         history=work.ledger.rows,
         stops={"sampling": one.sampled.stopped, "sensitivity": one.sampled.stopped},
     )
@@ -77,6 +79,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
     _tell_verdicts(sampled, notice)
     tolerance = find_tolerance(work)
     ledger.close("tolerance intervals")
+    analyses = find_analyses(work)
     margins = find_margins(work, sampled)
     if one is not None:
         margins = keep_margins(work, margins, one)
@@ -99,6 +102,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
         margins=margins,
         fracture=fracture,
         tolerance=tolerance,
+        analyses=analyses,
         history=work.ledger.rows,
         stops={"sampling": sampled.stopped, "sensitivity": shared.stopped},
         paper=compare_with_paper(work.study),

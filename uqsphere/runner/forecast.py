@@ -34,6 +34,7 @@ from uqsphere.runner.schedule import (
     pilot_points,
 )
 from uqsphere.study import Limit, Study
+from uqsphere.study.document import FURTHER
 from uqsphere.study.faults import one_of
 from uqsphere.uq.law import Law
 
@@ -260,6 +261,10 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         yield "rare events", *_rare(study, end)
     if analysis.tolerance_intervals:
         yield "tolerance intervals", analysis.tolerance_intervals.runs, analysis.tolerance_intervals.runs
+    if set(analysis.methods) & set(FURTHER):
+        from uqsphere.runner.questions.further import planned_analyses
+
+        yield from ((name, count, count) for name, count in planned_analyses(study))
     if not surrogate:
         yield "margins", *_margins(study, end)
         yield "fracture", *_fracture(study, end)

@@ -12,7 +12,16 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import NO_RIG, CheckEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
+from uqsphere.results import (
+    NO_RIG,
+    AnalysisEntry,
+    CheckEntry,
+    FractureEntry,
+    PlanEntry,
+    Results,
+    SpeedRow,
+    ToleranceEntry,
+)
 from uqsphere.results.entries import Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
@@ -48,6 +57,7 @@ class Findings:
     index_control: IndexControl = field(default_factory=IndexControl)
     margins: dict[str, MarginAnswer] = field(default_factory=dict)
     tolerance: dict[str, ToleranceEntry] = field(default_factory=dict)
+    analyses: dict[str, AnalysisEntry] = field(default_factory=dict)
     history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
@@ -234,6 +244,7 @@ def build_results(work: Work, found: Findings) -> Results:
             {limit.name: limit.quantity for limit in study.limits},
         ),
         **({} if found.fracture is None else {"fracture": found.fracture}),
+        **({"analyses": found.analyses} if found.analyses else {}),
         "model": {
             "chosen": found.pilot.chosen,
             "why": found.pilot.why,

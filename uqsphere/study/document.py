@@ -62,7 +62,9 @@ ENERGY_OF: Final = {
 #: what a target or an anvil is
 PARTNERS: Final = ("thick", "plate", "bar", "mass")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
-METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset")
+#: analyses of their own, `uqsphere.runner.questions.further`
+FURTHER: Final[tuple[str, ...]] = ()
+METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset", *FURTHER)
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
 #: gauges of one scene
 MOST_GAUGES: Final = 20
