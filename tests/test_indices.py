@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import ndtri
 
+import uqsphere
 from tests.campaigns.coverage import CoverageModel, coverage_models
+from uqsphere.report import build_report
+from uqsphere.runner.questions.further import planned_analyses
+from uqsphere.study import Study
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.indices import (
     ESTIMATORS,
@@ -284,3 +290,32 @@ def test_cross_check_names_what_disagrees() -> None:
     good, text = cross_check(["x", "y"], {"first": [near, far]}, {"first": [near, near]})
     assert not good
     assert "first of y (0.9100 against 0.5100)" in text
+
+
+# --- screening ------------------------------------------------------------------------------------
+
+
+def test_a_screening_has_the_effects_of_every_step_there_is(tmp_path: Path, box_text: str) -> None:
+    """All starts of a function of two inputs, tried one by one, against trajectories of a run."""
+
+    def model(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.sin(3.0 * x["x1"]) + x["x1"] * x["x2"]}
+
+    (tmp_path / "box.toml").write_text(box_text.replace('["sobol"]', '["morris"]'), encoding="utf-8")
+    run = uqsphere.run(uqsphere.load_study(tmp_path / "box.toml"), out=tmp_path / "r", model=model)
+    found = run.results.analyses["morris"].values["y"]
+    one, other = (np.arange(4) + 0.5) / 4, ndtri((np.arange(4) + 0.5) / 4)
+    y = model({"x1": one[:, None], "x2": other})["y"]
+    for name, effects in (("x1", y[2:] - y[:2]), ("x2", y[:, 2:] - y[:, :2])):
+        for column, truth in (("mean absolute effect", np.abs(effects).mean()), ("mean effect", effects.mean()),
+                              ("sd of the effect", effects.std())):  # fmt: skip
+            assert found[name][column].value == pytest.approx(truth, abs=4.0 * found[name][column].std_error)
+    assert found["x1"]["mean effect"].evaluations == 32 * 3
+    assert (tmp_path / "r" / "tables" / "analyses.csv").read_text("utf-8").count("morris,y,x1") == 3
+    assert "One input at a time" in build_report(tmp_path / "r").read_text("utf-8")
+
+
+def test_a_screening_says_why_there_is_none(study_from: Callable[..., Study], tmp_path: Path) -> None:
+    late = study_from('analysis.methods=["morris"]', "analysis.budget.evaluations=150", quick=True)
+    assert "no room" in uqsphere.run(late, out=tmp_path / "r").results.analyses["morris"].reason
+    assert dict(planned_analyses(late)) == {"morris": 32 * 4}

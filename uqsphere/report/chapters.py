@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from uqsphere.report.assumptions import answer_checks, granted_block, turns
-from uqsphere.report.blocks import Block, Chapter
+from uqsphere.report.blocks import Block, Chapter, Table, cell
 from uqsphere.report.claims import (
     Claim,
     demand_claim,
@@ -481,6 +481,25 @@ def others_chapter(contents: Contents) -> Chapter:
     )
 
 
+def screening_chapter(contents: Contents) -> Chapter:
+    """Effects of one input at a time, those that move a quantity furthest first."""
+    entry, blocks = contents.results.analyses.get("morris"), []
+    for quantity, table in entry.values.items() if entry else ():
+        names = sorted(table, key=lambda name: -(table[name]["mean absolute effect"].value or 0.0))
+        columns = tuple(table[names[0]])
+        rows = tuple((input_name(n), *(cell(table[n][column], quantity) for column in columns)) for n in names)
+        told = (
+            f"{capital(the_input(names[0]))} moves {symbol(quantity)} furthest when it crosses half of its law alone."
+        )
+        caption = f"Change of {symbol(quantity)} as one input crosses half of its law (Morris), with 95 % intervals"
+        shown = Table(caption=caption, header=("input", *columns), rows=rows)
+        blocks.append(Block(heading=f"Screening of {symbol(quantity)}", finding=told, table=shown,
+                            files=("tables/analyses.csv",)))  # fmt: skip
+    if entry and entry.reason:
+        blocks.append(Block(heading="Screening", finding=f"No input was screened: {entry.reason}."))
+    return Chapter(anchor="screening", heading="One input at a time", short="Screening", blocks=tuple(blocks))
+
+
 def methods_chapter(contents: Contents) -> Chapter:
     """The plan, the methods, and how the errors fell."""
     steps, speed = convergence_figure(contents), speed_figure(contents)
@@ -721,5 +740,6 @@ CHAPTERS: Final[tuple[Callable[[Contents], Chapter], ...]] = (
     computed_chapter,
     inputs_chapter,
     others_chapter,
+    screening_chapter,
     methods_chapter,
 )

@@ -63,7 +63,7 @@ ENERGY_OF: Final = {
 PARTNERS: Final = ("thick", "plate", "bar", "mass")
 FIDELITIES: Final = ("auto", "massless", "linear", "full")
 #: analyses of their own, `uqsphere.runner.questions.further`
-FURTHER: Final[tuple[str, ...]] = ()
+FURTHER: Final[tuple[str, ...]] = ("morris",)
 METHODS: Final = ("qmc", "pce", "sobol", "form", "importance", "subset", *FURTHER)
 SHAPES: Final = ("rectangular", "trapezoid", "ramp", "half_sine", "two_peak", "step", "measured")
 #: gauges of one scene
