@@ -154,7 +154,7 @@ def test_waves_take_little_of_a_blow():
     """0.7 % of the energy on steel for 20 mm limestone at 3.6 m/s."""
     _, beta, mass = numbers(LIMESTONE)
     shear = math.sqrt(210e9 / 2.6 / 7850.0)
-    assert impact.wave_loss(beta, mass, 3.6, 7850.0, shear) == pytest.approx(0.007, abs=5e-4)
+    assert rigs.wave_loss(beta, mass, 3.6, 7850.0, shear) == pytest.approx(0.007, abs=5e-4)
 
 
 def test_a_fall_loses_speed_to_the_air():

@@ -144,9 +144,31 @@ def solve_scene(
     from uqsphere.mechanics import closed_form
     from uqsphere.mechanics.integrator import solve as dynamics
 
+    if scene.rig != "bars":
+        return _solve_rig(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     if closed_form.closed_form_applies(scene, fidelity):
         return closed_form.solve_closed(scene, fidelity, quantities)
     return dynamics.solve(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
+
+
+def _solve_rig(
+    scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
+) -> Answers:
+    """The same for a rig other than bars: what has a closed form needs no integrator, row by row."""
+    from uqsphere.mechanics import impact
+    from uqsphere.mechanics.integrator import solve as dynamics
+    from uqsphere.mechanics.outputs import merged_answers
+
+    closed = impact.closed_form_rows(scene)
+    if closed.all():
+        return impact.solve_closed(scene, quantities)
+    parts = {False: np.flatnonzero(~closed), True: np.flatnonzero(closed)}
+    rest = dynamics.solve(
+        scene.at(parts[False]), fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
+    )
+    if len(parts[True]) == 0:
+        return rest
+    return merged_answers((parts[False], rest), (parts[True], impact.solve_closed(scene.at(parts[True]), quantities)))
 
 
 def _solve(scene: Scene, quantities: Sequence[str], fidelity: str, tolerance: float, threads: int | None) -> Answered:

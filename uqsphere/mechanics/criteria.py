@@ -147,6 +147,25 @@ class Criterion:
         return (*self.needs, *(("loading_rate", "P_max") if "rate_0" in parameters else ()))
 
 
+class _Face(Mapping[str, Any]):
+    """Columns of one face: its own, and those of the row beside."""
+
+    def __init__(self, own: Columns, row: Columns) -> None:
+        self._own, self._row = own, row
+
+    def __getitem__(self, name: str) -> Any:
+        return self._own[name] if name in self._own else self._row[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in self._row
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._own, **self._row})
+
+    def __len__(self) -> int:
+        return len({*self._own, *self._row})
+
+
 def demand(criterion: Criterion, columns: Columns, parameters: Parameters = MappingProxyType({})) -> Array:
     """The demand of n rows, in SI, to be compared with the criterion's strength.
 
@@ -172,7 +191,10 @@ def demand(criterion: Criterion, columns: Columns, parameters: Parameters = Mapp
         bounds = PARAMETERS[name]
         if not bounds.lower < value < bounds.upper:
             raise ValueError(f"{name} must lie between {bounds.lower:g} and {bounds.upper:g}, found {value!r}")
-    found = np.atleast_1d(np.asarray(criterion.formula_of(columns, parameters), dtype=float))
+    # faces that are not alike are looked at one by one, each with what presses at the other pole
+    faces = [_Face(side, columns) for side in columns["sides"]] if "sides" in columns else [columns]
+    demands = [np.atleast_1d(np.asarray(criterion.formula_of(face, parameters), dtype=float)) for face in faces]
+    found = np.asarray(np.maximum.reduce(demands))
     if "rate_0" in parameters:
         found = found / dynamic_increase(strain_rate(columns), parameters["rate_0"])
     return found
@@ -200,20 +222,46 @@ def _ratio(columns: Columns) -> Array:
     return np.asarray(columns["a_max"] / np.asarray(columns["sphere.radius"], dtype=float))
 
 
+def _pressure(columns: Columns) -> Array:
+    """Pressure that the stress inside follows from [Pa]: of Hertz, for the same force on the same circle."""
+    return np.asarray(columns["p_field" if "p_field" in columns else "p_max"])
+
+
+def _central_force(columns: Columns) -> Array:
+    """Force that the centre and the equator feel [N]: the mean of both poles', exactly, (R19); P_max where equal."""
+    return np.asarray(columns["force_at_centre" if "force_at_centre" in columns else "P_max"])
+
+
 def _tabulated(name: str) -> Callable[[Columns, Parameters], Array]:
     def formula(columns: Columns, parameters: Parameters) -> Array:
-        return np.asarray(columns["p_max"]) * tables.ratio(name, _ratio(columns), columns["sphere.nu"])
+        return _pressure(columns) * tables.ratio(name, _ratio(columns), columns["sphere.nu"])
 
     return formula
 
 
+def _between(one: Array, two: Array, columns: Columns) -> Array:
+    """What one pole's force does alone, what both do if equal, and by `balance` what they do as they are. (R20).
+
+    On the axis the field is the sum of two, but for the place of its largest value; a weakest-link integral lies below,
+    for a norm is convex.
+    """
+    return np.asarray(one + (two - one) * columns["balance"])
+
+
 def _core(columns: Columns, parameters: Parameters) -> Array:
-    return np.asarray(columns["p_max"]) * tables.core_ratio(_ratio(columns), columns["sphere.nu"])[0]
+    ratio, nu = _ratio(columns), columns["sphere.nu"]
+    field = tables.core_ratio(ratio, nu)[0]
+    if "balance" in columns:
+        field = _between(tables.ratio("core_one", ratio, nu), field, columns)
+    return _pressure(columns) * field
 
 
 def _equator(columns: Columns, parameters: Parameters) -> Array:
     ratio = np.square(_ratio(columns))
-    return np.asarray(columns["p_max"]) * ratio * tables.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    found = _pressure(columns) * ratio * tables.ratio("equator", _ratio(columns), columns["sphere.nu"])
+    if "force_at_centre" in columns:
+        found = found * (_central_force(columns) / columns["P_max"])
+    return np.asarray(found)
 
 
 def strain_rate(columns: Columns) -> Array:
@@ -282,7 +330,8 @@ def equivalent_tension(
 ) -> Array:
     """sigma_eq = (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m) [Pa]; `over` is volume or surface, size_ratio V/V_0 or S/S_0.
 
-    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
+    With a strength of modulus m and scale sigma_0 for the reference size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).  With
+    `_one` after it, of one pole's force alone.
     """
     field = tables.ratio(over, contact_ratio, nu, modulus)
     return np.asarray(np.asarray(pressure) * field * np.asarray(size_ratio) ** (1.0 / np.asarray(modulus)))
@@ -295,8 +344,12 @@ def _weakest(over: str) -> Callable[[Columns, Parameters], Array]:
             size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
         else:
             size = 4.0 * math.pi * radius**2 / parameters["reference_area"]
-        modulus = parameters["modulus"]
-        return equivalent_tension(columns["p_max"], _ratio(columns), columns["sphere.nu"], modulus, size, over=over)
+        given = (_pressure(columns), _ratio(columns), columns["sphere.nu"], parameters["modulus"], size)
+        two = equivalent_tension(*given, over=over)
+        if "balance" not in columns:
+            return two
+        share = {"balance": np.minimum(columns["balance"], 1.0)}
+        return _between(equivalent_tension(*given, over=f"{over}_one"), two, share)
 
     return formula
 
@@ -305,12 +358,29 @@ def _weakest_rim(columns: Columns, parameters: Parameters) -> Array:
     ratio, nu, m = _ratio(columns), columns["sphere.nu"], parameters["modulus"]
     size = 4.0 * math.pi * np.square(np.asarray(columns["sphere.radius"])) / parameters["reference_area"]
     field = tables.half_space_rim(ratio, nu, m) * tables.ratio("rim", ratio, nu, m)
-    return np.asarray(np.asarray(columns["p_max"]) * field * size ** (1.0 / m))
+    if "balance" in columns:
+        # each rim is a hazard of its own, that of an equal force half of both: it goes with a² p_0^m
+        other = np.minimum(columns["balance"], 1.0) ** ((m + 2.0) / 3.0)
+        field = field * (0.5 * (1.0 + other)) ** (1.0 / m)
+    return np.asarray(_pressure(columns) * field * size ** (1.0 / m))
 
 
-def _energy(columns: Columns, parameters: Parameters) -> Array:
-    energy = np.asarray(columns["specific_energy"], dtype=float)
-    return truncated_energy(energy, parameters["largest_energy"]) if "largest_energy" in parameters else energy
+def _energy_criterion(name: str, symbol: str, of: str) -> Criterion:
+    """The fracture energy of one of the three energies of (R22); which one a strength means has to be said."""
+
+    def energy(columns: Columns, parameters: Parameters) -> Array:
+        found = np.asarray(columns[name], dtype=float)
+        return truncated_energy(found, parameters["largest_energy"]) if "largest_energy" in parameters else found
+
+    return Criterion(
+        name=name, quantity=name, symbol=symbol, display="J/kg",
+        measures="specific energy, stretched so that a bounded fracture energy becomes lognormal",
+        follows="energy" if name != "specific_impact_energy" else "", meaning=f"energy {of} per mass",
+        formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
+        strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
+        source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
+        range_text="that of the contact", needs=(name,), optional=("largest_energy",), formula_of=energy,
+    )  # fmt: skip
 
 
 _FIELD: Final = ("p_max", "a_max", "sphere.radius", "sphere.nu")
@@ -373,7 +443,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             source="degree 2 of the series, theory (19)", range_text="a/r <= 0.2", needs=("P_max", *_FIELD),
             optional=_RATE, ranges={"a/r": (0.0, 0.2), "sphere.nu": (0.0, 0.5)},
             formula_of=lambda columns, parameters: np.asarray(contact.centre_tension(
-                np.asarray(columns["P_max"]), np.asarray(columns["sphere.radius"]),
+                _central_force(columns), np.asarray(columns["sphere.radius"]),
                 np.asarray(columns["sphere.nu"])))),
         Criterion(
             name="equatorial_tension", quantity="equatorial_tension",
@@ -390,7 +460,8 @@ CRITERIA: Final[dict[str, Criterion]] = {
             formula="0.9 P_max/D²", dimension="pressure", strength="point-load (Hiramatsu-Oka) strength",
             source="Hiramatsu and Oka, Int. J. Rock Mech. Min. Sci. 3 (1966) 89", range_text="a/r <= 0.2",
             needs=("P_max", "a_max", "sphere.radius"), optional=_RATE, ranges={"a/r": (0.0, 0.2)},
-            formula_of=lambda columns, parameters: hiramatsu_oka_tension(columns["P_max"], columns["sphere.radius"])),
+            formula_of=lambda columns, parameters: hiramatsu_oka_tension(
+                _central_force(columns), columns["sphere.radius"])),
         Criterion(
             name="grain_tension", quantity="grain_tension",
             symbol="sigma_F", display="MPa", measures="nominal tension P/D² of a grain between two platens",
@@ -401,7 +472,7 @@ CRITERIA: Final[dict[str, Criterion]] = {
             range_text="a/r <= 0.2", needs=("P_max", "a_max", "sphere.radius"), optional=_RATE,
             ranges={"a/r": (0.0, 0.2)},
             formula_of=lambda columns, parameters: np.asarray(
-                columns["P_max"] / np.square(2.0 * np.asarray(columns["sphere.radius"])))),
+                _central_force(columns) / np.square(2.0 * np.asarray(columns["sphere.radius"])))),
         Criterion(
             name="weakest_link_volume", meaning="flaws in the volume opened by the hoop tension",
             symbol="sigma_V", display="MPa",
@@ -433,16 +504,11 @@ CRITERIA: Final[dict[str, Criterion]] = {
             range_text=_WEIBULL_TEXT, needs=_FIELD,
             parameters=("modulus", "reference_area"), ranges=_WEIBULL_TABLE,
             formula_of=_weakest_rim),
-        Criterion(
-            name="specific_energy", quantity="specific_energy",
-            symbol="E'", display="J/kg",
-            measures="specific energy, stretched so that a bounded fracture energy becomes lognormal", follows="energy",
-            meaning="energy stored in both contacts per mass",
-            formula="W/M, or E_max (W/M)/(E_max - W/M)", dimension="specific_energy",
-            strength="specific fracture energy, lognormal (with E_max: upper-truncated)",
-            source="Tavares and King, Int. J. Miner. Process. 54 (1998) 1, from memory",
-            range_text="that of the contact",
-            needs=("specific_energy",), optional=("largest_energy",), formula_of=_energy),
+        *(_energy_criterion(name, symbol, of) for name, symbol, of in (
+            ("specific_energy", "E'", "stored in both contacts, of both bodies"),
+            ("specific_energy_sphere", "E_s'", "that is the sphere's share of both contacts"),
+            ("specific_impact_energy", "E_in'", "that the blow offers"),
+        )),
         Criterion(
             name="subsurface_shear", quantity="subsurface_shear",
             symbol="tau_max", display="MPa", measures="largest shear stress on the axis, below the contact",

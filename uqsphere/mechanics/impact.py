@@ -1,4 +1,4 @@
-"""Impact of a free sphere on one partner: closed forms, without an integrator.
+"""Impact of a free sphere on one partner, and a slow press: closed forms, without an integrator.
 
 A sphere of mass M meets a half-space, a free mass, a thin plate or the end of a bar at the closing speed v, square on.
 With P = beta alpha^1.5 all is a power of the inputs (Hertz 1882; Johnson, Contact Mechanics, 1985, 11.4), but for
@@ -11,6 +11,7 @@ Every function is elementwise on arrays (or floats) in SI.  Numbering (R...) of 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,16 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
+from uqsphere.mechanics.outputs import Answers, answers_from
+from uqsphere.mechanics.partners import Partner
 from uqsphere.mechanics.rigs import MOST_YIELDING
+from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
-
-#: t_c = _DURATION (M²/(beta² v))^0.2, (R11): 2 * integral of dx/sqrt(1 - x^2.5) from 0 to 1, times 1.25^0.4
-_DURATION: Final = 3.218065487
-#: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner; Miller and Pursey 1954)
-_RADIATION: Final = 0.1486
-#: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
-_PULSE: Final = 3.80584
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +42,23 @@ def reduced_mass(mass: Any, partner: Any = math.inf) -> Array:
     return np.asarray(mass / (1.0 + mass / np.asarray(partner, dtype=float)))
 
 
+#: columns of the table: restitution, peak force, duration, width at half the peak and rise from 10 % to 90 % of it
+_COLUMNS: Final = ("restitution", "force", "duration", "width", "rise")
+
+
 @cache
-def _table() -> tuple[Any, Any, Any]:
-    """Restitution, peak force and duration over lam in [0, 3] as Chebyshev series; force and time in units of (R13)."""
+def _table() -> Mapping[str, np.polynomial.Chebyshev]:
+    """`_COLUMNS` over lam in [0, 3] as Chebyshev series; force and times in units of (R13)."""
     with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
         columns = np.loadtxt(lines, delimiter=",", skiprows=1).T
-    made = [np.polynomial.Chebyshev(column, domain=[0.0, MOST_YIELDING]) for column in columns]
-    return made[0], made[1], made[2]
+    series = [np.polynomial.Chebyshev(column, domain=[0.0, MOST_YIELDING]) for column in columns]
+    return dict(zip(_COLUMNS, series, strict=True))
+
+
+def _elastic(lam: Array) -> dict[str, Array]:
+    """`_COLUMNS` at lam; where nothing gives way one number for all rows, NaN above 3."""
+    inside = np.where(lam <= MOST_YIELDING, lam, np.nan) if np.any(lam) else np.zeros(1)
+    return {name: np.asarray(series(inside)) for name, series in _table().items()}
 
 
 def blow(hertz_constant: Any, mass: Any, speed: Any, impedance: Any = math.inf) -> Blow:
@@ -74,13 +81,13 @@ def blow(hertz_constant: Any, mass: Any, speed: Any, impedance: Any = math.inf) 
     force = beta**0.4 * mass**0.6 * v**1.2
     lam = force / (v * np.asarray(impedance, dtype=float))
     inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
-    restitution, peak, duration = (np.asarray(one(inside)) for one in _table())
-    force = force * peak
+    at = {name: np.asarray(series(inside)) for name, series in _table().items()}
+    force = force * at["force"]
     return Blow(
         force=force,
         approach=np.cbrt(np.square(force / beta)),
-        duration=duration * (mass**2 / (beta**2 * v)) ** 0.2,
-        restitution=restitution,
+        duration=at["duration"] * (mass**2 / (beta**2 * v)) ** 0.2,
+        restitution=at["restitution"],
     )
 
 
@@ -111,7 +118,156 @@ def light_sphere_constant(behind: Any, ahead: Any) -> Array:
     return np.asarray((np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)) ** -1.5)
 
 
-def wave_loss(hertz_constant: Any, mass: Any, speed: Any, density: Any, shear_speed: Any) -> Array:
-    """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys. Solids 5 (1957) 162."""
-    compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
-    return np.asarray(_PULSE * compliance * np.asarray(hertz_constant) ** 1.2 * mass**-0.2 * np.asarray(speed) ** 0.6)
+# --- scenes -------------------------------------------------------------------------------------------
+
+
+def closed_form_rows(scene: Scene) -> Flags:
+    """Rows that `solve_closed` answers, (n,): one contact, nothing back before the bodies part; platens all."""
+    behind, ahead = scene.partners
+    if scene.rig == "platens":
+        return np.ones(len(scene), dtype=bool)
+    if behind is not None or ahead is None or scene.horizon is not None:
+        return np.zeros(len(scene), dtype=bool)
+    if _path_of(ahead, scene) is not None and ahead.kind not in ("thick", "mass"):
+        # a face that yields and a partner that carries waves off have no closed form together
+        return np.zeros(len(scene), dtype=bool)
+    if ahead.kind != "bar":
+        return np.ones(len(scene), dtype=bool)
+    with np.errstate(all="ignore"):
+        duration = scene.scales.time * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
+        return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
+
+
+def solve_closed(scene: Scene, quantities: Collection[str] | None = None) -> Answers:
+    """Quantities of interest of n scenes in closed form, with the same names as `integrator.solve`.
+
+    An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23), platens by statics.
+    Rows outside `closed_form_rows` are not looked for: ask there first.
+    """
+    with np.errstate(all="ignore"):
+        if scene.rig == "platens":
+            tracked = _pressed(scene)
+        else:
+            ahead = scene.partners[1]
+            assert ahead is not None
+            face = _path_of(ahead, scene)
+            tracked = _blown(scene, ahead) if face is None else _yielded(scene, face, ahead)
+    tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in tracked.items()}
+    return answers_from(scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities)
+
+
+def _path_of(partner: Partner, scene: Scene) -> Face | None:
+    """The law that moves the bodies at a face; None: Hertz."""
+    return partner.face if scene.contact_dynamics == "path" else None
+
+
+def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
+    """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common centre of mass."""
+    waves = ahead.kind in ("bar", "plate")
+    lam = scene.scales.force / (scene.scales.speed * ahead.impedance) if waves else np.zeros(1)
+    at = _elastic(lam)
+    x = np.cbrt(np.square(at["force"]))
+    found = {
+        "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],
+        "width": at["width"], "rise": at["rise"], "ended": at["duration"], **_speeds(scene, ahead, at["restitution"]),
+        **_CENSORED,
+    }  # fmt: skip
+    if waves:
+        # what is lost is what the impedance takes: (1 - e²)/2 = lam times the integral of q²
+        found["carried_b"] = (1.0 - np.square(at["restitution"])) / (2.0 * lam)
+    return found
+
+
+#: a blow in closed form ends by itself
+_CENSORED: Final = {"contact_censored": np.zeros(1), "width_censored": np.zeros(1)}
+
+
+def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:
+    """Speeds of sphere and partner after a blow, over the closing speed."""
+    if ahead.kind != "mass":
+        return {"end_speed": -restitution, "end_speed_b": np.zeros(1)}
+    share = scene.scales.mass / (scene.scales.mass + ahead.mass)
+    return {"end_speed": share - (1.0 - share) * restitution, "end_speed_b": share * (1.0 + restitution)}
+
+
+def _yielded(scene: Scene, face: Face, ahead: Partner) -> dict[str, Array]:
+    """A blow on a face that yields, in scaled variables: depth by (R23), times by quadrature."""
+    scales = scene.scales
+    depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
+    x = depth * face.onset_approach / scales.approach
+    state, restitution = face.pressed(depth), face.restitution(depth)
+    top, (low, half, high) = state.force / face.onset_force, (0.1, 0.5, 0.9)
+    down = [_loading(face, depth, face.depth_at(share * top * face.onset_force)) for share in (low, half, high)]
+    down.append(_loading(face, depth, np.zeros(1)))
+    to_scaled = face.onset_approach / scales.approach
+    # unloading is Hertz's from alpha_e down, and leaves at the speed of restitution
+    up = face.recovery(depth) * to_scaled / restitution
+    whole = down[3] * to_scaled + up * _UNLOADING[0]
+    return {
+        "x_max": x, "x_b": x, "stored": state.stored / (scales.force * scales.approach), "contact": whole,
+        "parting": whole, "width": down[1] * to_scaled + up * _UNLOADING[1], "ended": whole,
+        "rise": (down[0] - down[2]) * to_scaled, **_speeds(scene, ahead, restitution), **_CENSORED,
+    }  # fmt: skip
+
+
+#: integral of dx/sqrt(1 - x^2.5) from 0, and from 0.5^(2/3), to 1: unloading times over alpha_e/v, (R11)
+_UNLOADING: Final = (1.4716375921624, 0.8084992204472)
+#: Gauss points of a quarter of a blow below and above onset: analytic in the angle, 1e-12 at all depths
+_POINTS: Final = 24
+
+
+def _loading(face: Face, depth: Array, start: Array) -> Array:
+    """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 - W(z)/W(z_m)).
+
+    With z = z_m cos²(t) the integrand is smooth at both ends; it bends at the onset, where the range is cut.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+    ends = [np.arccos(np.sqrt(np.minimum(place / depth, 1.0))) for place in (np.maximum(start, 1.0), start)]
+    total, work, low = np.zeros_like(depth), face.work(depth), np.zeros_like(depth)
+    for high in ends:
+        for node, weight in zip(nodes, weights, strict=True):
+            angle = low + 0.5 * (high - low) * (node + 1.0)
+            left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
+            step = np.where(angle > 0.0, np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300)), 0.0)
+            total += 0.5 * (high - low) * weight * depth * step
+        low = high
+    return total
+
+
+def _pressed(scene: Scene) -> dict[str, Array]:
+    """Platens in scaled variables: equal forces, statics; both faces of one law."""
+    scales, c, partner = scene.scales, scene.columns, scene.struck
+    softness = 1.0 / scene.column("platens.machine_stiffness", np.inf)
+    force = c["platens.force"] if "platens.force" in c else _force_at(partner, c["platens.displacement"], softness)
+    if (face := partner.face) is None:
+        approach = np.cbrt(np.square(force / partner.hertz_constant))
+        slope, stored = 1.5 * force / approach, 0.4 * force * approach
+    else:
+        depth = face.depth_at(force)
+        approach = depth * face.onset_approach
+        slope, stored = face.slope(depth) * face.onset_force / face.onset_approach, face.pressed(depth).stored
+    rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
+    x, q = approach / scales.approach, force / scales.force
+    return {
+        "x_max": x, "x_a": x, "x_b": x, "force_b_at_a": q, "force_a_at_b": q, "mean_force": q,
+        "difference": np.zeros(1), "stored": 2.0 * stored / (scales.force * scales.approach),
+        "rise": 0.8 * force / rate / scales.time, "ended": np.zeros(1),
+    }  # fmt: skip
+
+
+def _force_at(partner: Partner, way: Array, softness: Array) -> Array:
+    """Force [N] at which two faces and a machine have given way by `way` [m]; Newton on a concave function."""
+    face = partner.face
+    scale = partner.effective_radius if face is None else face.onset_approach
+    unit = partner.hertz_constant * scale**1.5 if face is None else face.onset_force
+    wanted = way / scale
+    depth, force = 0.5 * wanted, np.zeros_like(wanted)
+    for _ in range(60):
+        force = depth**1.5 if face is None else face.force(depth)
+        slope = 1.5 * np.sqrt(depth) if face is None else face.slope(depth)
+        stiff = softness * unit / scale
+        step = (2.0 * depth + stiff * force - wanted) / (2.0 + stiff * slope)
+        depth = np.maximum(depth - step, 0.0)
+        if not np.any(np.abs(step) > 1e-15 * depth):
+            break
+    return np.asarray(unit * (depth**1.5 if face is None else face.force(depth)))

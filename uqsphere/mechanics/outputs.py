@@ -6,22 +6,31 @@ that criterion in `uqsphere.mechanics.criteria`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
+from uqsphere.mechanics.rigs import RIGS, loss_to_waves
 from uqsphere.mechanics.scene import Scene, answered
 from uqsphere.units import Quantity
 
+_Kind = TypeVar("_Kind", bound=np.generic)
 #: scale factors of a scene that formulas read beside its own columns
-_SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time")
+_SCALES: Final = ("modulus", "effective_radius", "hertz_constant", "mass", "force", "approach", "time", "speed")
+
+
+def offered_energy(columns: Mapping[str, Any]) -> Array:
+    """Ecs of (31) [J/kg]: what a blow offers, and where nothing strikes what both contacts have taken up."""
+    return np.asarray(columns["specific_impact_energy" if "offered" in columns else "specific_energy"])
 
 
 def _of_criterion(entry: Criterion) -> Quantity:
@@ -53,13 +62,22 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
              needs=("P_max", "hertz_constant", "effective_radius"),
              formula=lambda c: contact.contact_radius(
                  contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"])),
-    Quantity(name="mean_pressure", symbol="p_m", dimension="pressure", display="GPa", follows="force", place="contact",
+    Quantity(name="p_mean", symbol="p_m", dimension="pressure", display="GPa", follows="force", place="contact",
              meaning="mean pressure over the contact circle at the largest force, as hardness is measured",
              needs=("P_max", "a_max"), formula=lambda c: c["P_max"] / (np.pi * np.square(c["a_max"]))),
+    Quantity(name="dent", symbol="dent", dimension="length", display="um", closed=True,
+             meaning="depth of the larger dent that stays at either face", needs=("dent_left",),
+             formula=lambda c: c["dent_left"]),
+    Quantity(name="mean_force_max", symbol="P_mean", dimension="force", display="kN",
+             meaning="largest mean of the forces at the two poles, what the centre of the sphere feels",
+             needs=("force", "mean_force"), formula=lambda c: c["force"] * c["mean_force"]),
     Quantity(name="contact_time", symbol="t_contact", dimension="time", display="us", rough=24_000,
              meaning="time from first touch to the first loss of contact at either face", needs=("time", "contact"),
              censored="contact_censored",
              formula=lambda c: c["time"] * c["contact"]),
+    Quantity(name="loaded_time", symbol="t_loaded", dimension="time", display="us",
+             meaning="time from first touch until the bodies part for good", needs=("time", "parting"),
+             formula=lambda c: c["time"] * c["parting"]),
     Quantity(name="pulse_width", symbol="t_width", dimension="time", display="us", rough=16_000,
              meaning="time between the first and the last crossing of half the largest force", needs=("time", "width"),
              censored="width_censored",
@@ -84,10 +102,36 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="specific_energy", symbol="W/M", dimension="specific_energy", display="J/kg", follows="energy",
              meaning="largest elastic energy stored in both contacts, per mass of the sphere", fracture=True,
              needs=("energy", "mass"), formula=lambda c: c["energy"] / c["mass"]),
+    Quantity(name="energy_sphere", symbol="W_s", dimension="energy", display="J", follows="energy", fracture=True,
+             meaning="the sphere's share of the largest energy in both contacts, its plastic work included",
+             needs=("energy", "modulus", "sphere.nu", "sphere.E", "stored_sphere"),
+             formula=lambda c: c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]),
+    Quantity(name="specific_energy_sphere", symbol="W_s/M", dimension="specific_energy", display="J/kg",
+             follows="energy", fracture=True, needs=("energy_sphere", "mass"),
+             meaning="the sphere's share of the largest energy in both contacts, per mass of the sphere",
+             formula=lambda c: c["energy_sphere"] / c["mass"]),
+    Quantity(name="impact_energy", symbol="E_in", dimension="energy", display="J", needs=("offered",), fracture=True,
+             meaning="kinetic energy that the blow offers: of the weight, or of the bodies that meet",
+             formula=lambda c: c["offered"]),
+    Quantity(name="specific_impact_energy", symbol="E_in/M", dimension="specific_energy", display="J/kg",
+             meaning="kinetic energy that the blow offers, per mass of the sphere", fracture=True,
+             needs=("impact_energy", "mass"), formula=lambda c: c["impact_energy"] / c["mass"]),
+    Quantity(name="rebound_speed", symbol="v_r", dimension="speed", display="m/s", lower=-math.inf,
+             meaning="speed at which the sphere, or the weight, flies back", needs=("speed", "leaving"),
+             formula=lambda c: c["speed"] * c["leaving"]),
+    Quantity(name="restitution", symbol="e", dimension="number", lower=-math.inf,
+             meaning="speed at which the bodies part over that at which they met; of a weight its own",
+             needs=("parting_speed",), formula=lambda c: c["parting_speed"]),
+    Quantity(name="transmitted_energy", symbol="W_t", dimension="energy", display="J", closed=True,
+             meaning="energy that the partners carry off as waves", needs=("carried_off", "carried_a", "carried_b"),
+             formula=lambda c: c["carried_off"]),
+    Quantity(name="plastic_work", symbol="D", dimension="energy", display="J", closed=True,
+             meaning="work that both faces have dissipated by yielding", needs=("dissipated",),
+             formula=lambda c: c["dissipated"]),
     Quantity(name="t10", symbol="t10", dimension="share", display="%", upper=1.0, follows="energy",
              meaning="share of the product finer than a tenth of the sphere, if it breaks (needs [product])",
              needs=("specific_energy", "product.A", "product.b"),
-             formula=lambda c: product_fineness(c["specific_energy"], c["product.A"], c["product.b"])),
+             formula=lambda c: product_fineness(offered_energy(c), c["product.A"], c["product.b"])),
 )}  # fmt: skip
 OUTPUTS.update(
     (entry.quantity, _of_criterion(entry))
@@ -109,6 +153,9 @@ class Columns(Mapping[str, Any]):
             with np.errstate(all="ignore"):
                 self._known[name] = formula(self)
         return self._known[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._known
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._known)
@@ -171,6 +218,157 @@ def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
     return Columns({**columns, "first_peak": columns["p_max"]})
 
 
+# --- faces that are not alike ---------------------------------------------------------------------------
+
+
+def _side(scene: Scene, pole: int, x: Array) -> dict[str, Array]:
+    """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work.
+
+    `p_field` is the Hertz pressure of the same force on the same circle: the stress inside follows from that.
+    """
+    partner, scales = scene.partners[pole], scene.scales
+    assert partner is not None
+    approach = scales.approach * x
+    force = scales.force * x**1.5
+    if partner is not scene.struck:
+        force = force * (partner.hertz_constant / scales.hertz_constant)
+    if (face := partner.face) is None:
+        pressure = contact.pressure_at_force(force, partner.modulus, partner.effective_radius)
+        none = np.zeros(len(scene))
+        return {
+            "P_max": force, "alpha_max": approach, "p_max": pressure, "p_hertz": pressure, "p_field": pressure,
+            "p_mean": 2.0 / 3.0 * pressure, "a_max": contact.contact_radius(approach, partner.effective_radius),
+            "dent_left": none, "dissipated": none, "stored": contact.contact_energy(approach, partner.hertz_constant),
+        }  # fmt: skip
+    path = scene.contact_dynamics == "path"
+    state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
+    return {
+        "P_max": state.force, "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean,
+        "p_hertz": contact.pressure_at_force(state.force, partner.modulus, partner.effective_radius),
+        "p_field": 1.5 * state.mean, "a_max": state.radius, "dent_left": state.dent, "dissipated": state.plastic,
+        "stored": state.stored,
+    }  # fmt: skip
+
+
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
+    """Columns of a scene whose faces are not alike, or yield: each face's own ("sides") and those of the row.
+
+    Each is the largest over the faces on its own.  Inside the sphere the stress depends on what presses at the other
+    pole as well: `balance` is that force over the face's own, at its peak.
+    """
+    rig, one_contact = RIGS[scene.rig], scene.partners[0] is None
+    if rig.name == "bars" and scene.struck.face is None:
+        return {}
+    sides, firsts = [], []
+    for pole, name in enumerate("ab"):
+        if scene.partners[pole] is None:
+            continue
+        side = _side(scene, pole, tracked[f"x_{name}"])
+        if rig.name != "bars":
+            other = "force_b_at_a" if name == "a" else "force_a_at_b"
+            side["balance"] = (
+                0.0 * side["P_max"] if one_contact else scene.scales.force * tracked[other] / side["P_max"]
+            )
+        sides.append(side)
+        if f"x_first_{name}" in tracked:
+            firsts.append(_side(scene, pole, tracked[f"x_first_{name}"])["p_max"])
+    found: dict[str, Any] = {"sides": sides}
+    for column in ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left"):
+        found[column] = np.maximum.reduce([side[column] for side in sides])
+    found["dissipated"] = sum(side["dissipated"] for side in sides)
+    if not one_contact and "difference" in tracked:
+        found["force_imbalance"] = scene.scales.force * tracked["difference"] / found["P_max"]
+    if firsts:
+        found["first_peak"] = np.maximum.reduce(firsts)
+    if one_contact:
+        found["mean_force_max"] = 0.5 * found["P_max"]
+    if rig.name != "bars":
+        mean = found.get("mean_force_max")
+        found["force_at_centre"] = scene.scales.force * tracked["mean_force"] if mean is None else mean
+    return found | _energies(scene, tracked, sides)
+
+
+def _energies(scene: Scene, tracked: Mapping[str, Array], sides: list[dict[str, Array]]) -> dict[str, Array]:
+    """Energy in both contacts, and the sphere's share of it: chi of what is stored, all where the sphere yields."""
+    there = [partner for partner in scene.partners if partner is not None]
+    unit = scene.scales.force * scene.scales.approach
+    static = scene.contact_dynamics == "elastic" and scene.struck.face is not None
+    if not static and "stored" not in tracked:
+        return {}
+    energy = sum(side["stored"] for side in sides) if static else unit * tracked["stored"]
+    own: Values
+    if len(sides) == 1 or scene.rig == "bars":
+        own = there[0].share * energy
+    elif static or "stored_sphere" not in tracked:
+        own = sum(partner.share * side["stored"] for partner, side in zip(there, sides, strict=True))
+    else:
+        own = unit * tracked["stored_sphere"]
+    crushed = sum(
+        np.where(partner.sphere_yields, side["dissipated"], 0.0) for partner, side in zip(there, sides, strict=True)
+    )
+    return {"energy": np.asarray(energy), "energy_sphere": np.asarray(own + crushed)}
+
+
+def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns of bodies that meet: energy offered, speeds after, energy carried off by waves."""
+    if not RIGS[scene.rig].blow:
+        return {}
+    scales, (behind, ahead) = scene.scales, scene.partners
+    # P_c alpha_c = m V_c², (R5)
+    found = {"offered": 0.5 * scales.force * scales.approach}
+    if "end_speed" in tracked:
+        back = tracked["end_speed"] if behind is None else tracked["end_speed_a"]
+        found["leaving"] = -back
+        found["parting_speed"] = tracked["end_speed_b"] - back if behind is None else -back
+    carried = 0.0 * scales.force
+    for partner, name in ((behind, "a"), (ahead, "b")):
+        if partner is not None and partner.kind in ("bar", "plate") and f"carried_{name}" in tracked:
+            carried = carried + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
+    if (loss := loss_to_waves(scene)) is not None:
+        carried = carried + loss * found["offered"]
+    return found | {"carried_off": carried}
+
+
+def _lacking(scene: Scene) -> dict[str, str]:
+    """What formulas read and the rig of a scene does not have -> why not."""
+    rig, found = RIGS[scene.rig], {}
+    if rig.contacts == 1:
+        found["difference"] = "with one contact the other force is nothing: the imbalance is 1 by definition"
+    if rig.name == "bars":
+        found["parting"] = "the record of bars ends at the first loss of contact: see contact_time"
+        found["carried_off"] = "bars carry waves both ways: history shows them"
+    if not rig.blow:
+        why = "no body meets the sphere with a speed: a wave, or a slow press, loads it"
+        found |= dict.fromkeys(("offered", "leaving", "parting_speed"), why)
+    elif loss_to_waves(scene) is None and not any(one and one.kind in ("bar", "plate") for one in scene.partners):
+        found["carried_off"] = "what stands at the poles carries nothing off here (a thick target: give its density)"
+    if rig.name == "platens":
+        found |= dict.fromkeys(("parting", "contact", "width", "carried_off"), "platens press slowly and stay")
+        if not {"platens.speed", "platens.loading_rate"} & scene.columns.keys():
+            found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'
+    if rig.name != "bars" and not np.any(scene.reflections):
+        found["x_first"] = "no wave comes back to the sphere"
+    if all(one is None or one.face is None for one in scene.partners):
+        why = 'both bodies are elastic: add a table [contact] with law = "plastic"'
+        found |= dict.fromkeys(("dent_left", "dissipated"), why)
+    return found
+
+
+def absent_in(scene: Scene, quantity: str) -> str:
+    """Why a scene does not have a quantity of interest, in words; empty where it has it.
+
+    >>> from uqsphere.bench.scenes import scattered_scene
+    >>> absent_in(scattered_scene(1), "p_max"), absent_in(scattered_scene(1), "loaded_time")[:18]
+    ('', 'the record of bars')
+    """
+    roots = _roots(quantity, scene.demands)
+    if missing := sorted({name for name in roots if "." in name} - scene.columns.keys()):
+        tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in missing}))
+        return f"{quantity} needs {' and '.join(missing)}: add them in the table {tables}"
+    lacking = _lacking(scene)
+    return next((lacking[name] for name in lacking if name in roots), "")
+
+
 # --- answers of a batch -------------------------------------------------------------------------------
 
 
@@ -203,15 +401,9 @@ class Answers:
     others: Mapping[str, Array] = field(default_factory=dict)
 
 
-def _absent(scene: Scene, quantity: str) -> set[str]:
-    """Numbers that a quantity needs and a scene does not have."""
-    return {name for name in _roots(quantity, scene.demands) if "." in name} - scene.columns.keys()
-
-
 def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
-    if absent := sorted(_absent(scene, quantity)):
-        tables = " and ".join(sorted({f"[{name.partition('.')[0]}]" for name in absent}))
-        raise ValueError(f"{quantity} needs {' and '.join(absent)}: add them in the table {tables}")
+    if why := absent_in(scene, quantity):
+        raise ValueError(why if why.startswith(quantity) else f"{quantity} is absent: {why}")
     if quantity not in scene.demands:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]
@@ -244,9 +436,24 @@ def answers_of(
         For a quantity that needs numbers which the scene does not have.
     """
     tracked = {name: scaled[:, column] for name, (column, _) in SCALED.items()}
-    columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5})
+    return answers_from(scene, tracked, status, steps, linear=linear, quantities=quantities)
+
+
+def answers_from(
+    scene: Scene,
+    tracked: Mapping[str, Array],
+    status: Places,
+    steps: Places,
+    *,
+    linear: bool = False,
+    quantities: Collection[str] | None = None,
+) -> Answers:
+    """The same from the columns of `tracked.SCALED` by name, (n,) each: a closed form gives those that it has."""
+    with np.errstate(all="ignore"):
+        made = {**_of_faces(scene, tracked), **_of_blow(scene, tracked)}
+    columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
     if quantities is None:
-        quantities = [*(name for name in OUTPUTS if not _absent(scene, name)), *scene.demands]
+        quantities = [*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands]
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.logical_and.reduce([np.isfinite(value) for value in (columns["x_max"], *values.values())])
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
@@ -259,6 +466,27 @@ def answers_of(
     }
     record = np.asarray(scene.scales.time * columns["ended"])
     return Answers(values=values, censored=censored, status=status, record=record, steps=steps)
+
+
+def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
+    """Answers of one batch from those of some of its rows each; together they are all of them."""
+    order, found = np.argsort(np.concatenate([rows for rows, _ in parts])), [part for _, part in parts]
+
+    def put(columns: Iterable[npt.NDArray[_Kind]]) -> npt.NDArray[_Kind]:
+        return np.concatenate(list(columns))[order]
+
+    others: dict[str, Array] = {}
+    if any(part.others for part in found):
+        for name in found[0].values:
+            others[name] = put(part.others.get(name, np.full(len(part.status), np.nan)) for part in found)
+    return Answers(
+        values={name: put(part.values[name] for part in found) for name in found[0].values},
+        censored={name: put(part.censored[name] for part in found) for name in found[0].censored},
+        status=put(part.status for part in found),
+        record=put(part.record for part in found),
+        steps=put(part.steps for part in found),
+        others=others,
+    )
 
 
 # --- the path to fracture -----------------------------------------------------------------------------

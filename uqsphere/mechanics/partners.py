@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.yielding import CAP_PILE_UP, Body, Face, metal_body, softer
 
@@ -47,6 +47,8 @@ class Partner:
         Of a bar [s] and of its far end; infinite and 0 where nothing returns.
     face : Face or None
         The law of a face that yields; None: elastic.
+    sphere_yields : (n,) array of bool
+        Whether it is the sphere that yields at such a face.
     """
 
     table: str
@@ -61,6 +63,7 @@ class Partner:
     round_trip: Array
     reflection: Array
     face: Face | None
+    sphere_yields: Flags
 
 
 def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
@@ -90,7 +93,7 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             impedance=_impedance(scene, table, kind),
             mass=_mass(scene, table) if kind == "mass" else np.full(len(scene), np.inf),
             speed=np.zeros(len(scene)) if speed is None else speed,
-            face=_law(scene, table, face_nu, modulus, radius),
+            **_law(scene, table, face_nu, modulus, radius),
             **_echo(scene, table, kind),
         )
 
@@ -155,18 +158,27 @@ def softest_partner(scene: Scene) -> Body:
     return reduce(softer, found)
 
 
-def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> Face | None:
+class _Law(TypedDict):
+    face: Face | None
+    sphere_yields: Flags
+
+
+def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> _Law:
     """The law of a face that yields: that of its softer body, row by row, but for what [contact] gives."""
+    elastic = _Law(face=None, sphere_yields=np.zeros(len(scene), dtype=bool))
     if scene.contact_law != "plastic":
-        return None
-    own = softer(body_of(scene, table, nu), sphere_body(scene))
-    onset, hardness, pile_up = (scene.columns.get(f"contact.{key}", of) for key, of in zip(_LAW, own, strict=True))
+        return elastic
+    body, sphere = body_of(scene, table, nu), sphere_body(scene)
+    onset, hardness, pile_up = (
+        scene.columns.get(f"contact.{key}", own) for key, own in zip(_LAW, softer(body, sphere), strict=True)
+    )
     if np.isinf(onset).all():
-        return None
-    return Face(
+        return elastic
+    face = Face(
         onset=onset,
         hardness=onset if scene.hardness_at_onset else hardness,
         pile_up=pile_up,
         modulus=modulus,
         effective_radius=radius,
     )
+    return _Law(face=face, sphere_yields=sphere.onset < body.onset)

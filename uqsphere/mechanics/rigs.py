@@ -24,6 +24,10 @@ MOST_YIELDING: Final = 3.0
 #: ranges in which the equations are solved: M/m_A and kappa (rigs.md section 8)
 MASS_RATIO: Final = (1e-7, 1e3)
 STIFFNESS_RATIO: Final = (1e-3, 1e3)
+#: compliance of a half-space under a pulsating point load, nu = 1/4, times rho c_s³ (Reissner; Miller and Pursey 1954)
+_RADIATION: Final = 0.1486
+#: share of the impact's energy that it radiates over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
+_PULSE: Final = 3.80584
 #: columns that a partner needs by its kind, beside E and nu of its face
 _PARTS: Final = {
     "thick": (), "platen": (),
@@ -181,3 +185,26 @@ def outside(scene: Scene) -> Array:
 
 def _beyond(ratio: Array, bounds: tuple[float, float]) -> Array:
     return np.asarray(~((ratio >= bounds[0]) & (ratio <= bounds[1])))
+
+
+def wave_loss(hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values) -> Array:
+    """Share of the energy that a half-space carries off as waves, (R14); Hunter, J. Mech. Phys. Solids 5 (1957) 162."""
+    compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
+    return np.asarray(_PULSE * compliance * np.asarray(hertz_constant) ** 1.2 * mass**-0.2 * np.asarray(speed) ** 0.6)
+
+
+def loss_to_waves(scene: Scene) -> Array | None:
+    """Share of a blow's energy that a thick target carries off, (n,), (R14); None where nobody knows.
+
+    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory; the compliance of nu = 1/4 for all.
+    """
+    partner = scene.partners[1]
+    if partner is None or scene.partners[0] is not None or partner.kind != "thick":
+        return None
+    table, c = partner.table, scene.columns
+    if f"{table}.density" not in c:
+        return None
+    scales, density = scene.scales, c[f"{table}.density"]
+    with np.errstate(all="ignore"):
+        shear_speed = np.sqrt(c[f"{table}.E"] / (2.0 * (1.0 + c[f"{table}.nu"]) * density))
+        return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -393,6 +393,10 @@ class Scene:
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
+
+    def at(self, rows: Places) -> Scene:
+        """The scene of some of its rows."""
+        return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
     def column(self, name: str, default: Values = np.nan) -> Array:
         """A column, or `default` in every row."""

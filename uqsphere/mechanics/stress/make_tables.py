@@ -31,7 +31,8 @@ from uqsphere.mechanics.stress.tables import CONTACT_RATIO, POISSON, chebyshev_f
 #     I_V = ∫ max(sigma_phi/p_0, 0)^m dV / V,      I_S = ∫ max(sigma_phi/p_0, 0)^m dS / S,
 #
 # so that the rim of the contact, whose tension is radial and cuts rings, not halves, is no part of it (theory section
-# 6); it has a criterion of its own.  Equal forces; V and S are those of the whole sphere.
+# 6); it has a criterion of its own.  Equal forces, or a force at one pole and the body's inertia against it; V and S
+# are those of the whole sphere.
 
 
 def _gauss(edges: Array, nodes: int) -> tuple[Array, Array]:
@@ -59,10 +60,12 @@ def _refined(edges: Array, nodes: int) -> tuple[Array, Array]:
 class HoopField:
     """Where and with which weights sigma_phi is integrated for one a/r; the Poisson ratio is left open.
 
-    The sums over degrees are two matrix products, because the points form a grid in radius and angle.
+    The sums over degrees are two matrix products, because the points form a grid in radius and angle.  A blow on one
+    pole has half the even degrees of a squeeze and odd ones, which change their sign from the struck hemisphere to the
+    other.
     """
 
-    def __init__(self, contact_ratio: float, *, nodes: int = 12, growth: float = 1.5) -> None:
+    def __init__(self, contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False) -> None:
         a = contact_ratio
         terms = 2 * math.ceil(100.0 / a)
         depth, depth_weight = _gauss(_graded(0.3 * a, 1.0, growth), nodes)
@@ -73,54 +76,87 @@ class HoopField:
         self.nodes = nodes
         #: from the Gauss points of a panel to finer ones, and the share of the surface at those, (panels, finer)
         self.finer, self.surface_weight = _refined(_graded(0.5 * a, 0.5 * math.pi, growth), nodes)
-        self._caps = Load.balanced(a)
+        self._caps = Load(contact_ratio=(a, a), pressure=(1.0, 0.0)) if one_sided else Load.balanced(a)
         p = load_coefficients(self._caps, terms)
-        self._mean, self._degree = float(p[0]), np.arange(2, terms + 1, 2, dtype=float)
+        self._mean = float(p[0])
+        self._parts = [_Degrees(p, 2, self.radius, angle)]
+        if one_sided:
+            self._parts.append(_Degrees(p, 1, self.radius, angle))
+
+    def hoop(self, nu: float) -> list[Array]:
+        """sigma_phi/p_0 on the grid, (radii, angles), of every hemisphere that is not like another."""
+        even, *odd = [part.inside(nu) for part in self._parts]
+        return [even - self._mean] if not odd else [even - self._mean + odd[0], even - self._mean - odd[0]]
+
+    def surface_hoop(self, nu: float) -> list[Array]:
+        """sigma_phi/p_0 at r = 1, (angles,), with the closed parts of `surface_stress`; as `hoop`."""
+        even, *odd = [part.on_surface(nu) for part in self._parts]
+        found = []
+        for angle, sign in ((self.angle, 1.0), (math.pi - self.angle, -1.0))[: 1 + len(odd)]:
+            rest = even + sign * odd[0] if odd else even
+            cross = (1.0 - 2.0 * nu) * cross_in_closed_form(angle, self._caps, self._mean)
+            pressure = pressure_on_surface(angle, self._caps)
+            found.append(np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross))
+        return found
+
+
+class _Degrees:
+    """What the degrees of one parity from `first` on (2: even, 1: odd) add to the hoop tension on a grid."""
+
+    def __init__(self, load: Array, first: int, radius: Array, angle: Array) -> None:
+        terms = len(load) - 1
+        self.degree = np.arange(3 if first == 1 else 2, terms + 1, 2, dtype=float)
         # a smooth cut-off: near the surface the powers do not end the sum, and away from the rim this is exact
-        self._load = p[2::2] * np.exp(-36.0 * (self._degree / terms) ** 8)
-        self._value, self._slope = legendre_even(np.cos(angle), terms)
-        self._power = np.exp(np.outer(np.log(self.radius), self._degree - 2.0))
+        self.load = load[int(self.degree[0]) :: 2] * np.exp(-36.0 * (self.degree / terms) ** 8)
+        self.value, self.slope = _legendre(np.cos(angle), terms, int(self.degree[0]))
+        self.power = np.exp(np.outer(np.log(radius), self.degree - 2.0))
+        self.square = (radius**2)[:, None]
+        #: degree 1, the pressure of the accelerated body, over r: -p_1 cos t
+        self.inertia = -float(load[1]) * np.cos(angle) if first == 1 else np.zeros_like(angle)
+        self.radius = radius[:, None]
 
-    def hoop(self, nu: float) -> Array:
-        """sigma_phi/p_0 on the grid, (radii, angles)."""
-        n = self._degree
-        a = self._load / (2.0 * (n * n + n + 1.0 + nu * (2.0 * n + 1.0)))
+    def inside(self, nu: float) -> Array:
+        n = self.degree
+        a = self.load / (2.0 * (n * n + n + 1.0 + nu * (2.0 * n + 1.0)))
         b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
-        square = (self.radius**2)[:, None]
-        value = (square * (a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu)) + b * n) * self._power
-        slope = (square * (a * (n + 5.0 - 4.0 * nu)) + b) * self._power
-        return np.asarray(value @ self._value - slope @ self._slope - self._mean)
+        value = (self.square * (a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu)) + b * n) * self.power
+        slope = (self.square * (a * (n + 5.0 - 4.0 * nu)) + b) * self.power
+        return np.asarray(value @ self.value - slope @ self.slope + self.radius * self.inertia)
 
-    def surface_hoop(self, nu: float) -> Array:
-        """sigma_phi/p_0 at r = 1, (angles,), with the closed parts of `surface_stress`."""
-        n = self._degree
+    def on_surface(self, nu: float) -> Array:
+        n = self.degree
         a = 0.5 / (n * n + n + 1.0 + nu * (2.0 * n + 1.0))
         b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
         value = 2.0 * nu + a * (n + 1.0) * (n - 2.0 - 2.0 * nu - 4.0 * n * nu) + b * n
         slope = a * (n + 5.0 - 4.0 * nu) + b + (2.0 * nu - 1.0) / (n * (n + 1.0))
-        rest = (self._load * value) @ self._value - (self._load * slope) @ self._slope
-        cross = (1.0 - 2.0 * nu) * cross_in_closed_form(self.angle, self._caps, self._mean)
-        pressure = pressure_on_surface(self.angle, self._caps)
-        return np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross)
+        # degree 1 as in `series._rest`: its own pressure, less what the closed form of the cross term has of it
+        inertia = (1.0 - 2.0 * nu) * 0.5 * self.inertia
+        return np.asarray((self.load * value) @ self.value - (self.load * slope) @ self.slope + inertia)
 
 
 def legendre_even(x: Array, terms: int) -> tuple[Array, Array]:
     """P_n and x P_n' of the even degrees from 2 on, (degrees, points)."""
-    values, slopes = np.empty((terms // 2, len(x))), np.empty((terms // 2, len(x)))
+    return _legendre(x, terms, 2)
+
+
+def _legendre(x: Array, terms: int, first: int) -> tuple[Array, Array]:
+    """P_n and x P_n' of every second degree from `first`, 2 or 3, on, (degrees, points)."""
+    count = (terms - first) // 2 + 1
+    values, slopes = np.empty((count, len(x))), np.empty((count, len(x)))
     before, now, slope_before, slope = np.ones_like(x), x.copy(), np.zeros_like(x), np.ones_like(x)
     for n in range(2, terms + 1):
         before, now = now, ((2 * n - 1) * x * now - (n - 1) * before) / n
         slope_before, slope = slope, slope_before + (2 * n - 1) * before
-        if n % 2 == 0:
-            values[n // 2 - 1], slopes[n // 2 - 1] = now, x * slope
+        if n >= first and (n - first) % 2 == 0:
+            values[(n - first) // 2], slopes[(n - first) // 2] = now, x * slope
     return values, slopes
 
 
-def hoop_field(contact_ratio: float, *, nodes: int = 12, growth: float = 1.5) -> HoopField:
+def hoop_field(contact_ratio: float, *, nodes: int = 12, growth: float = 1.5, one_sided: bool = False) -> HoopField:
     """The grid of one a/r, in (0, 1): `nodes` Gauss points in panels that grow by `growth` away from the contact."""
     if not 0.0 < contact_ratio < 1.0:
         raise ValueError(f"contact_ratio must lie between 0 and 1, found {contact_ratio}")
-    return HoopField(contact_ratio, nodes=nodes, growth=growth)
+    return HoopField(contact_ratio, nodes=nodes, growth=growth, one_sided=one_sided)
 
 
 def volume_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
@@ -131,14 +167,17 @@ def volume_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Arra
 def surface_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
     """I_S^(1/m) of every modulus; (k,)."""
     # where the tension begins the integrand bends: the polynomial through each panel is summed on finer panels
-    hoop = field.surface_hoop(nu).reshape(-1, field.nodes) @ field.finer.T
+    hoop = [part.reshape(-1, field.nodes) @ field.finer.T for part in field.surface_hoop(nu)]
     return _equivalent(hoop, field.surface_weight, moduli)
 
 
-def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
-    largest = float(stress.max())
-    ratio = np.maximum(stress / largest, 0.0)
-    return np.array([largest * float(np.sum(weight * ratio**m)) ** (1.0 / m) for m in np.atleast_1d(moduli)])
+def _equivalent(halves: list[Array], weight: Array, moduli: npt.ArrayLike) -> Array:
+    largest = max(float(half.max()) for half in halves)
+    shares = [np.maximum(half / largest, 0.0) for half in halves]
+    return np.array([
+        largest * (sum(float(np.sum(weight * share**m)) for share in shares) / len(shares)) ** (1.0 / m)
+        for m in np.atleast_1d(moduli)
+    ])  # fmt: skip
 
 
 # --- Stress on the axis, as a power series in u, the squared distance from the centre, and on the equator.
@@ -165,6 +204,50 @@ def axis_series(load: Array, nu: float) -> tuple[Array, Array]:
     radial[1:] += a * (n + 1.0) * (n * n - n - 2.0 - 2.0 * nu)
     radial[:-1] += b * n * (n - 1.0)
     return hoop, radial
+
+
+def one_sided_load(contact_ratio: float) -> Array:
+    """Coefficients of the load of one cap, enough for depths from 0.3 a on."""
+    terms = 2 * (terms_for(1.0 - 0.3 * contact_ratio, 1e-17) // 2)
+    return load_coefficients(Load(contact_ratio=(contact_ratio, contact_ratio), pressure=(1.0, 0.0)), terms)
+
+
+def _odd_axis_series(load: Array, nu: float) -> Array:
+    """Coefficients in powers of u of sigma_phi on the axis over the distance from the centre, of the odd degrees."""
+    n = np.arange(3, len(load), 2, dtype=float)
+    a = load[3::2] / (2.0 * (n * n + n + 1.0 + nu * (2.0 * n + 1.0)))
+    b = -a * (n * n + 2.0 * n - 1.0 + 2.0 * nu) / (n - 1.0)
+    slope = 0.5 * n * (n + 1.0)
+    hoop = np.zeros(len(n) + 1)
+    hoop[0] = -load[1]
+    hoop[1:] += a * ((n + 5.0 - 4.0 * nu) * slope - (n * n + 4.0 * n + 2.0 + 2.0 * nu) * (n + 1.0))
+    hoop[:-1] += b * (slope - n * n)
+    return hoop
+
+
+def largest_one_sided(load: Array, contact_ratio: float, nu: float) -> float:
+    """Largest hoop tension on the axis over p_0 where one pole alone is pressed, from `one_sided_load`.
+
+    >>> round(largest_one_sided(one_sided_load(0.2), 0.2, 0.25) / largest_hoop(load_on_axis(0.2), 0.2, 0.25)[0], 4)
+    0.8898
+    """
+    even, odd = axis_series(load, nu)[0], _odd_axis_series(load, nu)
+    # in powers of z, the distance from the centre on the struck side
+    series = np.zeros(2 * len(even))
+    series[::2], series[1 : 2 * len(odd) : 2] = even, odd
+    k = np.arange(len(series), dtype=float)
+    first, second = series[1:] * k[1:], series[2:] * k[2:] * (k[2:] - 1.0)
+    depth = np.concatenate([np.geomspace(0.5 * contact_ratio, 1.0, 60), np.linspace(1.05, 1.8, 16)])
+    z = float(1.0 - depth[int(np.argmax([series @ _powers(1.0 - one, k) for one in depth]))])
+    for _ in range(40):
+        power = _powers(z, k)
+        slope, bend = float(first @ power[:-1]), float(second @ power[:-2])
+        step = -slope / bend if bend < 0.0 else 0.1 * math.copysign(1.0 - z, slope)
+        step = min(max(step, -0.3 * (1.0 - z)), 0.3 * (1.0 - z))
+        z += step
+        if abs(step) <= 1e-13 * (1.0 - z):
+            break
+    return float(series @ _powers(z, k))
 
 
 def _peak(series: Array, u: float) -> tuple[float, float]:
@@ -358,12 +441,15 @@ def rim_integrals(contact_ratio: float, nu: float, moduli: npt.ArrayLike) -> Arr
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "core": (28, 64), "core_depth": (28, 64), "shear": (26, 8), "shear_depth": (26, 8), "equator": (22, 12),
     "volume": (38, 20, 34), "surface": (38, 20, 34), "rim": (24, 16, 20),
+    "core_one": (28, 64), "volume_one": (38, 20, 34), "surface_one": (38, 20, 34),
 }  # fmt: skip
 _UNITS: Final = {2: 1e-10, 3: 2e-9}
 
 
 def exact(name: str, contact_ratio: float, nu: float, load: Array | None = None) -> float:
     """The value that a table in a/r and nu holds, from the series; `load` of `load_on_axis`, if at hand."""
+    if name == "core_one":
+        return largest_one_sided(one_sided_load(contact_ratio) if load is None else load, contact_ratio, nu)
     load = load_on_axis(contact_ratio) if load is None else load
     if name == "equator":
         return equatorial_hoop(load, nu) / contact_ratio**2
@@ -373,7 +459,8 @@ def exact(name: str, contact_ratio: float, nu: float, load: Array | None = None)
 
 def _two_way(name: str) -> Array:
     ratios, poisson = chebyshev_nodes(SHAPES[name])
-    loads = [load_on_axis(float(ratio)) for ratio in ratios]
+    of = one_sided_load if name == "core_one" else load_on_axis
+    loads = [of(float(ratio)) for ratio in ratios]
     return np.array(
         [
             [exact(name, float(ratio), float(nu), load) for nu in poisson]
@@ -382,16 +469,18 @@ def _two_way(name: str) -> Array:
     )
 
 
-def _three_way() -> dict[str, Array]:
-    shape = SHAPES["volume"]
+def _three_way(one_sided: bool = False) -> dict[str, Array]:
+    """Weakest-link integrals of equal forces, or of one force alone, by the names of their tables."""
+    last = "_one" if one_sided else ""
+    shape = SHAPES["volume" + last]
     ratios, poisson, moduli = chebyshev_nodes(shape)
-    values = {name: np.empty(shape) for name in ("volume", "surface")}
+    values = {name + last: np.empty(shape) for name in ("volume", "surface")}
     for i, ratio in enumerate(ratios):
-        field = hoop_field(float(ratio), nodes=18, growth=1.45)
+        field = hoop_field(float(ratio), nodes=18, growth=1.45, one_sided=one_sided)
         for j, nu in enumerate(poisson):
-            values["volume"][i, j] = volume_integrals(field, float(nu), moduli)
-            values["surface"][i, j] = surface_integrals(field, float(nu), moduli)
-    return values | {"rim": _rim()}
+            values["volume" + last][i, j] = volume_integrals(field, float(nu), moduli)
+            values["surface" + last][i, j] = surface_integrals(field, float(nu), moduli)
+    return values
 
 
 def _rim() -> Array:
@@ -409,7 +498,8 @@ def pack(values: Array) -> dict[str, Any]:
 
 def make(path: Path) -> None:
     """Compute every table and write them to `path`, one row of coefficients per line."""
-    values = {name: _two_way(name) for name, shape in SHAPES.items() if len(shape) == 2} | _three_way()
+    values = {name: _two_way(name) for name, shape in SHAPES.items() if len(shape) == 2}
+    values |= {**_three_way(), **_three_way(one_sided=True), "rim": _rim()}
     entries = []
     for name in SHAPES:
         packed = pack(values[name])
