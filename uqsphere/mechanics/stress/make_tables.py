@@ -83,13 +83,13 @@ class HoopField:
         if one_sided:
             self._parts.append(_Degrees(p, 1, self.radius, angle))
 
-    def hoop(self, nu: float) -> list[Array]:
-        """sigma_phi/p_0 on the grid, (radii, angles), of every hemisphere that is not like another."""
+    def hoop(self, nu: float) -> Array:
+        """sigma_phi/p_0 on the grid, (radii, angles); of a one-sided blow on both hemispheres, (2, radii, angles)."""
         even, *odd = [part.inside(nu) for part in self._parts]
-        return [even - self._mean] if not odd else [even - self._mean + odd[0], even - self._mean - odd[0]]
+        return np.stack([even + odd[0], even - odd[0]]) - self._mean if odd else even - self._mean
 
-    def surface_hoop(self, nu: float) -> list[Array]:
-        """sigma_phi/p_0 at r = 1, (angles,), with the closed parts of `surface_stress`; as `hoop`."""
+    def surface_hoop(self, nu: float) -> Array:
+        """sigma_phi/p_0 at r = 1, (angles,) or (2, angles), with the closed parts of `surface_stress`."""
         even, *odd = [part.on_surface(nu) for part in self._parts]
         found = []
         for angle, sign in ((self.angle, 1.0), (math.pi - self.angle, -1.0))[: 1 + len(odd)]:
@@ -97,7 +97,7 @@ class HoopField:
             cross = (1.0 - 2.0 * nu) * cross_in_closed_form(angle, self._caps, self._mean)
             pressure = pressure_on_surface(angle, self._caps)
             found.append(np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross))
-        return found
+        return np.stack(found) if odd else found[0]
 
 
 class _Degrees:
@@ -167,17 +167,16 @@ def volume_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Arra
 def surface_integrals(field: HoopField, nu: float, moduli: npt.ArrayLike) -> Array:
     """I_S^(1/m) of every modulus; (k,)."""
     # where the tension begins the integrand bends: the polynomial through each panel is summed on finer panels
-    hoop = [part.reshape(-1, field.nodes) @ field.finer.T for part in field.surface_hoop(nu)]
+    hoop = field.surface_hoop(nu).reshape(-1, field.nodes) @ field.finer.T
     return _equivalent(hoop, field.surface_weight, moduli)
 
 
-def _equivalent(halves: list[Array], weight: Array, moduli: npt.ArrayLike) -> Array:
-    largest = max(float(half.max()) for half in halves)
-    shares = [np.maximum(half / largest, 0.0) for half in halves]
-    return np.array([
-        largest * (sum(float(np.sum(weight * share**m)) for share in shares) / len(shares)) ** (1.0 / m)
-        for m in np.atleast_1d(moduli)
-    ])  # fmt: skip
+def _equivalent(stress: Array, weight: Array, moduli: npt.ArrayLike) -> Array:
+    """Of the whole sphere: the mean over its hemispheres, where they are not alike."""
+    largest, halves = float(stress.max()), stress.size // weight.size
+    ratio = np.maximum(stress.reshape(halves, *weight.shape) / largest, 0.0)
+    found = [largest * (float(np.sum(weight * ratio**m)) / halves) ** (1.0 / m) for m in np.atleast_1d(moduli)]
+    return np.array(found)
 
 
 # --- Stress on the axis, as a power series in u, the squared distance from the centre, and on the equator.
