@@ -457,11 +457,6 @@ def solve(
     _check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})")
-    if scene.faces is not None or scene.rig != "bars":
-        raise ValueError(
-            "quantities of faces that yield or differ are not answered here: read depths off `integrate`, and force, "
-            "pressure, dent and work off the faces of `Scene.partners`"
-        )
     found = integrate(scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     linear = fidelity == "linear"
     solved = answers_of(scene, found.answers, found.status, found.steps, linear=linear, quantities=quantities)
