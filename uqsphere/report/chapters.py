@@ -100,6 +100,7 @@ from uqsphere.report.phrases import (
     symbol,
     the_input,
 )
+from uqsphere.report.services import carried_block
 from uqsphere.report.tables import (
     accuracy_table,
     answer_checks_table,
@@ -666,6 +667,7 @@ def margins_chapter(contents: Contents) -> Chapter:
                 files=("tables/limits.csv",),
             )
         )
+    blocks.append(carried_block(contents))
     for name in contents.results.margins:
         parts = parts_table(contents, name)
         heading = parts_heading(contents, name)

@@ -7,12 +7,37 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from uqsphere.quantities import reading_units
-from uqsphere.report.blocks import Block, Chapter, Verdict
+from uqsphere.report.blocks import Block, Chapter, Table, Verdict, cell
 from uqsphere.report.contents import Contents, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.margins import margin_verdicts
+from uqsphere.report.phrases import input_name, limit_name
 from uqsphere.report.tables import checks_table, limits_table, margins_table
 from uqsphere.report.verdict import cautions, verdicts
+
+
+def carried_block(contents: Contents) -> Block:
+    """What strengths measured elsewhere answer by each carrier; empty where there are none."""
+    rows = []
+    for name, limit in contents.results.limits.items():
+        carried = limit.carried
+        if not carried:
+            continue
+        subject = contents.subject(carried.solve)
+        cells = [cell(entry, subject, probability=not carried.solve) for entry in carried.by_carrier().values()]
+        what = input_name(carried.solve) if carried.solve else "probability of missing the aim"
+        rows.append((limit_name(name), what, *cells, carried.counts(limit.aim) or "–"))
+    header = ("limit", "what", "by force", "by energy", "by centre", "counts")
+    finding = (
+        "The strength comes from tests between platens. Whether a sphere breaks by the force on its contact, by the "
+        "energy in it or by the tension at its centre is not settled: to survive the least answer counts, to break the "
+        "largest."
+    )
+    return Block(
+        heading="Carried from the tests",
+        finding=finding if rows else "",
+        table=Table(caption="Answers by each carrier", header=header, rows=tuple(rows)) if rows else None,
+    )
 
 
 @contextmanager
@@ -43,6 +68,7 @@ def service_chapters(contents: Contents) -> list[Chapter]:
                     Block(heading=f"How far {name} may go, {limit}", table=margins_table(own, limit))
                     for limit in own.results.margins
                 ),
+                carried_block(own),
                 Block(heading=f"Before you rely on {name}", remarks=tuple(cautions(own))),
                 Block(heading=f"Validity in {name}", table=checks_table(own), kind="checks notes"),
             )

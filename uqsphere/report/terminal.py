@@ -179,6 +179,22 @@ def _verdicts(results: Results, width: int) -> list[str]:
     return [*texts, ""] if texts else []
 
 
+def _carried(results: Results, width: int) -> list[str]:
+    """What strengths measured elsewhere answer by each carrier, and which of them counts."""
+    rows = []
+    for name, limit in results.limits.items():
+        carried = limit.carried
+        if not carried:
+            continue
+        texts = [
+            _estimate(entry, subject_of(results, carried.solve)) if carried.solve else _chance(entry)
+            for entry in carried.by_carrier().values()
+        ]
+        rows.append((name, carried.solve or "probability of a miss", *texts, carried.counts(limit.aim) or "-"))
+    header = ("carried from the tests", "", "by force", "by energy", "by centre", "counts")
+    return [table(header, rows, width), ""] if rows else []
+
+
 def _first_reason(texts: list[str]) -> str:
     return next((text for text in texts if text), "")
 
@@ -300,7 +316,7 @@ def summary_of(results: Results, width: int | None = None) -> str:
 def _parts(results: Results, width: int) -> list[str]:
     answers = [wrap(claim.text, width) for claim in claims(results) if claim.topic == "answer"]
     parts = [wrap(results.study.title, width, ""), "", *answers, *([""] if answers else [])]
-    parts += [*_verdicts(results, width), *_governing(results, width)]
+    parts += [*_verdicts(results, width), *_carried(results, width), *_governing(results, width)]
     broken = _fracture_rows(results.fracture)
     if broken:
         parts += [table(("fracture", "value (95 % interval)"), broken, width), ""]

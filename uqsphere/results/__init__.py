@@ -10,6 +10,7 @@ from pydantic import Field, StrictBool, StrictInt, StrictStr, StringConstraints,
 
 from uqsphere.results.entries import (
     Aim,
+    CarriedEntry,
     Count,
     Entry,
     Est,
@@ -361,6 +362,7 @@ class LimitEntry(Entry):
     tests_to_settle: Maybe[SettlingEntry] = Field(default_factory=SettlingEntry)
     drivers: Maybe[LimitDriversEntry] = Field(default_factory=LimitDriversEntry)
     measure_first: Maybe[MeasureEntry] = Field(default_factory=MeasureEntry)
+    carried: Maybe[CarriedEntry] = Field(default_factory=CarriedEntry)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -559,6 +561,7 @@ class MarginEntry(Entry):
     split: Maybe[SplitEntry] = Field(default_factory=SplitEntry)
     bars: Maybe[BarsEntry] = Field(default_factory=BarsEntry)
     validity: Maybe[ValidityAtEntry] = Field(default_factory=ValidityAtEntry)
+    also: Ests = Field(default_factory=dict)
 
 
 # --- fracture -------------------------------------------------------------------------------------------

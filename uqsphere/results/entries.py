@@ -142,6 +142,32 @@ Quantiles = dict[ShareKey, Est]
 Range = tuple[Number, Number]
 
 
+class CarriedEntry(Part):
+    """A strength carried from its test by each carrier: the free number at the target, `solve`, or where nothing is
+    solved for the probability of missing the aim; the carriers with the lowest and the highest number; by each carrier
+    the probability of missing the aim as planned, and whether the target is met."""
+
+    NEEDS = ("force", "energy", "centre", "lowest", "highest")
+
+    solve: StrictStr = ""
+    force: Maybe[Est] = Field(default_factory=Est)
+    energy: Maybe[Est] = Field(default_factory=Est)
+    centre: Maybe[Est] = Field(default_factory=Est)
+    lowest: StrictStr = ""
+    highest: StrictStr = ""
+    miss: dict[Name, Probability] = Field(default_factory=dict)
+    met: dict[Name, StrictBool | None] = Field(default_factory=dict)
+
+    def by_carrier(self) -> dict[str, Est]:
+        """What each carrier answers."""
+        return {"force": self.force, "energy": self.energy, "centre": self.centre}
+
+    def counts(self, aim: Aim) -> str:
+        """The carrier on the safe side: to survive the least number that is allowed, to break the largest; of the
+        probabilities of missing the aim the largest."""
+        return self.lowest if self.solve and aim == "survive" else self.highest
+
+
 # --- manifest, study and samples --------------------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ from uqsphere.runner.fidelity import Pilot, first_look
 from uqsphere.runner.finish import finish, finish_bare
 from uqsphere.runner.finished import Run
 from uqsphere.runner.multifidelity import propose
+from uqsphere.runner.questions.carried import find_carried
 from uqsphere.runner.questions.distributions import Sampled, sample_distributions
 from uqsphere.runner.questions.fracture import find_fracture
 from uqsphere.runner.questions.further import find_analyses
@@ -85,6 +86,8 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
         margins = keep_margins(work, margins, one)
     margins = judge_answers(work, margins)
     ledger.close("margins")
+    carried = find_carried(work, sampled)
+    ledger.close("carriers")
     fracture = find_fracture(work, sampled, margins)
     ledger.close("fracture")
     shared = share_variance(work, sampled, proposed.plan)
@@ -101,6 +104,7 @@ def _by_sampling(work: Work, pilot: Pilot, one: Expensive | None, notice: Callab
         index_control=shared.control,
         margins=margins,
         fracture=fracture,
+        carried=carried,
         tolerance=tolerance,
         analyses=analyses,
         history=work.ledger.rows,

@@ -14,10 +14,12 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Final
 
 from uqsphere.errors import UsageError
+from uqsphere.mechanics.carried import CARRIERS
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
 from uqsphere.quantities import lookup
 from uqsphere.runner.schedule import (
+    CARRIED,
     CAUTION,
     DESIGN_POINT,
     FIRST_SAMPLE,
@@ -226,6 +228,16 @@ def _fracture(study: Study, budget: float) -> tuple[float, float]:
     return likely, most
 
 
+def _carriers(study: Study, budget: float) -> tuple[float, float]:
+    """Evaluations of strengths that were measured elsewhere: a sample, and a curve by each carrier."""
+    count = sum(limit.platens is not None for limit in study.limits)
+    if not count:
+        return 0.0, 0.0
+    rows = min(REPLICATES * CARRIED.first, CARRIED.share * budget)
+    curves = len(CARRIERS) if _moves(study) else 0
+    return rows + curves * _CURVE, rows + curves * _CURVE_MOST
+
+
 def _moves(study: Study) -> bool:
     """Whether margins are asked over a number that moves the demands."""
     return study.margins is not None and study.margins.axis.moves_rows
@@ -267,6 +279,7 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         yield from ((name, count, count) for name, count in planned_analyses(study))
     if not surrogate:
         yield "margins", *_margins(study, end)
+        yield "carriers", *_carriers(study, end)
         yield "fracture", *_fracture(study, end)
         likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
         yield "sensitivity", likely, most

@@ -22,7 +22,7 @@ from uqsphere.results import (
     SpeedRow,
     ToleranceEntry,
 )
-from uqsphere.results.entries import Manifest, PricesEntry
+from uqsphere.results.entries import CarriedEntry, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files
@@ -62,6 +62,7 @@ class Findings:
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
     fracture: FractureEntry | None = None
+    carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     plan: PlanEntry = field(default_factory=PlanEntry)
 
 
@@ -235,6 +236,7 @@ def build_results(work: Work, found: Findings) -> Results:
                 "ignorance": limits_open.get(name),
                 **assumed.get(name, {}),
                 **found.drivers.limits.get(name, {}),
+                **({"carried": found.carried[name]} if name in found.carried else {}),
             }
             for name, limit in found.sampled.limits.items()
         },

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS, Criterion
-from uqsphere.mechanics.outputs import PATHS
+from uqsphere.mechanics.outputs import PATHS, follows_force
 from uqsphere.quantities import OUTPUTS, lookup
 from uqsphere.study.contact import compared_pressure
-from uqsphere.study.document import LimitTable
+from uqsphere.study.document import ENERGY_OF, LimitTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.numbers import Reading, read_number
 from uqsphere.study.scene import Scene, worded
-from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_sphere_tests
+from uqsphere.study.sphere_tests import Demand, is_sphere_tests, read_platens, read_sphere_tests
 from uqsphere.study.study import Limit
 from uqsphere.units import Quantity
 from uqsphere.uq.law import Law
@@ -39,6 +39,7 @@ class LimitReading:
     demand: Demand | None = None
     strength: Reading | None = None
     model_factor: Reading | None = None
+    platens: tuple[float, float] | None = None
 
     @property
     def quantity(self) -> str | None:
@@ -67,6 +68,7 @@ class LimitReading:
             model_factor=self.model_factor.value,
             target=self.table.target,
             fracture=self.table.fracture,
+            platens=self.platens,
         )
 
 
@@ -91,7 +93,7 @@ def read_limits(
         if table.criterion is None:
             demand = _plain_demand(table, place, outputs, findings)
         else:
-            demand = _criterion_demand(table, name, outputs is not None, findings)
+            demand = _criterion_demand(table, name, outputs is not None, scene, findings)
         strength = _read_strength(table, (*place, "strength"), demand, outputs is not None, scene, findings)
         if demand is not None and outputs is None:
             demand = replace(demand, quantity=compared_pressure(demand.quantity, table, name, scene, findings))
@@ -106,8 +108,25 @@ def read_limits(
         if table.fracture and quantity is not None and table.criterion is None and quantity not in PATHS:
             due = f"fracture = true is for a criterion or one of {one_of(sorted(PATHS))}"
             findings.add((*place, "fracture"), f"exceeding {quantity} breaks no sphere: {due}")
-        found.append(LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor))
+        platens = None if demand is None else _platens_of(table, demand, place, scene, findings)
+        found.append(
+            LimitReading(name=name, table=table, demand=demand, strength=strength, model_factor=factor, platens=platens)
+        )
     return found
+
+
+def _platens_of(
+    table: LimitTable, demand: Demand, place: Place, scene: Scene, findings: Findings
+) -> tuple[float, float] | None:
+    """What a strength was measured between, where it is carried to a rig that is not its test."""
+    base = demand.criterion or demand.quantity
+    carried = CRITERIA[base].follows != "" if base in CRITERIA else follows_force(base)
+    if scene.options.get("rig.kind", "bars") in ("bars", "none") or not carried:
+        return None
+    if is_sphere_tests(table.strength):
+        raw = table.strength.get("platens", "bars")
+        return read_platens(raw, (*place, "strength", "platens"), scene, findings)
+    return None if table.platens is None else read_platens(table.platens, (*place, "platens"), scene, findings)
 
 
 def _read_strength(
@@ -158,7 +177,7 @@ def known_quantity(name: str, place: Place, outputs: Sequence[str] | None, findi
 # --- criteria ---------------------------------------------------------------------------------------
 
 
-def _criterion_demand(table: LimitTable, name: str, black_box: bool, findings: Findings) -> Demand | None:
+def _criterion_demand(table: LimitTable, name: str, black_box: bool, scene: Scene, findings: Findings) -> Demand | None:
     """The demand of a limit that names a criterion; None, with the faults noted, where it cannot be understood."""
     place: Place = ("limits", name)
     key = table.criterion
@@ -172,6 +191,7 @@ def _criterion_demand(table: LimitTable, name: str, black_box: bool, findings: F
     if table.quantity is not None:
         findings.add((*place, "quantity"), "quantity and criterion both say what is compared: leave one of them out")
         return None
+    key = _energy_meant(key, table, place, scene, findings)
     entry = CRITERIA[key]
     parameters = _parameters(table, entry, place, findings)
     if parameters is None:
@@ -179,6 +199,20 @@ def _criterion_demand(table: LimitTable, name: str, black_box: bool, findings: F
     if not parameters and entry.quantity is not None:
         return Demand(quantity=entry.quantity)
     return Demand(quantity=f"{key}.{name}", criterion=key, parameters=parameters)
+
+
+def _energy_meant(key: str, table: LimitTable, place: Place, scene: Scene, findings: Findings) -> str:
+    """The criterion with the energy that the strength means, which another rig than bars leaves open."""
+    meant = table.energy_is
+    if key not in ENERGY_OF.values():
+        if meant is not None:
+            findings.add((*place, "energy_is"), "energy_is belongs to the criterion specific_energy: leave it out")
+        return key
+    if key != ENERGY_OF["contact"]:
+        return key
+    if meant is None and scene.options.get("rig.kind", "bars") != "bars" and findings.clean((*place, "energy_is")):
+        findings.add((*place, "energy_is"), f"energy_is is missing: say what the strength means, {one_of(ENERGY_OF)}")
+    return ENERGY_OF[meant or "contact"]
 
 
 def _parameters(table: LimitTable, entry: Criterion, place: Place, findings: Findings) -> dict[str, float] | None:

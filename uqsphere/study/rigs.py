@@ -53,6 +53,10 @@ def refuse_other_tables(document: Document, data: Mapping[str, Raw], findings: F
         if table in data and rig not in names:
             belongs = one_of([shown(name) for name in names])
             findings.add((table,), f"[{table}] belongs to the rig {belongs}, and this is {shown(rig)}: leave it out")
+    for name, limit in document.limits.items():
+        if rig == "none" and limit.service is None and findings.clean(("limits", name)):
+            known = f", {one_of([shown(one) for one in document.service])}" if document.service else ""
+            findings.add(("limits", name), f"the study has no rig to ask it of: add in = the name of a service{known}")
     if _STARTS.get(rig) == "rig" or document.rig is None:
         return
     for key in ("speed", "drop_height", "angle"):

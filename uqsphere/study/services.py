@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from uqsphere.materials import library
-from uqsphere.study.document import RIG_TABLES, RigTable
+from uqsphere.study.document import ENERGY_OF, RIG_TABLES, RigTable
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
 from uqsphere.study.limits import valid_name
 from uqsphere.study.sphere_tests import is_sphere_tests
@@ -112,6 +112,10 @@ def _home_of(name: str, table: Raw, services: Mapping[str, Raw], findings: Findi
     """The service that a limit is asked of; None for the rig itself."""
     asked = table.get("in") if isinstance(table, Mapping) else None
     if not isinstance(asked, str):
+        energy = isinstance(table, Mapping) and table.get("criterion") == "specific_energy"
+        if services and energy and "energy_is" not in table:
+            said = f"energy_is is missing beside services: say what the strength means, {one_of(ENERGY_OF)}"
+            findings.add(("limits", name, "energy_is"), said)
         return None
     if asked in services:
         return asked
@@ -309,7 +313,8 @@ def _local(path: Raw, service: str) -> str:
 
 def _has(data: Mapping[str, Raw], path: Raw, service: str = "") -> bool:
     """Whether something stands at a path."""
-    node: Raw = data
+    # the numbers of a service stand in the study's own file as well, which does not run them
+    node: Raw = data if service or not str(path).startswith(_BEGINNING) else {}
     for part in _local(path, service).split("."):
         if not isinstance(node, Mapping) or part not in node:
             return False

@@ -26,7 +26,8 @@ class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
     With a criterion, `quantity` is its demand with these parameters (SI), by a name of the limit's own.  `fracture`:
-    whether exceeding it breaks the sphere; None leaves that to the quantity.
+    whether exceeding it breaks the sphere; None leaves that to the quantity.  `platens`: E (infinite: rigid) and nu of
+    what the strength was measured between, in a test that is not the study's own rig; None: it is not carried.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Limit:
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     fracture: bool | None = None
+    platens: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,6 +262,7 @@ def _limit_json(limit: Limit) -> dict[str, Json]:
         "target": limit.target,
         **({"criterion": limit.criterion, "parameters": dict(limit.parameters)} if limit.criterion else {}),
         **({} if limit.fracture is None else {"fracture": limit.fracture}),
+        **({} if limit.platens is None else {"platens": [_bound(value) for value in limit.platens]}),
     }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.bars import pulse_stress
 from uqsphere.mechanics.yielding import metal_onset
+from uqsphere.model import scene_of
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.evaluate import OutOfBudget, Work
 from uqsphere.runner.limits import state_of
@@ -25,6 +26,7 @@ from uqsphere.runner.whatif import margin_left_open
 from uqsphere.study import Limit
 from uqsphere.study.axis import SPEED, strength_name
 from uqsphere.uq.curve import fit_lognormal_curve, fragility
+from uqsphere.uq.estimate import Estimate
 from uqsphere.uq.law import Law
 from uqsphere.uq.limit_state import LimitState
 from uqsphere.uq.sample import Sample
@@ -61,10 +63,35 @@ def describe_margin(work: Work, sampled: Sampled, where: Where) -> dict[str, Any
         work, sampled, where.limit, found.rows, value, probability=where.probability, rising=rising
     )
     about["split"] = _split(where, about.get("ignorance"))
+    if known and (also := _also(work, value)):
+        about["also"] = also
     asked = work.study.margins is not None and work.study.margins.bars_elastic
     if asked or _tells_of_bars(work, where):
         about["bars"] = _bars(work, where)
     return about
+
+
+def _also(work: Work, value: Estimate) -> dict[str, Any]:
+    """A speed or a height of a fall as the other, and as the energy that the blow offers per mass; at the means."""
+    path, study = axis_of(work).path, work.study
+    table, _, key = path.partition(".")
+    if study.rig == "bars" or key not in ("speed", "drop_height") or table == "platens":
+        return {}
+    ends = [value.value, value.low, value.high]
+    known = [end for end in ends if end is not None]
+    scene = scene_of(study, {path: np.array(known)})
+    square = np.sin(scene.column("rig.angle", 0.5 * np.pi))
+    found = {"specific_impact_energy": 0.5 * scene.scales.force * scene.scales.approach / scene.scales.mass}
+    if key == "drop_height":
+        found[f"{table}.speed"] = scene.closing_speed / square
+    answers = {}
+    for name, column in found.items():
+        read = iter(column.tolist())
+        numbers = [None if end is None else next(read) for end in ends]
+        method = f"from {path}, the rest of the scene at its means"
+        answers[name] = replace(value, value=numbers[0], low=numbers[1], high=numbers[2], std_error=None,
+                                method=method).as_dict()  # fmt: skip
+    return answers
 
 
 # --- factors -------------------------------------------------------------------------------------------

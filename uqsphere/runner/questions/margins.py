@@ -128,7 +128,7 @@ def _margin(
             else member.member(value)
             for value, member in members.items()
         ],
-        about=describe_margin(work, sampled, Where(limit=limit, probability=_decisive(work, limit), found=found)),
+        about=describe_margin(work, sampled, Where(limit=limit, probability=decisive(work, limit), found=found)),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
         coarse=found.coarse,
@@ -137,7 +137,7 @@ def _margin(
     )
 
 
-def _decisive(work: Work, limit: Limit) -> float:
+def decisive(work: Work, limit: Limit) -> float:
     """The probability that a margin is told for: that of the limit's target, or the smallest that is asked for."""
     assert work.study.margins is not None
     return accepted(limit) or min(work.study.margins.for_probability)
@@ -148,7 +148,7 @@ def _unknown(work: Work, limit: Limit, reason: str, against: str | None) -> Marg
     nothing = absent(reason, "none", 0)
     return MarginAnswer(
         values=dict.fromkeys(asked_probabilities(work, limit), nothing), curve=[], missed=[reason], lognormal=reason,
-        about={"probability": _decisive(work, limit), "value": nothing.as_dict()},
+        about={"probability": decisive(work, limit), "value": nothing.as_dict()},
         against=None if against is None else EnergyCurve.none(against, reason),
     )  # fmt: skip
 

@@ -1,0 +1,99 @@
+"""Strengths carried from their tests to a service by force, by energy and by centre tension: what each would answer.
+
+Each carrier is the same study with other demands (`uqsphere.mechanics.carried`): the sampled points are evaluated once
+with all of them, and so are the rows of the curves, which follow the same points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+from uqsphere.mechanics.carried import CARRIERS, carried_parameters
+from uqsphere.results.entries import CarriedEntry
+from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
+from uqsphere.runner.limits import LimitAnswer, judge_limits
+from uqsphere.runner.questions.curves import curves_along
+from uqsphere.runner.questions.distributions import Sampled
+from uqsphere.runner.questions.margins import decisive
+from uqsphere.runner.schedule import CARRIED
+from uqsphere.study import Limit
+from uqsphere.uq.estimate import Estimate, absent
+
+#: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
+CURVES: Final = 0.05
+
+
+def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
+    """What every limit whose strength was measured elsewhere answers by each carrier."""
+    limits = [limit for limit in work.study.limits if limit.platens is not None]
+    if not limits:
+        return {}
+    demands = {carrier: [_carried(limit, carrier) for limit in limits] for carrier in CARRIERS}
+    everything = tuple(limit for carried in demands.values() for limit in carried)
+    analysis = replace(work.study.analysis, quantities=tuple(limit.quantity for limit in everything))
+    asked = replace(work, study=replace(work.study, limits=everything, analysis=analysis))
+    budget = analysis.budget.evaluations
+    room = min(CARRIED.share * budget, budget - work.ledger.total) / sampled.sample.replicates
+    if room < 1.0:
+        return {}
+    points = sampled.sample.head(min(CARRIED.first, int(room)))
+    try:
+        sample = evaluate_sample(asked, "carried", points)
+    except OutOfBudget:
+        return {}
+    answers = {
+        carrier: judge_limits(asked, sample, [limit.quantity for limit in carried])
+        for carrier, carried in demands.items()
+    }
+    values = {carrier: _values(asked, carried, carrier) for carrier, carried in demands.items()}
+    return {limit.name: _entry(work, limit, answers, values) for limit in limits}
+
+
+def _carried(limit: Limit, carrier: str) -> Limit:
+    """The limit with its demand in the test, where it was measured."""
+    assert limit.platens is not None
+    base = limit.criterion or limit.quantity
+    parameters = {**limit.parameters, **carried_parameters(carrier, limit.platens)}
+    return replace(limit, quantity=f"{base}.{limit.name}@{carrier}", criterion=base, parameters=parameters)
+
+
+def _values(work: Work, limits: Sequence[Limit], carrier: str) -> dict[str, Estimate]:
+    """The value of the free scalar at each limit's target; empty where nothing is solved for."""
+    margins = work.study.margins
+    if margins is None or not margins.axis.moves_rows:
+        return {}
+    most = int(CURVES * work.study.analysis.budget.evaluations)
+    try:
+        found = curves_along(work, limits, most=most, tag=f"-carried-{carrier}", called=f" by {carrier}")
+    except OutOfBudget:
+        return {}
+    answers = {}
+    for limit in limits:
+        curve = found[limit.name]
+        p = decisive(work, limit)
+        answers[limit.name] = absent(curve, "none", 0) if isinstance(curve, str) else curve.value_at(p)
+    return answers
+
+
+def _entry(
+    work: Work,
+    limit: Limit,
+    answers: Mapping[str, Mapping[str, LimitAnswer]],
+    values: Mapping[str, Mapping[str, Estimate]],
+) -> CarriedEntry:
+    """The entry of results.json: the free number where one is solved for, else the probability of missing the aim."""
+    margins = work.study.margins
+    miss = {carrier: answers[carrier][limit.name].miss for carrier in CARRIERS}
+    solved = all(limit.name in values[carrier] for carrier in CARRIERS)
+    told = {carrier: values[carrier][limit.name] for carrier in CARRIERS} if solved else miss
+    known = {carrier: one.value for carrier, one in told.items() if one.value is not None}
+    return CarriedEntry.model_validate({
+        "solve": margins.axis.path if solved and margins is not None else "",
+        **{carrier: one.as_dict() for carrier, one in told.items()},
+        "lowest": min(known, key=lambda carrier: known[carrier], default=""),
+        "highest": max(known, key=lambda carrier: known[carrier], default=""),
+        "miss": {carrier: one.as_dict() for carrier, one in miss.items()},
+        "met": {carrier: answers[carrier][limit.name].met for carrier in CARRIERS},
+    })  # fmt: skip
