@@ -12,7 +12,7 @@ from uqsphere.mechanics.validity import RULES
 from uqsphere.report.assumptions import bearing, breach
 from uqsphere.report.contents import Contents, read_contents
 from uqsphere.report.verdict import cautions, glances
-from uqsphere.results import CheckEntry
+from uqsphere.results.entries import CheckEntry
 
 
 def with_check(tmp_path: Path, check: str, text: str = "text", **limits: dict[str, Any]) -> Contents:

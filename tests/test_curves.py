@@ -16,7 +16,8 @@ from tests.campaigns.fragility import straight_value, value_coverage
 from uqsphere.cli import main
 from uqsphere.report.claims import answer_claim
 from uqsphere.report.terminal import summary_of
-from uqsphere.results import LimitEntry, MarginEntry, Results
+from uqsphere.results import LimitEntry, Results
+from uqsphere.results.margins import MarginEntry
 from uqsphere.runner.evaluate import Ledger, Work
 from uqsphere.runner.questions.curves import curves_along, family_curves
 from uqsphere.runner.questions.margins import find_margins

@@ -22,8 +22,9 @@ from uqsphere.report.figures.fragility import family_table
 from uqsphere.report.tables import accuracy_table
 from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import limits_are_accurate
-from uqsphere.results import AccuracyEntry, LimitEntry, MarginEntry, QuestionRow, Results, SpeedRow
+from uqsphere.results import AccuracyEntry, LimitEntry, QuestionRow, Results, SpeedRow
 from uqsphere.results.entries import Est
+from uqsphere.results.margins import MarginEntry
 from uqsphere.runner.account import FURTHER, further_rows
 from uqsphere.runner.campaign import indices_missed
 from uqsphere.runner.finished import Run

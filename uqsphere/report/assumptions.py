@@ -33,8 +33,9 @@ from uqsphere.report.phrases import (
     safe_side,
     value_text,
 )
-from uqsphere.results import AssumedEntry, CheckEntry, LimitEntry, MarginEntry
-from uqsphere.results.entries import Est
+from uqsphere.results import AssumedEntry, LimitEntry
+from uqsphere.results.entries import CheckEntry, Est
+from uqsphere.results.margins import MarginEntry
 
 #: what a check finds where it is broken
 _FOUND: Final = {

@@ -17,7 +17,8 @@ from uqsphere.quantities import OUTPUTS, display_unit, reading_units
 from uqsphere.report.contents import Contents, law_of, units_of
 from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import plain_percent, short_input, unit_text
-from uqsphere.results import NO_RIG, LimitEntry, MarginEntry, Results
+from uqsphere.results import NO_RIG, LimitEntry, Results
+from uqsphere.results.margins import MarginEntry
 from uqsphere.study.axis import limit_of, strength_name
 
 #: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn

@@ -28,15 +28,9 @@ from uqsphere.report.phrases import (
     symbol,
     value_text,
 )
-from uqsphere.results import (
-    IndexEntry,
-    LimitEntry,
-    MarginOpenEntry,
-    MeasureEntry,
-    MeasureRow,
-    Results,
-)
+from uqsphere.results import IndexEntry, LimitEntry, MeasureEntry, MeasureRow, Results
 from uqsphere.results.entries import Est, Ests
+from uqsphere.results.margins import MarginOpenEntry
 
 #: what a claim is about: the answer of an inverse question, strength over demand, how a quantity is distributed, who
 #: owns its variance, and what to measure first

@@ -27,8 +27,9 @@ from uqsphere.report.phrases import (
     two_digits,
     value_text,
 )
-from uqsphere.results import BarsEntry, FactorsEntry, LimitEntry, MarginEntry
+from uqsphere.results import LimitEntry
 from uqsphere.results.entries import Est
+from uqsphere.results.margins import BarsEntry, FactorsEntry, MarginEntry
 
 
 def margin_verdicts(contents: Contents) -> list[Verdict]:

@@ -10,8 +10,9 @@ from typing import Final
 from uqsphere.quantities import display_unit, format_estimate, format_value, lookup
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import clean, shorten
-from uqsphere.results import MarginEntry, Results
+from uqsphere.results import Results
 from uqsphere.results.entries import Est
+from uqsphere.results.margins import MarginEntry
 from uqsphere.uq.families import FAMILIES
 
 #: digits of a number on the page that has an interval: more are known of some, and read by nobody

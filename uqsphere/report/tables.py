@@ -29,8 +29,8 @@ from uqsphere.report.phrases import (
     unit_text,
     value_text,
 )
-from uqsphere.results import CheckEntry, LimitEntry, ModelEntry, PartEntry, QuestionRow
-from uqsphere.results.entries import Est
+from uqsphere.results import LimitEntry, ModelEntry, PartEntry, QuestionRow
+from uqsphere.results.entries import CheckEntry, Est
 from uqsphere.units import told_apart
 
 

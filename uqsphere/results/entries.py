@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -140,6 +140,34 @@ Probability = Annotated[Est, AfterValidator(_be_probability)]
 Ests = dict[Name, Est]
 Quantiles = dict[ShareKey, Est]
 Range = tuple[Number, Number]
+
+
+class CurvePoint(NamedTuple):
+    """A value of the free scalar, the probability of exceeding there, and its 95 % interval."""
+
+    value: Number
+    probability: Share
+    low: Number
+    high: Number
+
+
+Curve = tuple[CurvePoint, ...]
+#: the status of a failed evaluation, as a key
+Status = Annotated[StrictStr, StringConstraints(pattern=r"^-?\d{1,6}$")]
+
+
+class CheckEntry(Part):
+    """A validity check: shares of the samples in each grade; `share` counts warnings and failures."""
+
+    NEEDS = ("check", "share", "worst", "text")
+
+    check: StrictStr = ""
+    share: Share = 0.0
+    share_information: Share = 0.0
+    share_warning: Share = 0.0
+    share_failure: Share = 0.0
+    worst: Number | None = None
+    text: StrictStr = ""
 
 
 class CarriedEntry(Part):

@@ -11,18 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from uqsphere.quantities import format_value
-from uqsphere.results import (
-    Curve,
-    FractureEntry,
-    GivenFailureEntry,
-    MarginEntry,
-    MemberEntry,
-    PartEntry,
-    QuestionRow,
-    Results,
-    SpeedRow,
-)
-from uqsphere.results.entries import Est
+from uqsphere.results import FractureEntry, GivenFailureEntry, PartEntry, QuestionRow, Results, SpeedRow
+from uqsphere.results.entries import Curve, Est
+from uqsphere.results.margins import MarginEntry, MemberEntry
 from uqsphere.runner.campaign import INDEX_KIND, MEAN_KIND, MISS_KIND, QUANTILE_KIND, Cost, Missed, rounded
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.forecast import CHEAPER, forecast

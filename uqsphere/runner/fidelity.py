@@ -12,7 +12,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
 from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
-from uqsphere.results import CheckEntry
+from uqsphere.results.entries import CheckEntry
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
 from uqsphere.runner.schedule import PILOT, pilot_points

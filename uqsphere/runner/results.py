@@ -12,17 +12,8 @@ from typing import Any, Final
 
 import uqsphere
 from uqsphere.quantities import lookup
-from uqsphere.results import (
-    NO_RIG,
-    AnalysisEntry,
-    CheckEntry,
-    FractureEntry,
-    PlanEntry,
-    Results,
-    SpeedRow,
-    ToleranceEntry,
-)
-from uqsphere.results.entries import CarriedEntry, Manifest, PricesEntry
+from uqsphere.results import NO_RIG, AnalysisEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
+from uqsphere.results.entries import CarriedEntry, CheckEntry, Manifest, PricesEntry
 from uqsphere.results.tables import tables
 from uqsphere.runner.account import questions
 from uqsphere.runner.datafiles import named_files

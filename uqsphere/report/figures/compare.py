@@ -39,8 +39,9 @@ from uqsphere.report.phrases import (
     short_input,
     symbol,
 )
-from uqsphere.results import IndexEntry, MarginEntry
+from uqsphere.results import IndexEntry
 from uqsphere.results.entries import Entry, Est, Ests
+from uqsphere.results.margins import MarginEntry
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -50,8 +50,9 @@ from uqsphere.report.phrases import (
     value_text,
 )
 from uqsphere.report.tables import margins_table
-from uqsphere.results import AgainstEntry, LimitEntry, MarginEntry
+from uqsphere.results import LimitEntry
 from uqsphere.results.entries import Est
+from uqsphere.results.margins import AgainstEntry, MarginEntry
 from uqsphere.runner.questions.curves import member_values
 
 if TYPE_CHECKING:

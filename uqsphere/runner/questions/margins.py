@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.errors import UqsphereError
 from uqsphere.model import scene_of, solve_scene
-from uqsphere.results import ValidityAtEntry
+from uqsphere.results.margins import ValidityAtEntry
 from uqsphere.runner.axis_rows import axis_of
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import OutOfBudget, Work, draw
