@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
@@ -122,6 +123,25 @@ QUICK = (
 def one_blas_thread() -> Iterator[None]:
     """Sums of linear algebra in one fixed order."""
     with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def fits_of_the_same_runs() -> Iterator[None]:
+    """Surrogates are fitted once to the same runs: they depend on nothing else, and many tests share their runs."""
+    from uqsphere.uq import response
+    from uqsphere.uq.expansion import fit_outputs
+
+    known: dict[tuple[object, ...], object] = {}
+
+    def remembered(points: np.ndarray, outputs: np.ndarray, germs: Sequence[object], *, most: float) -> object:
+        key = (points.shape, points.tobytes(), outputs.shape, outputs.tobytes(), repr(tuple(germs)), most)
+        if key not in known:
+            known[key] = fit_outputs(points, outputs, germs, most=most)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(response, "fit_outputs", remembered)
         yield
 
 
