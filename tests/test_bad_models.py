@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +14,7 @@ import pytest
 import uqsphere
 from uqsphere.black_box import load_black_box
 from uqsphere.cli import main
-from uqsphere.cli.watch import Progress, Silence, last_words
+from uqsphere.cli.watch import Progress, Silence
 from uqsphere.errors import ModelError, ModelRaised, UsageError
 from uqsphere.model import answer_black_box
 from uqsphere.report.chapters import measure_heading
@@ -207,26 +205,6 @@ def test_a_model_that_fails_on_loading_is_told_with_its_place(tmp_path: Path) ->
     (tmp_path / "own.py").write_text("import math\nlimit = math.squareroot(2.0)\n", "utf-8")
     with pytest.raises(ModelError, match=r"AttributeError on loading: .*\(own.py, line 2\)$"):
         uqsphere.run(written(tmp_path), out=tmp_path / "r", model=f"{tmp_path / 'own.py'}:f")
-
-
-def test_a_model_that_ends_the_process_has_last_words(tmp_path: Path) -> None:
-    (tmp_path / "ending.py").write_text("import os\ndef f(rows): os._exit(7)\n", "utf-8")
-    written(tmp_path)
-    found = subprocess.run(
-        [sys.executable, "-m", "uqsphere", "run", "s.toml", "--model", "ending.py:f", "--out", "r"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert found.returncode == 7
-    assert "the model ended it" in found.stderr
-    assert "time_limit" in found.stderr
-
-
-def test_no_last_words_where_the_block_is_left(capfd: pytest.CaptureFixture[str]) -> None:
-    with last_words("gone"):
-        pass
-    with pytest.raises(ValueError, match="left"), last_words("gone"):
-        raise ValueError("left")
-    assert capfd.readouterr().err == ""
 
 
 def test_a_model_that_never_answers_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:

@@ -256,7 +256,7 @@ class Shuffled:
 def test_where_a_black_box_is_evaluated_changes_no_byte(box: Any, tmp_path: Path) -> None:
     study, reference = box("good")
     here = uqsphere.run(study, out=tmp_path / "here", model=reference, threads=1)
-    assert here.manifest.executor.kind == "this process"
+    assert here.manifest.executor.kind == "local processes"
     digest = answers_of(here.folder)
     chunks = sorted(os.listdir(here.folder / "evaluations"))
     with ThreadPoolExecutor(3) as threads:
@@ -274,7 +274,7 @@ def test_a_dear_black_box_gets_processes(box: Any, tmp_path: Path, monkeypatch: 
 
     study, reference = box("dear", "analysis.accuracy.sobol=5.0")
     alone = uqsphere.run(study, out=tmp_path / "alone", model=reference, threads=1)
-    monkeypatch.setattr(engine, "DEAR", 0.1)
+    monkeypatch.setattr(engine, "EXPENSIVE", 0.1)
     monkeypatch.setattr(engine, "WORTH", 0.1)
     spread = uqsphere.run(study, out=tmp_path / "spread", model=reference, threads=count)
     record = spread.manifest.executor
@@ -352,7 +352,7 @@ def test_calls_that_hold_a_row_that_hangs_do_not_take_the_limit_of_all_their_row
                 model=reference, digest=model_digest(reference), go_on=True)  # fmt: skip
     pool, began = LocalWorkers(1), time.monotonic()
     try:
-        found = list(gather(pool, task, rows, [(k, k + 40) for k in range(0, 120, 40)], limit=2.0, go_on=lambda: True))
+        found = list(gather(pool, task, rows, [(k, k + 40) for k in range(0, 120, 40)], go_on=lambda: True))
     finally:
         pool.close()
     failed = sorted(start for start, _, answered, _ in found if answered.status.any())

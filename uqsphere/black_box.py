@@ -1,38 +1,56 @@
-"""The user's own model: loading its file, telling its states apart, and where it prints."""
+"""The user's own model: loading its file, calling it, telling its states apart, and where it prints."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.errors import AccessError, ModelError, UsageError
+from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, told
+from uqsphere.files import read_given
 
 BlackBox = Callable[[dict[str, npt.NDArray[np.float64]]], Mapping[str, Any]]
 
+#: bytes of a model's file: what is larger is no source
+LARGEST_MODEL: Final = 16 << 20
+
+#: folders of packages, wherever an installation has them
+_INSTALLED: Final = frozenset(("site-packages", "dist-packages"))
+
 _redirect_lock = threading.Lock()
-_redirected: list[contextlib.redirect_stdout[Any]] = []
+_redirected = contextlib.ExitStack()
 _depth = 0
+#: forks of this process so far: a model that forks at every call is told of once
+_forks = 0
+
+
+def _count_fork() -> None:
+    global _forks
+    _forks += 1
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_parent=_count_fork)
 
 
 @contextlib.contextmanager
 def prints_to_stderr() -> Iterator[None]:
-    """stdout carries results only: whatever a black box prints goes the way of diagnostics.
+    """stdout carries results only: what a model, its libraries and its children print goes the way of diagnostics.
 
-    sys.stdout belongs to the whole process: of several threads the first redirects it and the last gives
-    it back, or one would restore what another had redirected.
+    Descriptor 1 and sys.stdout belong to the whole process: of several threads the first turns them aside and
+    the last gives them back, or one would restore what another had turned.
     """
     global _depth
     with _redirect_lock:
         if _depth == 0:
-            _redirected.append(contextlib.redirect_stdout(sys.stderr))
-            _redirected[-1].__enter__()
+            _redirected.enter_context(_aside())
         _depth += 1
     try:
         yield
@@ -40,7 +58,95 @@ def prints_to_stderr() -> Iterator[None]:
         with _redirect_lock:
             _depth -= 1
             if _depth == 0:
-                _redirected.pop().__exit__(None, None, None)
+                _redirected.close()
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
+    """Descriptor 1 is a copy of 2, or of nowhere where there is no 2; what C has printed goes where it was printed."""
+    _flush()
+    try:
+        kept = os.dup(1)
+    except OSError:
+        kept = None  # there is no stdout to be kept clean
+    else:
+        try:
+            os.dup2(2, 1)
+        except OSError:
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        if kept is not None:
+            _flush()
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
+def _flush() -> None:
+    """Have Python's stdout and C's written out."""
+    import ctypes
+
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        sys.stdout.flush()
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)
+
+
+@contextlib.contextmanager
+def _at_work(name: str) -> Iterator[None]:
+    """While the model's own code runs: its output goes to stderr, and what it has forked does not come back.
+
+    A forked process that leaves the block would go on with the run as if it were it.
+    """
+    process = os.getpid()
+    with prints_to_stderr():
+        try:
+            yield
+        finally:
+            if os.getpid() != process:
+                if _forks == 0:
+                    text = (
+                        f"the model {name} forked a process that came back from its call; it was ended there, and its"
+                    )
+                    with contextlib.suppress(OSError):
+                        os.write(2, f"uqsphere: {text} answer is not taken. What a model forks ends itself\n".encode())
+                os._exit(1)
+
+
+def call_black_box(box: BlackBox, given: dict[str, npt.NDArray[np.float64]]) -> object:
+    """What the model answers to n rows, given as columns (n,) by their names.
+
+    Raises
+    ------
+    ModelRaised
+        With what the model raised, and where.
+    """
+    try:
+        with _at_work(told(getattr(box, "__qualname__", type(box).__name__), 60)):
+            return box(given)
+    except (Exception, SystemExit) as error:
+        raise ModelRaised(f"the model raised {type(error).__name__}: {told(error)}{where_raised(error)}") from error
+
+
+def checked_reference(reference: str) -> tuple[Path, str]:
+    """File and function of ``FILE.py:FUNCTION``.
+
+    Raises
+    ------
+    UsageError
+        When the reference is malformed.
+    AccessError
+        When there is no such file.
+    """
+    file, separator, name = reference.rpartition(":")
+    if not separator or not file.endswith(".py") or not name.isidentifier():
+        raise UsageError(f"--model takes FILE.py:FUNCTION, found {reference!r}")
+    if not Path(file).is_file():
+        raise AccessError(f"the model file {file} does not exist")
+    return Path(file), name
 
 
 def load_black_box(reference: str) -> BlackBox:
@@ -55,24 +161,21 @@ def load_black_box(reference: str) -> BlackBox:
     """
     import importlib.util
 
-    file, separator, name = reference.rpartition(":")
-    if not separator or not file.endswith(".py") or not name.isidentifier():
-        raise UsageError(f"--model takes FILE.py:FUNCTION, found {reference!r}")
-    path = Path(file)
-    if not path.is_file():
-        raise AccessError(f"the model file {file} does not exist")
+    path, name = checked_reference(reference)
     spec = importlib.util.spec_from_file_location(f"uqsphere_black_box_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise UsageError(f"{file} cannot be loaded as a Python file")
+        raise UsageError(f"{path} cannot be loaded as a Python file")
     module = importlib.util.module_from_spec(spec)
     try:
-        with prints_to_stderr():
+        with _at_work(told(path.name, 60)):
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise ModelError(f"{file} raised {type(error).__name__} on loading: {error}{where_raised(error)}") from error
+        raise ModelError(
+            f"{path} raised {type(error).__name__} on loading: {told(error)}{where_raised(error)}"
+        ) from error
     function = getattr(module, name, None)
     if not callable(function):
-        raise UsageError(f"{file} has no function {name!r}")
+        raise UsageError(f"{path} has no function {name!r}")
     return function  # type: ignore[no-any-return]
 
 
@@ -88,7 +191,9 @@ def where_raised(error: BaseException) -> str:
     frames = [
         f
         for f in traceback.extract_tb(error.__traceback__)
-        if not f.filename.startswith("<") and rooms.isdisjoint(Path(f.filename).parents)
+        if not f.filename.startswith("<")
+        and rooms.isdisjoint(Path(f.filename).parents)
+        and _INSTALLED.isdisjoint(Path(f.filename).parts)
     ]
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
@@ -102,11 +207,8 @@ def model_digest(model: str | BlackBox) -> str:
     import inspect
 
     if isinstance(model, str):
-        file, _, name = model.rpartition(":")
-        try:
-            source = Path(file).read_bytes()
-        except OSError as error:
-            raise AccessError(f"the model file {file}: {error.strerror}") from error
+        path, name = checked_reference(model)
+        source = read_given(path, LARGEST_MODEL)
     else:
         name = f"{getattr(model, '__module__', '')}.{getattr(model, '__qualname__', type(model).__qualname__)}"
         try:

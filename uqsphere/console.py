@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
+from typing import Any, TextIO, cast
 
 #: columns below which no table can be set; to which a column of names shrinks; and any other
 _NARROWEST, _NAME, _LEAST = 40, 16, 8
@@ -24,7 +27,7 @@ _PLAIN = {ord(a): b for a, b in (("µ", "u"), ("×", "x"), ("−", "-"), ("–",
 
 def plain(text: str) -> str:
     """A text without control characters, so that a study cannot steer the terminal."""
-    return "".join(character if character.isprintable() else "?" for character in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def print_document(content: object) -> None:
@@ -44,6 +47,67 @@ def plain_lines(text: str) -> str:
     'a?[31m\\nb'
     """
     return "\n".join(plain(line) for line in text.split("\n"))
+
+
+class Outlet:
+    """stdout or stderr as a command writes to it: a reader that has gone stops nothing.
+
+    screened : whether control characters are shown as "?"; stderr has its bars.
+    strict : whether a full disk is an error.
+    """
+
+    def __init__(self, stream: TextIO, *, screened: bool, strict: bool) -> None:
+        self._stream, self._screened, self._strict = stream, screened, strict
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text; its length."""
+        try:
+            self._stream.write(plain_lines(text) if self._screened else text)
+        except (OSError, ValueError) as error:
+            self._lose(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """Have it written out."""
+        try:
+            self._stream.flush()
+        except (OSError, ValueError) as error:
+            self._lose(error)
+
+    def _lose(self, error: OSError | ValueError) -> None:
+        """Whatever is still to be written goes nowhere, also at exit."""
+        with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), self._stream.fileno())
+        if self._strict and isinstance(error, OSError) and error.errno not in (errno.EPIPE, errno.EIO):
+            raise error
+
+
+@contextlib.contextmanager
+def outlets() -> Iterator[None]:
+    """stdout and stderr as outlets; those that were closed at the start lead nowhere, and no file takes their place."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            # the lowest number that is free is this one; it is for what is started too
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    before = sys.stdout, sys.stderr
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        for stream in before:
+            if hasattr(stream, "reconfigure"):  # a terminal that lacks a character shows its code instead
+                stream.reconfigure(errors="backslashreplace")
+        sys.stdout = cast(TextIO, Outlet(before[0] or nowhere, screened=True, strict=True))
+        sys.stderr = cast(TextIO, Outlet(before[1] or nowhere, screened=False, strict=False))
+        try:
+            yield
+        finally:
+            for outlet in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError):
+                    outlet.flush()
+            sys.stdout, sys.stderr = before
 
 
 def screen_width() -> int:

@@ -17,6 +17,21 @@ __all__ = [
 ]
 
 
+def told(value: object, longest: int = 300) -> str:
+    """What something from outside says of itself, as one line that can be printed: never raises, and is not long.
+
+    >>> told("a\\x1b[2J  b"), told("x" * 1000, 5)
+    ('a?[2J b', 'xxxx…')
+    """
+    try:
+        # what comes behind is not looked at: the blanks between words alone could be megabytes
+        text = str(value)[: 64 * longest]
+    except Exception as error:
+        return f"(its text cannot be had: {type(error).__name__})"
+    text = "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
 class UqsphereError(Exception):
     """Base of every error that uqsphere raises on purpose."""
 

@@ -6,6 +6,7 @@ devices), run (no pickle, no import) or believed to be as small as it says.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -13,9 +14,9 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-from uqsphere.errors import AccessError, FolderError
+from uqsphere.errors import AccessError, FolderError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,6 +46,10 @@ _DEVICES: Final = frozenset(
         *(f"{port}{k}" for port in ("com", "lpt") for k in "123456789¹²³"),
     )
 )
+
+
+class TooLarge(UsageError):
+    """A file is larger than what is read of its kind."""
 
 
 def is_device_name(name: str) -> bool:
@@ -80,6 +85,45 @@ def read_whole(path: Path, largest: int = LARGEST_DOCUMENT) -> bytes:
     except (OSError, ValueError) as error:
         reason = "there is no such file" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", "")
         raise AccessError(f"{path}: {reason or error}") from error
+
+
+@contextlib.contextmanager
+def open_given(path: Path, largest: int) -> Iterator[BinaryIO]:
+    """A file that the user named, open for reading: plain, or a link to a plain one, of at most `largest` bytes.
+
+    Raises
+    ------
+    AccessError
+        For a pipe or a device, and where the system refuses or there is no such file.
+    UsageError
+        For a folder, and a file that is larger.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        kind = os.stat(path)
+        if stat.S_ISDIR(kind.st_mode):
+            raise UsageError(f"{path}: this is a folder; give the file inside it")
+        if not stat.S_ISREG(kind.st_mode):
+            raise AccessError(f"{path}: this is not a regular file")
+        handle = os.open(path, flags)
+    except FileNotFoundError:
+        raise AccessError(f"{path}: there is no such file") from None
+    except (OSError, ValueError) as error:
+        raise AccessError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    with os.fdopen(handle, "rb") as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > largest:
+            raise TooLarge(f"{path}: it has {size / 2**20:,.0f} MiB, and {largest / 2**20:,.0f} MiB are read at most")
+        yield stream
+
+
+def read_given(path: Path, largest: int) -> bytes:
+    """The content of a file that the user named; raises as `open_given`."""
+    with open_given(path, largest) as stream:
+        try:
+            return stream.read(largest)
+        except OSError as error:
+            raise AccessError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _constant(text: str) -> float:

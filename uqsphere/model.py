@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox, prints_to_stderr, where_raised
-from uqsphere.errors import ModelError, ModelRaised, UsageError
+from uqsphere.black_box import BlackBox, call_black_box
+from uqsphere.errors import ModelError, UsageError, told
 from uqsphere.materials import library
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
@@ -259,16 +260,16 @@ def answer_black_box(
     given = {name: np.full(len(rows), value) for name, value in study.fixed.items()}
     given |= {name: np.array(rows[:, k]) for k, name in enumerate(names)}
     inputs = np.stack(list(given.values()), axis=1)
-    try:
-        with prints_to_stderr():
-            found = box(given)
-    except (Exception, SystemExit) as error:
-        said = " ".join(str(error).split())
-        raise ModelRaised(f"the model raised {type(error).__name__}: {said}{where_raised(error)}") from error
+    found = call_black_box(box, given)
     if not isinstance(found, Mapping):
-        raise ModelError(f"the model must return a dict of output name -> array, found {type(found).__name__}")
+        raise ModelError(f"the model must return a dict of output name -> array, found {told(type(found).__name__)}")
     due = [needed is None or name in needed for name in outputs]
-    columns = [_output(found, name, len(rows), must) for name, must in zip(outputs, due, strict=True)]
+    try:
+        columns = [_output(found, name, len(rows), must) for name, must in zip(outputs, due, strict=True)]
+    except ModelError:
+        raise
+    except Exception as error:  # a mapping of the model's own answers as it likes
+        raise ModelError(f"what the model returned cannot be read: {type(error).__name__}: {told(error)}") from error
     values = np.stack(columns, axis=1)
     known: npt.NDArray[np.bool_] = np.isfinite(values)
     finite = np.all(known[:, due], axis=1)
@@ -295,14 +296,16 @@ def _output(found: Mapping[str, npt.ArrayLike], name: str, count: int, due: bool
     if name not in found:
         if not due:
             return np.full(count, np.nan)
-        raise ModelError(f"the model returned no {name!r} (it returned {', '.join(map(repr, found)) or 'nothing'})")
+        keys = [f"'{told(key, 60)}'" for key in islice(found, _MOST_NAMED)]
+        raise ModelError(f"the model returned no {name!r} (it returned {', '.join(keys) or 'nothing'})")
+    given = found[name]
     try:
-        if np.iscomplexobj(found[name]):
+        if np.iscomplexobj(given):
             raise TypeError("found complex numbers")
         # what a masked array hides is no answer
-        column: Array = np.ma.filled(np.ma.asarray(found[name], dtype=float), np.nan)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"the model's {name!r} is not an array of numbers: {error}") from error
+        column: Array = np.ma.filled(np.ma.asarray(given, dtype=float), np.nan)
+    except Exception as error:  # numpy asks the objects themselves, which answer as they like
+        raise ModelError(f"the model's {name!r} is not an array of numbers: {told(error)}") from error
     if column.shape != (count,):
         due_shape = f"shape ({count},), one number for each row of its inputs"
         raise ModelError(f"the model's {name!r} must have {due_shape}, found {column.shape}")

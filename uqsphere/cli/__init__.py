@@ -13,6 +13,7 @@ from importlib import import_module
 from types import FrameType
 
 from uqsphere.cli.parser import build_parser
+from uqsphere.console import outlets, plain_lines
 from uqsphere.errors import AccessError, UqsphereError
 
 __all__ = ["build_parser", "main"]
@@ -40,21 +41,23 @@ def _go_on(chosen: argparse.Namespace | None, arguments: Sequence[str]) -> str:
     return f"interrupted; what was evaluated is kept, and this goes on with it:\n  uqsphere {shlex.join(again)}"
 
 
-def _drop_stdout() -> None:
-    """Whatever is still to be written goes nowhere, also at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code.  Errors of the family are printed, never raised."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal that lacks a character shows its code instead
-            stream.reconfigure(errors="backslashreplace")
-    chosen: argparse.Namespace | None = None
     handler = None
     if threading.current_thread() is threading.main_thread():
         handler = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        with outlets():
+            return _carry_out(given)
+    finally:
+        if handler is not None:
+            signal.signal(signal.SIGTERM, handler)
+
+
+def _carry_out(given: Sequence[str]) -> int:
+    """One command; the exit code."""
+    chosen: argparse.Namespace | None = None
     try:
         chosen = build_parser().parse_args(given)
         does = getattr(import_module(chosen.module), f"command_{chosen.command}")
@@ -62,23 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except UqsphereError as error:
-        from uqsphere.console import plain_lines
-
         text = plain_lines(str(error))
         print(f"uqsphere: {text}" if not hasattr(error, "problems") else text, file=sys.stderr)
         return error.exit_code
     except (KeyboardInterrupt, _Terminated) as error:
         print(f"\nuqsphere: {_go_on(chosen, given)}", file=sys.stderr)
         return TERMINATED if isinstance(error, _Terminated) else INTERRUPTED
-    except BrokenPipeError:
-        # the reader of stdout has gone: say nothing more
-        _drop_stdout()
-        return 0
     except Exception as error:
         return _unforeseen(error)
-    finally:
-        if handler is not None:
-            signal.signal(signal.SIGTERM, handler)
 
 
 def _unforeseen(error: Exception) -> int:
@@ -87,8 +81,6 @@ def _unforeseen(error: Exception) -> int:
         raise error
     if isinstance(error, OSError):
         print(f"uqsphere: {error.filename or 'input/output'}: {error.strerror or error}", file=sys.stderr)
-        if error.filename is None:
-            _drop_stdout()
         return AccessError.exit_code
     if isinstance(error, MemoryError):
         print("uqsphere: out of memory: lower analysis.budget.evaluations, or use a larger machine", file=sys.stderr)

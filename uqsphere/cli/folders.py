@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from uqsphere.console import plain, print_document
-from uqsphere.errors import FolderError, UsageError
+from uqsphere.errors import FolderError, ModelError, UsageError
 
 #: what reading entries that do not fit together raises; a fault of ours would look the same, so that the
 #: message says how to see it
@@ -88,7 +88,7 @@ def command_export(chosen: argparse.Namespace) -> int:
 
 def command_verify(chosen: argparse.Namespace) -> int:
     """Whether a result folder is whole."""
-    from uqsphere.cli.verify import DAMAGED, verify_folder, verify_text
+    from uqsphere.cli.verify import DAMAGED, FICKLE, verify_folder, verify_text
 
     if not 0 <= chosen.chunks <= 10_000_000:
         raise UsageError(f"--chunks takes 0 and more, found {chosen.chunks}")
@@ -102,6 +102,8 @@ def command_verify(chosen: argparse.Namespace) -> int:
         print(verify_text(found))
     if found.verdict == DAMAGED:
         raise FolderError(f"{chosen.folder} is damaged")
+    if found.verdict == FICKLE:
+        raise ModelError(f"{chosen.model} is not deterministic: {chosen.folder} is not damaged, and cannot be repeated")
     return 0
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from uqsphere.cli.studies import warn
-from uqsphere.cli.watch import KILLED, STOPPING, Patience, Progress, Silence, last_words, limit_text
+from uqsphere.cli.watch import STOPPING, Patience, Progress, Silence, limit_text
 from uqsphere.console import print_document, say
 from uqsphere.errors import UsageError
 from uqsphere.study import Study, load_study
@@ -75,7 +75,6 @@ def _watched_run(study: Study, chosen: argparse.Namespace, seconds: float | None
         executor = None
         if chosen.model is not None:
             # the impact model takes its time to compile, and always comes back
-            around.enter_context(last_words(KILLED))
             around.enter_context(Silence(progress, progress.seconds, limit_text(study)))
         if chosen.dask is not None:
             from uqsphere.runner.cluster import dask_cluster

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import platform
 from dataclasses import asdict, dataclass, field
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import uqsphere
-from uqsphere.black_box import BlackBox, load_black_box, model_digest
+from uqsphere.black_box import model_digest
 from uqsphere.console import plain, table
 from uqsphere.errors import FolderError, UsageError
 from uqsphere.files import LARGEST_ARRAY, chunk_of, plain_files, read_whole, refuse_links
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     from uqsphere.runner.rehearsal import Repeated
 
 #: verdicts
-WHOLE, DAMAGED, UNFINISHED = "whole", "damaged", "unfinished"
+WHOLE, DAMAGED, UNFINISHED, FICKLE = "whole", "damaged", "unfinished", "not deterministic"
 _HEADLINES: Final = {
     WHOLE: "whole: everything stored is as it was written",
     DAMAGED: "DAMAGED",
     UNFINISHED: "not finished, and what is stored is whole",
+    FICKLE: "as it was written; THE MODEL IS NOT DETERMINISTIC",
 }
 #: differences between machines or versions of packages that are no damage, relative to the study's tolerance
 _SLACK: Final = 10.0
@@ -42,6 +44,7 @@ class Verification:
     files, chunks : how many files have a checksum, and how many chunks of evaluations there are
     keys : of the chunks that are whole
     repeated : chunks that were evaluated again
+    fickle : those of them for which the model gives other answers each time
     results : "the same" or "different" where the results were repeated from the evaluations
     """
 
@@ -53,15 +56,16 @@ class Verification:
     chunks: int = 0
     keys: list[str] = field(default_factory=list)
     repeated: list[Repeated] = field(default_factory=list)
+    fickle: list[str] = field(default_factory=list)
     results: str | None = None
     services: dict[str, Verification] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        """Whole, damaged or unfinished: the worst of the run and its services."""
+        """Whole, damaged, unfinished, or of a model that is not deterministic: the worst of run and services."""
         if self.faults or any(own.verdict == DAMAGED for own in self.services.values()):
             return DAMAGED
-        return WHOLE if self.finished else UNFINISHED
+        return FICKLE if self.fickle else (WHOLE if self.finished else UNFINISHED)
 
     def document(self) -> dict[str, object]:
         """The same as plain values."""
@@ -159,6 +163,7 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
     from uqsphere.runner.datafiles import kept_data
     from uqsphere.runner.finished import open_run
     from uqsphere.runner.rehearsal import private_folder, rehearse, stored_study
+    from uqsphere.runner.workers import Engine
 
     folder = found.folder
     run = open_run(folder)
@@ -174,22 +179,31 @@ def _repeat(found: Verification, chunks: int, seed: int, model: str | None) -> N
         found.notes.append(f"{made}: nothing was evaluated again")
         return
     text = read_whole(folder / "study.toml").decode("utf-8", "replace")
-    with private_folder() as place:
-        again, home = Path(place) / "run", Path(place) / "study"
-        again.mkdir()
+    with contextlib.ExitStack() as opened:
+        place = Path(opened.enter_context(private_folder()))
+        home, again = place / "study", place / "run"
         home.mkdir()
         study = stored_study(text, resolved.document(), home, kept_data(text, folder))
-        box = _black_box(study.black_box, resolved, model)
-        if study.black_box and box is None:
+        engine = Engine(model=_reference(study.black_box, resolved, model))
+        opened.callback(engine.close)
+        if study.black_box and engine.model is None:
             found.notes.append(
                 "nothing was evaluated again: this is a black box, and its model was not given with --model"
             )
             chunks = 0
         store = Store(folder=folder, lock=None)
         store.look()
-        rehearsal, missing = rehearse(store, study, _draw(found.keys, chunks, seed), again, box,
-                                      run.results.services)  # fmt: skip
+        chosen, services = _draw(found.keys, chunks, seed), run.results.services
+        rehearsal, missing = rehearse(store, study, chosen, again, engine, services)
         found.repeated = list(rehearsal.repeated)
+        if engine.model is not None and not all(entry.same for entry in found.repeated):
+            # once more: answers that differ from each other say nothing of the folder
+            second, _ = rehearse(store, study, chosen, place / "twice", engine, services)
+            digests = {entry.chunk: entry.digest for entry in second.repeated}
+            found.fickle = [entry.chunk for entry in found.repeated if entry.digest != digests.get(entry.chunk)]
+        if found.fickle:
+            again = place / "stored"
+            rehearse(store, study, frozenset(), again, engine, services)
         unused = len(set(found.keys) - rehearsal.used)
         _compare(found, run, study.model.tolerance, missing, unused, again)
 
@@ -199,6 +213,11 @@ def _compare(found: Verification, run: Run, tolerance: float, missing: str | Non
     same_place = _same_place(run, found.notes)
     for entry in found.repeated:
         _judge(entry, same_place, tolerance, found)
+    if found.fickle:
+        found.notes.append(
+            "the model gives other answers to the same rows each time, so that no run of it can be repeated: give it a "
+            "generator with a seed of its own, made in every call"
+        )
     manifest = run.manifest
     if missing and (manifest.stopped_by_time or manifest.interrupted):
         who = "the time budget" if manifest.stopped_by_time else "the user"
@@ -218,7 +237,7 @@ def _resolved(folder: Path, results: Results) -> Resolved:
     return resolved
 
 
-def _black_box(needed: bool, resolved: Resolved, model: str | None) -> BlackBox | None:
+def _reference(needed: bool, resolved: Resolved, model: str | None) -> str | None:
     """The model that was given, once it is known to be the one of the run."""
     if model is None:
         return None
@@ -226,7 +245,7 @@ def _black_box(needed: bool, resolved: Resolved, model: str | None) -> BlackBox 
         raise UsageError("--model serves black-box studies; this run is one of an impact scene")
     if model_digest(model) != resolved.model_digest:
         raise UsageError(f"{model} is not the model of this run, or was changed since: it was not run")
-    return load_black_box(model)
+    return model
 
 
 def _draw(keys: list[str], count: int, seed: int) -> frozenset[str]:
@@ -255,7 +274,7 @@ def _same_place(run: Run, notes: list[str]) -> bool:
 
 
 def _judge(entry: Repeated, same_place: bool, tolerance: float, found: Verification) -> None:
-    if entry.same:
+    if entry.same or entry.chunk in found.fickle:
         return
     text = f"the evaluations {entry.chunk} come out differently now, by up to {entry.difference:.2g} of a number"
     if not same_place and entry.difference <= _SLACK * tolerance:

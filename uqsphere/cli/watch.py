@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 
@@ -21,12 +18,6 @@ from uqsphere.study import Study
 _LINE_EVERY, _DRAW_EVERY = 5.0, 0.1
 #: columns of a bar
 _BAR = 24
-#: what is said of a run whose process is gone
-KILLED = (
-    "uqsphere: the process of this run ended before the run did: the model ended it, or it was killed, as where memory "
-    "runs out. What was evaluated is kept, and the same command goes on with it. With a time_limit in [analysis] every "
-    "evaluation is made in a process of its own, whose end is a failed evaluation."
-)
 STOPPING = "finishing what has been begun, then the report of what is there; Ctrl-C again stops at once"
 
 
@@ -245,27 +236,3 @@ class Silence:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._left.set()
-
-
-@contextlib.contextmanager
-def last_words(text: str) -> Iterator[None]:
-    """Have `text` said on stderr if this process ends inside the block without leaving it.
-
-    A shell waits for the end of a pipe of which only this process holds the other end.  Without a shell
-    nothing is said.
-    """
-    shell = shutil.which("sh")
-    if shell is None:
-        yield
-        return
-    waiting = subprocess.Popen(
-        [shell, "-c", 'read left || printf "%s\\n" "$1" >&2', "sh", text],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is for the run
-    )
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            waiting.communicate(b"left\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from uqsphere.black_box import BlackBox, load_black_box, model_digest
-from uqsphere.errors import UsageError
+from uqsphere.black_box import BlackBox, model_digest
+from uqsphere.errors import ModelError, UsageError
 from uqsphere.model import NO_DAMPER, scene_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.store import open_store
@@ -47,9 +48,10 @@ def run(
     executor : anything with submit(), optional
         Takes the evaluations, such as a pool of `concurrent.futures` or a `distributed.Client`; the model must then
         be a reference, not a function.  If None, the mechanics run here in threads, and a black box that is a
-        reference and proves dear in processes of its own.
+        reference in a process of its own, or in several where it proves expensive.
     model : "FILE.py:FUNCTION" or function
-        The black box of a black-box study.
+        The black box of a black-box study.  A reference is loaded and called in a process of its own, so that a model
+        that ends its process, hangs or forks does not do so to the run; a function is called here.
     threads : int, optional
         Threads of the mechanics, or processes of a dear black box; all processors if None.  Results do not depend
         on it.
@@ -87,22 +89,13 @@ def run(
     _check_usage(study, model, executor)
     check_range(study)
     reference = model if isinstance(model, str) else None
-    box = model if callable(model) else (load_black_box(model) if isinstance(model, str) and executor is None else None)
+    seconds = study.analysis.budget.time if seconds is None else seconds
     folder = Path(out) if out is not None else Path(f"{study.path.stem}-results")
     digest = None if model is None else model_digest(model)
-    store = open_store(
-        folder,
-        {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference},
-        study.text,
-        study.hash,
-        fresh=fresh,
-        model=digest,
-        extension=why_not_extended if extend else None,
-    )
     engine = Engine(
         executor=as_executor(executor),
         workers=threads,
-        can_spawn=reference is not None,
+        model=reference,
         limited=study.analysis.time_limit is not None,
     )
 
@@ -110,9 +103,21 @@ def run(
         return run(service, out=place, executor=executor, threads=threads, fresh=fresh, extend=extend, seconds=left,
                    progress=progress, notice=notice, stop=stop, reached=reached)  # fmt: skip
 
-    try:
-        whole = study.analysis.budget.time if seconds is None else seconds
-        services, left = run_services(study, folder, whole, one)
+    with contextlib.ExitStack() as opened:
+        opened.callback(engine.close)
+        if digest is not None:
+            engine.load(digest, seconds)
+        store = open_store(
+            folder,
+            {**study.resolved(), "overrides": list(study.overrides), "model_reference": reference},
+            study.text,
+            study.hash,
+            fresh=fresh,
+            model=digest,
+            extension=why_not_extended if extend else None,
+        )
+        opened.callback(store.close)
+        services, left = run_services(study, folder, seconds, one)
         work = Work(
             study=study,
             store=store,
@@ -120,7 +125,7 @@ def run(
             fidelity="full",
             threads=threads,
             model=reference,
-            black_box=box,
+            black_box=model if callable(model) else None,
             digest=digest,
             engine=engine,
             progress=progress,
@@ -129,21 +134,23 @@ def run(
             reached=reached,
             services=services,
         )
+        engine.over = lambda: work.ledger.elapsed > left
         # one thread of linear algebra: sums in a fixed order, and no threads that wait for each other
-        with threadpool_limits(limits=1, user_api="blas"), logged(folder, hash=study.hash, fresh=fresh) as log:
+        opened.enter_context(threadpool_limits(limits=1, user_api="blas"))
+        log = opened.enter_context(logged(folder, hash=study.hash, fresh=fresh))
+        try:
             found = analyse(replace(work, progress=log.watch(progress)), store, log.listen(notice))
-            log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
-            return found
-    except OutOfBudget as nothing:
-        if work.ledger.interrupted:
-            raise KeyboardInterrupt from nothing
-        raise UsageError(
-            "the time budget ended before there was anything to answer with; what was evaluated is kept, and a longer "
-            "--budget goes on with it"
-        ) from nothing
-    finally:
-        engine.close()
-        store.close()
+        except OutOfBudget as nothing:
+            if work.ledger.interrupted:
+                raise KeyboardInterrupt from nothing
+            if engine.fault():
+                raise ModelError(engine.fault()) from nothing
+            raise UsageError(
+                "the time budget ended before there was anything to answer with; what was evaluated is kept, and a "
+                "longer --budget goes on with it"
+            ) from nothing
+        log.write("counted", evaluations=work.ledger.total, reused=work.ledger.reused, stages=work.ledger.seconds)
+        return found
 
 
 def _check_usage(study: Study, model: str | BlackBox | None, executor: Executor | None) -> None:

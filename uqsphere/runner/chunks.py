@@ -24,7 +24,7 @@ from uqsphere.black_box import BlackBox
 from uqsphere.errors import AccessError
 from uqsphere.model import STATUS_NOT_FINITE, Answered
 from uqsphere.runner.remote import Task, evaluate_rows
-from uqsphere.runner.workers import Engine, gather
+from uqsphere.runner.workers import Engine, Silent, gather
 from uqsphere.store import PART_END, Store
 from uqsphere.study import Study
 
@@ -271,21 +271,22 @@ def _evaluated(
 ) -> Iterator[tuple[int, int, Answered, float]]:
     """Blocks as they are finished: here one after the other, or by workers in any order."""
     left = sum(stop - start for start, stop in blocks)
-    for at, (start, stop) in enumerate(blocks):
-        if not go_on():
+    executor = engine.executor_for(left)
+    for start, stop in blocks:
+        if not go_on() or engine.silent:
             return
-        executor = engine.executor_for(left)
         if executor is not None:
-            limit = task.study.analysis.time_limit
-            for first, last, answered, seconds in gather(executor, task, rows, blocks[at:], limit=limit, go_on=go_on):
-                engine.note(last - first, seconds)
-                yield first, last, answered, seconds
+            with contextlib.suppress(Silent):
+                for found in gather(executor, task, rows, blocks, go_on=go_on, give_up=engine.give_up):
+                    engine.note(*found[2:])
+                    left -= found[1] - found[0]
+                    engine.executor_for(left)  # it may be worth more processes by now
+                    yield found
             return
         began = time.perf_counter()
         answered = evaluate_rows(task, rows[start:stop], box, threads)
         seconds = time.perf_counter() - began
-        engine.note(stop - start, seconds)
-        left -= stop - start
+        engine.note(answered, seconds)
         yield start, stop, answered, seconds
 
 

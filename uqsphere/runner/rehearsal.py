@@ -7,30 +7,39 @@ goes to a private folder that is gone afterwards.
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.black_box import BlackBox
+from uqsphere.black_box import model_digest
 from uqsphere.errors import FolderError, StudyError, UsageError
+from uqsphere.files import read_whole
 from uqsphere.results import Results
 from uqsphere.store import Store
 from uqsphere.study import Study, load_study
 
+if TYPE_CHECKING:
+    from uqsphere.runner.workers import Engine
+
 
 @dataclass(frozen=True, kw_only=True)
 class Repeated:
-    """A chunk that was evaluated again: `difference` is the largest one, relative to the larger of both numbers."""
+    """A chunk that was evaluated again: `difference` is the largest one, relative to the larger of both numbers.
+
+    `digest` tells what came out this time.
+    """
 
     chunk: str
     rows: int
     same: bool
     difference: float
+    digest: str
 
 
 class Absent(Exception):
@@ -73,10 +82,11 @@ class Rehearsal:
         stored = self.source.load(key)
         if stored is None:
             raise Absent(key)
-        same = stored.dtype == values.dtype and stored.tobytes() == np.ascontiguousarray(values).tobytes()
-        self.repeated.append(
-            Repeated(chunk=key, rows=len(stored), same=same, difference=0.0 if same else _difference(stored, values))
-        )
+        now = np.ascontiguousarray(values).tobytes()
+        same = stored.dtype == values.dtype and stored.tobytes() == now
+        difference = 0.0 if same else _difference(stored, values)
+        digest = hashlib.sha256(now).hexdigest()
+        self.repeated.append(Repeated(chunk=key, rows=len(stored), same=same, difference=difference, digest=digest))
 
 
 def _difference(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> float:
@@ -131,10 +141,10 @@ def rehearse(
     study: Study,
     chosen: frozenset[str],
     place: Path,
-    black_box: BlackBox | None = None,
+    engine: Engine,
     services: Mapping[str, Results] | None = None,
 ) -> tuple[Rehearsal, str]:
-    """Repeat a run from its chunks, its services as they are; what it writes lies in `place` afterwards.
+    """Repeat a run from its chunks, evaluating by `engine`, its services as they are; what it writes lies in `place`.
 
     Returns
     -------
@@ -149,11 +159,21 @@ def rehearse(
     store = Rehearsal(folder=place, source=source, chosen=chosen)
     # a rehearsal has what an analysis asks of a store, and no more
     standing_in = cast(Store, store)
-    work = Work(study=study, store=standing_in, ledger=Ledger(), fidelity="full", black_box=black_box,
-                services=services or {})  # fmt: skip
+    digest = None if engine.model is None else model_digest(engine.model)
+    work = Work(
+        study=study,
+        store=standing_in,
+        ledger=Ledger(),
+        fidelity="full",
+        model=engine.model,
+        digest=digest,
+        engine=engine,
+        services=services or {},
+    )
     # what a run has in its folder before it begins
+    place.mkdir()
     for name in ("study.toml", "study.resolved.json"):
-        (place / name).write_bytes((source.folder / name).read_bytes())
+        (place / name).write_bytes(read_whole(source.folder / name))
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             analyse(work, standing_in)

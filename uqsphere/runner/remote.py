@@ -6,12 +6,12 @@ prints goes to stderr.  It ends when its input does, so that it never outlives t
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import platform
 import queue
 import struct
-import sys
 import threading
 import time
 from dataclasses import dataclass, replace
@@ -24,8 +24,9 @@ import numpy as np
 
 import uqsphere
 from uqsphere.arrays import Array
-from uqsphere.black_box import BlackBox, load_black_box, model_digest
-from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError
+from uqsphere.black_box import BlackBox, load_black_box, model_digest, prints_to_stderr, where_raised
+from uqsphere.console import outlets
+from uqsphere.errors import ModelError, ModelRaised, UqsphereError, UsageError, told
 from uqsphere.mechanics.fidelity import Fallback
 from uqsphere.model import STATUS_RAISED, Answered, answer_black_box, answer_scene
 from uqsphere.study import Study
@@ -89,9 +90,22 @@ def _opened(packed: bytes) -> tuple[Task, BlackBox | None]:
         raise UsageError(f"a worker has other versions, and its answers would differ: {'; '.join(unlike)}")
     if task.model is None:
         return task, None
-    if model_digest(task.model) != task.digest:
+    if task.digest is None or model_digest(task.model) != task.digest:
         raise ModelError(f"the file of {task.model} on a worker is not the one of this run")
-    return task, load_black_box(task.model)
+    return task, _loaded(task.model, task.digest)
+
+
+def load_model(reference: str, digest: str) -> None:
+    """Load the model of a run before anything is asked of it; raises as `uqsphere.black_box.load_black_box`."""
+    if model_digest(reference) != digest:
+        raise ModelError(f"the file of {reference} has changed since the run began")
+    _loaded(reference, digest)
+
+
+@lru_cache(maxsize=16)
+def _loaded(reference: str, digest: str) -> BlackBox:
+    """The model of a reference, once in the life of a process and of each state of its file."""
+    return load_black_box(reference)
 
 
 def prepare(packed: bytes, rows: Array) -> None:
@@ -159,6 +173,11 @@ def join(parts: list[Answered]) -> Answered:
 
 # --- a spawned process ----------------------------------------------------------------------------
 
+#: bytes of a message: rows and answers of one call take 8 bytes for each number, so that more is none of ours
+_LARGEST_MESSAGE: Final = 1 << 32
+#: what a spawned process has set up until it ends
+_for_life = contextlib.ExitStack()
+
 
 def send(stream: IO[bytes], content: object) -> None:
     """Write one message to a pipe."""
@@ -173,40 +192,63 @@ def receive(stream: IO[bytes]) -> Any:
     Raises
     ------
     EOFError
-        When the other side has gone.
+        When the other side has gone, or says what is no message.
     """
     head = stream.read(_LENGTH.size)
-    if len(head) < _LENGTH.size:
+    size = _LENGTH.unpack(head)[0] if len(head) == _LENGTH.size else 0
+    data = stream.read(size) if size <= _LARGEST_MESSAGE else b""
+    if not data or len(data) < size:
         raise EOFError
-    size = _LENGTH.unpack(head)[0]
-    data = stream.read(size)
-    if len(data) < size:
-        raise EOFError
-    return pickle.loads(data)
+    try:
+        return pickle.loads(data)
+    except Exception as error:  # a model that writes where it has no business: pickle fails in any way
+        raise EOFError from error
 
 
 def _carried(error: BaseException) -> Exception:
     """The error in a form that travels."""
     if isinstance(error, UqsphereError):
         return error
-    return RuntimeError(f"{type(error).__name__}: {error}")
+    if not isinstance(error, Exception):  # Ctrl-C does not come here: it is the model's own
+        return ModelError(f"the model raised {type(error).__name__}: {told(error)}{where_raised(error)}")
+    return RuntimeError(f"{type(error).__name__}: {told(error)}")
+
+
+def _own_pipes() -> tuple[IO[bytes], IO[bytes]]:
+    """Where jobs come from and answers go to, out of the model's way and that of all that it starts.
+
+    The model has nothing to read, and its output is that of stderr.
+    """
+    jobs, answers = os.dup(0), os.dup(1)
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    _for_life.enter_context(outlets())
+    _for_life.enter_context(prints_to_stderr())
+
+    def close() -> None:
+        for end in (jobs, answers):
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+    if hasattr(os, "register_at_fork"):
+        # what the model forks holds no end of a pipe: it can neither answer nor keep up the look of life
+        os.register_at_fork(after_in_child=close)
+    return os.fdopen(jobs, "rb"), os.fdopen(answers, "wb")
 
 
 def serve() -> None:
-    """Take jobs from standard input until it ends: (prepare or None, function, arguments) each.
+    """Take jobs from standard input until it ends: (number, prepare or None, function, arguments) each.
 
-    Every job is answered by ("started", None) and then by ("done", result) or ("failed", error).
+    Every job is answered by (number, "started", None) and then by (number, "done", result) or
+    (number, "failed", error).
     """
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides what an interruption means
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    sys.stdout = sys.stderr
+    stdin, answers = _own_pipes()
     jobs: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def read() -> None:
-        stdin = os.fdopen(os.dup(0), "rb")
         while True:
             try:
                 jobs.put(receive(stdin))
@@ -218,13 +260,13 @@ def serve() -> None:
 
     threading.Thread(target=read, daemon=True).start()
     while True:
-        first, function, arguments = jobs.get()
+        number, first, function, arguments = jobs.get()
         try:
             if first is not None:
                 first(*arguments)
-            send(answers, ("started", None))
+            send(answers, (number, "started", None))
             result = function(*arguments)
-        except (Exception, SystemExit) as error:
-            send(answers, ("failed", _carried(error)))
+        except BaseException as error:
+            send(answers, (number, "failed", _carried(error)))
         else:
-            send(answers, ("done", result))
+            send(answers, (number, "done", result))

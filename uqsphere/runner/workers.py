@@ -12,17 +12,20 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from pathlib import Path
+from typing import IO, Any, Final, Protocol, TypeVar
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError
-from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, where_of
-from uqsphere.runner.remote import Task, evaluate_remote, failed_rows, pack_task, prepare, receive, send
+from uqsphere.errors import AccessError, ModelError, TooManyFailures, UqsphereError, told
+from uqsphere.model import STATUS_DIED, STATUS_TIME, Answered, is_answered, where_of
+from uqsphere.runner.remote import Task, evaluate_remote, failed_rows, load_model, pack_task, prepare, receive, send
 
 T = TypeVar("T")
 
@@ -38,6 +41,10 @@ _SLOW_ROWS: Final = 4.0
 _SLOWER: Final = 10.0
 #: seconds without an answer after which an executor looks after its workers
 PATIENCE: Final = 5.0
+#: looks at all processes for those that a worker has left behind: each may start another while it is ended
+_ROUNDS: Final = 10
+#: seconds between the end of a pipe and that of its process, more than the system takes to clear up
+_REAPED: Final = 1.0
 _START: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from uqsphere.runner.remote import serve; serve()"
 )
@@ -58,6 +65,10 @@ class TimeOver(Exception):
     """An evaluation took longer than its limit, and its process was ended."""
 
 
+class Silent(Exception):
+    """The time budget is over, and what was begun before does not come back."""
+
+
 def processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -75,7 +86,8 @@ class _Job:
 class LocalWorkers:
     """Processes of this machine, started when there is work for them, each with one thread.
 
-    A process that dies, or is ended because its limit of time is over, is replaced by the next job.
+    A process that dies, or is ended because its limit of time is over, is replaced by the next job.  What a process
+    has started ends with it, daemons too where the system tells who they are (/proc).
     """
 
     def __init__(self, count: int) -> None:
@@ -83,6 +95,9 @@ class LocalWorkers:
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._threads: list[threading.Thread] = []
         self._processes: set[subprocess.Popen[bytes]] = set()
+        self._marks: dict[int, bytes] = {}
+        self._numbers = itertools.count()
+        self._token = f"UQSPHERE_WORKER={uuid.uuid4().hex}"
         self._closed = False
 
     def submit(self, function: Callable[..., T], /, *args: object) -> Future[T]:
@@ -146,13 +161,16 @@ class LocalWorkers:
 
     def _spawn(self) -> subprocess.Popen[bytes]:
         single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        number = next(self._numbers)
+        name, _, token = self._token.partition("=")
         process = subprocess.Popen(
             [sys.executable, "-I", "-c", _START, json.dumps([os.path.abspath(part) for part in sys.path])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, **single},
+            env={**os.environ, **single, name: f"{token}-{number}."},
             start_new_session=True,  # what the model starts ends with it, and Ctrl-C is for the run
         )
+        self._marks[process.pid] = f"{self._token}-{number}.".encode()
         self._processes.add(process)
         if self._closed:
             _end(process)
@@ -168,6 +186,7 @@ class LocalWorkers:
                     stream.close()
         process.wait()
         self._processes.discard(process)
+        _end_marked(self._marks.pop(process.pid))
 
     def _ask(self, process: subprocess.Popen[bytes], job: _Job) -> object:
         assert process.stdin is not None
@@ -181,27 +200,65 @@ class LocalWorkers:
         timer: threading.Timer | None = None
         limit = math.inf
         try:
-            send(process.stdin, (job.first, job.function, job.arguments))
-            kind, content = receive(process.stdout)
+            number = next(self._numbers)
+            send(process.stdin, (number, job.first, job.function, job.arguments))
+            kind, content = _reply(process.stdout, number)
             if kind == "started":
                 if job.limit is not None:
                     limit = job.limit()
                     timer = threading.Timer(limit, end)
                     timer.daemon = True
                     timer.start()
-                kind, content = receive(process.stdout)
+                kind, content = _reply(process.stdout, number)
         except (EOFError, OSError) as error:
             if over.is_set():
                 raise TimeOver(f"it took longer than {limit:g} s") from error
-            code = process.wait()
-            how = f"signal {-code}{_signal_name(-code)}" if code < 0 else f"exit code {code}"
-            raise WorkerDied(f"its process ended with {how}") from error
+            raise WorkerDied(f"its process ended with {_ending(process)}") from error
         finally:
             if timer is not None:
                 timer.cancel()
         if kind == "failed":
             raise content
         return content
+
+
+def _reply(stream: IO[bytes], number: int) -> tuple[str, Any]:
+    """What is said of the job of that number; what belongs to no job is not listened to."""
+    while True:
+        said = receive(stream)
+        if isinstance(said, tuple) and len(said) == 3 and said[0] == number:
+            return said[1], said[2]
+
+
+def _ending(process: subprocess.Popen[bytes]) -> str:
+    """How a process ended that says no more; it is made to where it has only closed its pipe."""
+    try:
+        code = process.wait(_REAPED)
+    except subprocess.TimeoutExpired:
+        return "no answer: it has closed its pipe"
+    if code >= 0:
+        return f"exit code {code}"
+    memory = ", as where memory runs out" if -code == getattr(signal, "SIGKILL", None) else ""
+    return f"signal {-code}{_signal_name(-code)}{memory}"
+
+
+def _end_marked(mark: bytes) -> None:
+    """End the processes that have a worker's mark in their environment: what it has started and let go of."""
+    if not hasattr(os, "pidfd_open"):
+        return
+    for _ in range(_ROUNDS):
+        found = False
+        for entry in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                handle = os.pidfd_open(int(entry.parent.name))
+                try:
+                    if mark in entry.read_bytes() and int(entry.parent.name) != os.getpid():
+                        signal.pidfd_send_signal(handle, signal.SIGKILL)
+                        found = True
+                finally:
+                    os.close(handle)
+        if not found:
+            return
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -264,12 +321,14 @@ class _Piece:
 class _Pieces:
     """Blocks of rows on their way through an executor: waiting, handed out, answered."""
 
-    def __init__(
-        self, executor: Executor, task: Task, rows: Array, blocks: list[tuple[int, int]], limit: float | None
-    ) -> None:
+    def __init__(self, executor: Executor, task: Task, rows: Array, blocks: list[tuple[int, int]]) -> None:
+        limit = task.study.analysis.time_limit
         self.executor, self.task, self.rows = executor, task, rows
         self.packed = pack_task(task)
         self.pace = None if limit is None else _Pace(limit=limit)
+        #: rows that were answered; times that a worker ended at work; rows in a row without an answer for that or time
+        self.answered = self.died = self.lost = 0
+        self.heard = time.monotonic()
         self.todo = deque(_Piece(start=start, stop=stop) for start, stop in blocks)
         self.out: dict[int, _Piece] = {}
         self.ready: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -278,16 +337,16 @@ class _Pieces:
     def hand_out(self) -> None:
         """As many pieces as keep the workers busy."""
         while self.todo and len(self.out) < _window(self.executor):
-            piece, pace = self.todo.popleft(), self.pace
-            if pace is not None and pace.rows == 0 and not piece.single:
-                # what a row takes is not known: single ones tell, before the limits of many are waited for in one call
-                if self.out and not pace.hung:
+            piece = self.todo.popleft()
+            if not self.answered and not piece.single and (self.pace is not None or self.died):
+                # what a row takes, or does, is not known: single ones tell, before many are waited for in one call
+                if self.out and not self.lost:
                     self.todo.appendleft(piece)
                     return
                 self.todo.appendleft(replace(piece, start=piece.start + 1))
                 piece = replace(piece, stop=piece.start + 1)
             try:
-                piece.future = _submit(self.executor, self.packed, self.rows[piece.start : piece.stop], pace)
+                piece.future = _submit(self.executor, self.packed, self.rows[piece.start : piece.stop], self.pace)
             except Exception as error:
                 raise _broken(error) from error
             number = next(self.numbers)
@@ -301,14 +360,24 @@ class _Pieces:
     def _came_back(self, number: int, _: object) -> None:
         self.ready.put(number)
 
-    def finished(self) -> _Piece | None:
-        """A piece that has come back; None where none has for a while, or it was called off."""
+    def finished(self, give_up: Callable[[float], bool]) -> _Piece | None:
+        """A piece that has come back; None where none has for a while, or it was called off.
+
+        Raises
+        ------
+        Silent
+            When `give_up` says so of the seconds without an answer.
+        """
         try:
-            return self.out.pop(self.ready.get(timeout=PATIENCE), None)
+            piece = self.out.pop(self.ready.get(timeout=PATIENCE), None)
         except queue.Empty:
             if hasattr(self.executor, "look_after"):
                 self.executor.look_after()
+            if give_up(time.monotonic() - self.heard):
+                raise Silent from None
             return None
+        self.heard = time.monotonic()
+        return piece
 
     def answer(self, piece: _Piece) -> tuple[Answered, float] | None:
         """The answers of a piece and their seconds; None where it is handed out again."""
@@ -316,15 +385,33 @@ class _Pieces:
         try:
             answered, seconds = piece.future.result()
         except Exception as error:
-            if isinstance(error, TimeOver):
+            self.died += not isinstance(error, TimeOver)
+            if isinstance(error, TimeOver) or not self.answered:
                 self._take_back()
-            found = _after(error, piece, self.task, self.rows, self.todo)
+            found = _after(error, piece, self.task, self.rows, self.todo, self.lost > 0)
             if found is None:
                 return None
             answered, seconds = found, 0.0
         if self.pace is not None:
             self.pace.note(answered, seconds)
+        self._count_lost(answered)
         return answered, seconds
+
+    def _count_lost(self, answered: Answered) -> None:
+        """Take note of rows that took too long or ended their process; no more is tried after `HUNG` in a row."""
+        gone = (answered.status == STATUS_TIME) | (answered.status == STATUS_DIED)
+        if not gone.all():
+            self.answered, self.lost = self.answered + len(gone), 0
+            return
+        self.lost += len(gone)
+        if self.lost >= HUNG:
+            limit = self.task.study.analysis.time_limit
+            took = "" if limit is None else f"took longer than analysis.time_limit, {limit:g} s, or "
+            raise TooManyFailures(
+                f"{self.lost} evaluations in a row {took}ended their process, and no more is tried; the last: "
+                f"{answered.note}. What was evaluated before is kept: mend the model"
+                + (", or raise analysis.time_limit" if limit is not None else "")
+            )
 
     def _take_back(self) -> None:
         """Calls of many rows that no worker has begun wait until rows of one that took too long are known."""
@@ -347,28 +434,31 @@ def gather(
     rows: Array,
     blocks: list[tuple[int, int]],
     *,
-    limit: float | None,
     go_on: Callable[[], bool],
+    give_up: Callable[[float], bool] = lambda silent: False,
 ) -> Iterator[tuple[int, int, Answered, float]]:
     """Have blocks of rows evaluated, and yield (start, stop, answers, seconds) as they come back, in any order.
 
-    No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  A block whose worker died
+    No more is handed out than keeps the workers busy; once `go_on()` is false, nothing is.  `give_up` is asked after
+    seconds without an answer.  A block whose worker died
     is handed out again; one that goes on to do so, or passes its limit of time, is cut into rows, and a row that does
     fails.  Under a limit, rows go out one by one until one of them is answered.
 
     Raises
     ------
     TooManyFailures
-        When `HUNG` rows in a row have passed the limit.
+        When `HUNG` rows in a row have passed the limit, or ended their process.
+    Silent
+        When it is given up.
     """
-    pieces = _Pieces(executor, task, rows, blocks, limit)
+    pieces = _Pieces(executor, task, rows, blocks)
     try:
         while True:
             if go_on():
                 pieces.hand_out()
             if not pieces.out:
                 return
-            piece = pieces.finished()
+            piece = pieces.finished(give_up)
             found = None if piece is None else pieces.answer(piece)
             if piece is not None and found is not None:
                 yield piece.start, piece.stop, *found
@@ -384,12 +474,11 @@ def _window(executor: Executor) -> int:
 
 @dataclass(kw_only=True)
 class _Pace:
-    """What rows have taken so far, and how many in a row have passed their `limit` in seconds."""
+    """What rows have taken so far, each of which may take `limit` seconds."""
 
     limit: float
     rows: int = 0
     seconds: float = 0.0
-    hung: int = 0
 
     def allowance(self, count: int) -> float:
         """Seconds that a call of so many rows may take, as far as is known now."""
@@ -398,17 +487,9 @@ class _Pace:
         return min(count * self.limit, _SLOW_ROWS * self.limit + _SLOWER * count * self.seconds / self.rows)
 
     def note(self, answered: Answered, seconds: float) -> None:
-        """Take down an answer; no more is tried once `HUNG` in a row are none for want of time."""
+        """Take down an answer."""
         if not (answered.status == STATUS_TIME).all():
-            self.rows, self.seconds, self.hung = self.rows + len(answered.status), self.seconds + seconds, 0
-            return
-        self.hung += len(answered.status)
-        if self.hung >= HUNG:
-            raise TooManyFailures(
-                f"{self.hung} evaluations in a row took longer than analysis.time_limit, {self.limit:g} s, and no more "
-                f"is tried; the last: {answered.note}. What was evaluated before is kept: mend the model, or raise "
-                "analysis.time_limit"
-            )
+            self.rows, self.seconds = self.rows + len(answered.status), self.seconds + seconds
 
 
 def _submit(executor: Executor, packed: bytes, rows: Array, pace: _Pace | None) -> Waiting:
@@ -420,29 +501,36 @@ def _submit(executor: Executor, packed: bytes, rows: Array, pace: _Pace | None) 
     return executor.submit(evaluate_guarded, packed, rows, pace.allowance(len(rows)))
 
 
-def _after(error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece]) -> Answered | None:
-    """What becomes of a piece without an answer: None if it is handed out again, else failed rows."""
+def _after(
+    error: Exception, piece: _Piece, task: Task, rows: Array, todo: deque[_Piece], lost: bool
+) -> Answered | None:
+    """What becomes of a piece without an answer: None if it is handed out again, else failed rows.
+
+    lost : whether the row before was the cause of its end; this one is then believed at once to be of its own.
+    """
     if isinstance(error, UqsphereError):
         raise error
     if isinstance(error, TimeOver):
         if piece.single:
-            return _fail(task, STATUS_TIME, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
+            return _fail(task, STATUS_TIME, error, rows[piece.start])
     elif isinstance(error, WorkerDied) or type(error).__name__ == "KilledWorker":
         piece.deaths += 1
-        if piece.deaths < LIVES:
+        if piece.deaths < LIVES and not (lost and piece.single):
             todo.appendleft(piece)
             return None
         if task.model is None:
             raise AccessError(f"the workers died {piece.deaths} times on the same rows: {error}") from error
         if piece.single:
-            return _fail(task, STATUS_DIED, f"the model: {error}, {where_of(task.names, rows[piece.start])}")
+            return _fail(task, STATUS_DIED, error, rows[piece.start])
     else:
         raise _broken(error) from error
     todo.extendleft(_Piece(start=k, stop=k + 1, deaths=LIVES - 2) for k in reversed(range(piece.start, piece.stop)))
     return None
 
 
-def _fail(task: Task, status: int, note: str) -> Answered:
+def _fail(task: Task, status: int, error: Exception, row: Array) -> Answered:
+    """A row (d,) that has failed; the end of the run where no row may."""
+    note = f"the model {told(Path(task.model or '').name, 80)}: {error}, {where_of(task.names, row)}"
     if not task.go_on:
         raise ModelError(note)
     return failed_rows(1, len(task.columns), status, note)
@@ -465,36 +553,48 @@ def _broken(error: Exception) -> Exception:
 
 # --- Where the evaluations of a run are made, and why there: decided by what they are measured to cost, and recorded.
 
-#: seconds of evaluation, done and to come, from which on a model is dear enough for processes of its own: those take
-#: a second or two to start
-DEAR: Final = 1.0
+#: seconds of evaluation, done and to come, from which on a model is worth more than one process: another takes half a
+#: second to start
+EXPENSIVE: Final = 1.0
 WORTH: Final = 3.0
+#: seconds that a model may take to load whatever the time budget is: its packages are imported then
+LOADING: Final = 60.0
 
 
 @dataclass(kw_only=True)
 class Engine:
-    """Evaluations go to `executor` if there is one; else they stay here, or go to processes that are started for them.
+    """Evaluations go to `executor` if there is one, those of a user's own model to processes, all others stay here.
 
-    Where they are made changes no answer: rows are cut into the same calls of the model everywhere
-    (`uqsphere.runner.chunks`).
+    A model may end its process, print, hang and fork: none of that is to be the run's.  One process is enough until it
+    proves expensive.  Where evaluations are made changes no answer: rows are cut into the same calls of the model
+    everywhere (`uqsphere.runner.chunks`).
 
     Attributes
     ----------
     executor : what the user gave
     workers : processes that may be started; processors of this machine if None
-    can_spawn : whether the model is a reference that another process can load
-    limited : whether evaluations have a limit of time, which needs a process to end
+    model : reference of a user's own model, which another process can load; None if there is none
+    limited : whether evaluations have a limit of time
+    over : whether the time budget is over
+    silent : whether the model was given up since it did not come back; no more is asked of it
+    slowest : seconds of the slowest call
+    answered : rows with an answer; `failed` is what was said of the first without
     """
 
     executor: Executor | None = None
     workers: int | None = None
-    can_spawn: bool = False
+    model: str | None = None
     limited: bool = False
+    over: Callable[[], bool] = lambda: False
     kind: str = "this process"
     why: str = ""
     seconds: float = 0.0
+    slowest: float = 0.0
     rows: int = 0
+    answered: int = 0
+    failed: str = ""
     count: int = 1
+    silent: bool = False
     _own: LocalWorkers | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -502,39 +602,76 @@ class Engine:
             self.kind = getattr(self.executor, "kind", type(self.executor).__name__)
             self.count = int(getattr(self.executor, "count", None) or getattr(self.executor, "_max_workers", None) or 0)
             self.why = "it was asked for"
+        elif self.model is not None:
+            self.kind, self.why = "local processes", "it has a limit of time" if self.limited else "it is a model's own"
+            self.count = (self.workers or processors()) if self.limited else 1
+            self._own = LocalWorkers(self.count)
 
     @property
     def here(self) -> bool:
-        """Whether evaluations are made in this process, as far as is known."""
-        return self.executor is None and self._own is None and not self.limited
+        """Whether evaluations are made in this process."""
+        return self.executor is None and self._own is None
+
+    def load(self, digest: str, seconds: float) -> None:
+        """Have a model of one's own loaded, in at most so many seconds, or `LOADING` where those are fewer.
+
+        Raises
+        ------
+        ModelError
+            When its file raises, ends its process or does not come to an end.
+        UsageError
+            When it has no such function.
+        """
+        if self._own is None or self.model is None:
+            return
+        limit = (lambda: max(seconds, LOADING)) if math.isfinite(seconds) else None
+        try:
+            self._own.submit_limited(load_model, self.model, digest, limit=limit).result()
+        except (WorkerDied, TimeOver) as error:
+            raise ModelError(f"{told(self.model, 120)} on loading: {error}") from error
 
     def executor_for(self, left: int) -> Executor | None:
         """Who is to evaluate the next `left` rows: None for this process."""
-        if self.executor is not None:
-            return self.executor
-        if self._own is None and self.can_spawn and (self.limited or self._dear(left)):
-            self.count = self.workers or processors()
-            self._own = LocalWorkers(self.count)
-            self.kind = "local processes"
-        return self._own
+        if self._own is not None and self._own.count == 1 and self._expensive(left):
+            self._own.count = self.count = self.workers or processors()
+        return self.executor if self.executor is not None else self._own
 
-    def _dear(self, left: int) -> bool:
-        if (self.workers or processors()) < 2 or self.seconds < DEAR:
+    def _expensive(self, left: int) -> bool:
+        if (self.workers or processors()) < 2 or self.seconds < EXPENSIVE:
             return False
         each = self.seconds / self.rows
+        if each * left < WORTH:
+            return False
         self.why = f"an evaluation takes {each:.2g} s"
-        return each * left >= WORTH
+        return True
 
-    def note(self, rows: int, seconds: float) -> None:
-        """Take down what rows have cost."""
-        self.rows += rows
+    def note(self, answered: Answered, seconds: float) -> None:
+        """Take down what rows have cost, and whether they were answered."""
+        whole = is_answered(answered.status)
+        self.rows += len(whole)
+        self.answered += int(whole.sum())
         self.seconds += seconds
+        self.slowest = max(self.slowest, seconds)
+        self.failed = self.failed or answered.note
+
+    def give_up(self, silent: float) -> bool:
+        """Whether nothing is waited for any more after so many seconds without an answer: not before time is over."""
+        self.silent = self.over() and silent > _SLOW_ROWS * self.slowest
+        return self.silent
+
+    def fault(self) -> str:
+        """Why there is nothing to answer with, where the model is the cause; else an empty text."""
+        if self.silent:
+            return (
+                "the time budget is over, and the model does not come back: it hangs, or one call takes longer; "
+                f"{self.answered} evaluations were answered before"
+            )
+        return "" if self.answered or not self.rows else f"none of {self.rows} evaluations has an answer: {self.failed}"
 
     def record(self) -> dict[str, str | int | float | None]:
         """What manifest.json says of it."""
-        why = "it has a limit of time" if self.limited and self._own is not None else self.why
         each = self.seconds / self.rows if self.rows else None
-        return {"kind": self.kind, "workers": self.count, "why": why, "seconds_per_evaluation": each}
+        return {"kind": self.kind, "workers": self.count, "why": self.why, "seconds_per_evaluation": each}
 
     def close(self) -> None:
         """End what was started here; an executor that was given stays open."""

@@ -10,9 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from uqsphere.errors import AccessError, UsageError
-from uqsphere.files import is_device_name
+from uqsphere.files import TooLarge, is_device_name, read_given
 from uqsphere.study.faults import Misplaced, one_of, shown, suggestion
-from uqsphere.study.text import read_bytes
 from uqsphere.units import UNITS, Quantity, units_of
 
 #: bytes of a CSV, and values of a column
@@ -72,13 +71,13 @@ def open_observations(name: str, folder: Path, key: str = "file") -> Observation
     """The CSV of a name in the study's folder; raises Misplaced at `key` where there is none to be read."""
     path = inside_folder(name, folder, key)
     try:
-        data = read_bytes(path, LARGEST_CSV)
-        if len(data) > LARGEST_CSV:
-            raise Misplaced(f"{shown(name)} is larger than 1 MiB", key)
+        data = read_given(path, LARGEST_CSV)
         reader = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
         rows = [
             (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
         ]
+    except TooLarge:
+        raise Misplaced(f"{shown(name)} is larger than 1 MiB", key) from None
     except (AccessError, UsageError):
         raise Misplaced(f"{shown(name)} cannot be read as a file", key) from None
     except UnicodeDecodeError:

@@ -9,15 +9,14 @@ from __future__ import annotations
 import ast
 import codecs
 import math
-import os
 import re
-import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from uqsphere.errors import AccessError, Problem, StudyError, UsageError
+from uqsphere.errors import Problem, StudyError, UsageError
+from uqsphere.files import TooLarge, read_given
 from uqsphere.study.faults import Findings, Place, Raw, render_place, shown, suggestion
 
 if TYPE_CHECKING:
@@ -56,44 +55,21 @@ _REWORDED: Final = (
 )
 
 
-def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """At most `largest` + 1 bytes of a regular file.
-
-    Raises
-    ------
-    AccessError
-        Where the operating system refuses, or the path is a device.
-    UsageError
-        Where it is a folder.
-    """
-    try:
-        kind = os.stat(path)
-        if stat.S_ISDIR(kind.st_mode):
-            raise UsageError(f"{path}: this is a folder; give the study file inside it")
-        if not stat.S_ISREG(kind.st_mode):
-            raise AccessError(f"{path}: this is not a regular file")
-        with open(path, "rb") as stream:
-            return stream.read(largest + 1)
-    except FileNotFoundError:
-        raise AccessError(f"{path}: there is no such file") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise AccessError(f"{path}: cannot be read: {reason}") from None
-
-
 def read_text(path: Path) -> str:
     """The text of a study file: at most 1 MiB of UTF-8 (a byte order mark is dropped), no NUL, not empty.
 
     Raises
     ------
     AccessError
-        See `read_bytes`.
+        See `uqsphere.files.open_given`.
     StudyError
         With the line and column of the first byte that is no text.
     """
-    data = read_bytes(path)
-    if len(data) > LARGEST_FILE:
-        raise _fault(path, "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV")
+    try:
+        data = read_given(path, LARGEST_FILE)
+    except TooLarge:
+        large = "the file is larger than 1 MiB, which no study needs; tables of test results go into a CSV"
+        raise _fault(path, large) from None
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise _fault(path, "the file is encoded as UTF-16 or UTF-32: save it as UTF-8")
     data = data.removeprefix(codecs.BOM_UTF8)

@@ -1,0 +1,137 @@
+"""Models that end, hang, fork, print, return or raise what no model should: told of by code 4, or without harm."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+
+import uqsphere
+from uqsphere.cli import main
+from uqsphere.errors import ModelError, TooManyFailures
+from uqsphere.runner import workers
+
+STUDY = """
+seed = 3
+[inputs]
+a = { dist = "normal", mean = 0.0, sd = 1.0 }
+[outputs]
+names = ["y"]
+[analysis]
+methods = ["qmc"]
+cost = "1 us"
+quantiles = [0.5]
+accuracy = { mean = 1.0, quantile = 2.0, sobol = 2.0, probability = 2.0 }
+budget = { evaluations = 2_100 }
+"""
+
+HEAD = """
+import ctypes, os, subprocess, sys, time
+import numpy as np
+
+class Hostile:
+    def __str__(self): raise RuntimeError("no text")
+    __repr__ = __array__ = __float__ = __len__ = __str__
+
+class Silly(Exception):
+    def __str__(self): raise RuntimeError("no text")
+
+class Odd(dict):
+    def __getitem__(self, key): raise OSError("odd")
+
+def good(rows):
+    return {"y": rows["a"]}
+
+"""
+
+#: what stands in the function, and what is said of it
+FAULTY = {
+    "exit": ("exit(0)", "SystemExit: 0"),
+    "ends": ("os._exit(0)", "exit code 0"),
+    "stop": ("ctypes.CDLL(None).exit(0)", "exit code 0"),
+    "aborts": ("os.abort()", "SIGABRT"),
+    "segfault": ("ctypes.string_at(0)", "SIGSEGV"),
+    "killed": ("os.kill(os.getpid(), 9)", "SIGKILL), as where memory runs out"),
+    "memory": ("np.ones(1 << 45)", "MemoryError"),
+    "interrupts": ("raise KeyboardInterrupt", "the model raised KeyboardInterrupt"),
+    "recursion": ("return f(rows)", "RecursionError"),
+    "input": ("input()", "EOFError"),
+    "long": ("raise ValueError('\\x1b[2J' + 'x' * 10_000_000)", "ValueError: ?[2Jxxx"),
+    "no text": ("raise Silly", "Silly: (its text cannot be had: RuntimeError)"),
+    "huge": ("return {'y': [10**400] * len(rows['a'])}", "is not an array of numbers"),
+    "hostile": ("return {'y': [Hostile()] * len(rows['a'])}", "is not an array of numbers"),
+    "keys": ("return {Hostile(): 1.0, '\\x1b[2J' * 10_000: 2.0}", "returned no 'y' (it returned '(its text cannot"),
+    "mapping": ("return Odd(y=1.0)", "cannot be read: OSError: odd"),
+    "shape": ("return {'y': np.zeros((len(rows['a']), 2))}", "must have shape"),
+    "complex": ("return {'y': 1j * rows['a']}", "complex"),
+    "nothing": ("return", "must return a dict"),
+    "not finite": ("return {'y': np.nan * rows['a']}", "not finite"),
+    "closes": ("os.closerange(3, 99)", "its process ended with"),
+    "writes": ("[os.write(k, b'junk' * 99) for k in range(3, 20) if not os.set_blocking(k, False)]", ""),
+}
+
+#: what does no harm
+HARMLESS = {
+    "fork": "os.fork()",
+    "daemon": "subprocess.Popen(['sleep', '3599'], start_new_session=True)",
+    "children": "os.system('echo noise'); ctypes.CDLL(None).puts(b'noise'); print('noise')",
+    "leaves": "os.chdir('/')",
+}
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(workers, "LIVES", 2)
+    (tmp_path / "s.toml").write_text(STUDY, "utf-8")
+    return tmp_path
+
+
+def write(place: Path, body: str) -> str:
+    (place / "own.py").write_text(f"{HEAD}\ndef f(rows):\n    {body}\n    return good(rows)\n", "utf-8")
+    return "own.py:f"
+
+
+def left_behind(mark: str = "UQSPHERE_WORKER=") -> list[str]:
+    """Processes that a worker of this one has started."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):
+            if mark.encode() in entry.read_bytes():
+                found.append(entry.parent.name)
+    return found
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_a_faulty_model_is_told_of_through_both_doors(
+    place: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    body, said = FAULTY[name]
+    reference = write(place, body)
+    assert main(["run", "s.toml", "--model", reference, "--out", "cli", "--json"]) == 4
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert said in err
+    assert all(c.isprintable() or c == "\n" for c in err)
+    assert len(err) < 4000
+    with pytest.raises((ModelError, TooManyFailures)) as raised:
+        uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "door", model=reference)
+    assert said in str(raised.value)
+    assert not (place / "door" / "results.json").exists()
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_a_model_that_does_more_than_answer_harms_nothing(
+    place: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    study = uqsphere.load_study(place / "s.toml")
+    reference = write(place, HARMLESS[name])
+    expected = uqsphere.run(study, out=place / "good", model="own.py:good").results.document()
+    found = uqsphere.run(study, out=place / "door", model=reference).results.document()
+    assert found["quantities"] == expected["quantities"]
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert ("the model f forked a process" in err) == (name == "fork")
+    assert ("noise" in err) == (name == "children")
+    assert left_behind() == []
