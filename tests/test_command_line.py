@@ -309,11 +309,11 @@ def test_history(ask: Any, place: Path) -> None:
 # --- black boxes ----------------------------------------------------------------------------------
 
 
-def test_a_black_box_runs_and_its_prints_are_no_result(ask: Any) -> None:
-    answer = ask("run", "box.toml", "--model", "model.py:f", "--json")
-    assert answer.code == 0
-    assert answer.document()["model"]["chosen"] == "black box"
-    assert "a word" in answer.err
+def test_a_black_box_runs_and_its_prints_are_no_result(place: Path) -> None:
+    answer = process(["run", "box.toml", "--model", "model.py:f", "--json"], place)
+    assert answer.returncode == 0
+    assert json.loads(answer.stdout)["model"]["chosen"] == "black box"
+    assert "a word" in answer.stderr
 
 
 def test_a_black_box_in_processes_gives_the_same(place: Path) -> None:

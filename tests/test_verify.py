@@ -96,7 +96,7 @@ def test_what_an_evaluation_cost_is_no_evaluation(box: Path) -> None:
 
 
 def test_no_code_is_run_without_a_model(box: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uqsphere.cli.verify.load_black_box", None)
+    monkeypatch.setattr("uqsphere.runner.remote.load_black_box", None)
     found = verify_folder(box / "run")
     assert (found.verdict, found.repeated, found.results) == ("whole", [], "the same")
     assert any("--model" in note for note in found.notes)

@@ -164,7 +164,13 @@ class LocalWorkers:
         number = next(self._numbers)
         name, _, token = self._token.partition("=")
         process = subprocess.Popen(
-            [sys.executable, "-I", "-c", _START, json.dumps([os.path.abspath(part) for part in sys.path])],
+            [
+                sys.executable,
+                "-IB" if sys.dont_write_bytecode else "-I",
+                "-c",
+                _START,
+                json.dumps([os.path.abspath(part) for part in sys.path]),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **single, name: f"{token}-{number}."},
