@@ -57,9 +57,9 @@ DRIVES: Final[dict[str, Quantity]] = {"striker.specific_energy":
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or an output; a black-box name gets a plain entry without unit."""
     found = INPUTS.get(name) or OUTPUTS.get(name) or DRIVES.get(name)
-    if found is None and (base := name.partition(".")[0]) in DEMANDS:
-        # the demand of a criterion goes by the names of criterion and limit
-        return replace(DEMANDS[base], name=name)
+    if found is None and (entry := DEMANDS.get(base := name.partition(".")[0]) or OUTPUTS.get(base)):
+        # the demand of a criterion goes by the names of criterion and limit, and what is carried of a quantity too
+        return replace(entry, name=name)
     return found or Quantity(name=name, symbol=name, dimension="number", lower=-math.inf, meaning=name)
 
 

@@ -34,7 +34,8 @@ def carried_parameters(carrier: str, platens: tuple[float, float]) -> dict[str, 
 
 def needs_of(parameters: Mapping[str, float]) -> tuple[str, ...]:
     """Columns that a carried demand reads of the service."""
-    return CARRIERS[list(CARRIERS)[int(parameters["carrier"])]]
+    rate = ("loading_rate",) if "rate_0" in parameters else ()
+    return (*CARRIERS[list(CARRIERS)[int(parameters["carrier"])]], *rate)
 
 
 def in_the_test(columns: Mapping[str, Any], parameters: Mapping[str, float]) -> tuple[Array, dict[str, Any]]:
@@ -57,6 +58,6 @@ def in_the_test(columns: Mapping[str, Any], parameters: Mapping[str, float]) -> 
         force = (1.25 * np.asarray(columns["energy_sphere"]) / share) ** 0.6 * beta**0.4
     known = {"modulus": modulus, "effective_radius": radius, "hertz_constant": beta, "mass": columns["mass"],
              "sphere.E": E, "sphere.nu": nu, "sphere.radius": radius, "share": share}  # fmt: skip
-    if "loading_rate" in columns:
+    if "rate_0" in parameters:
         known["loading_rate"] = columns["loading_rate"] * (force / peak)
     return force, known

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
@@ -174,7 +175,10 @@ def _roots(name: str, demands: Demands) -> set[str]:
     """What the integrator has to know for a quantity: names of `SCALED`, and inputs that may be absent."""
     if name in demands:
         key, parameters = demands[name]
-        needs: tuple[str, ...] = CRITERIA[key].needs_with(parameters)
+        if "carrier" in parameters:
+            needs: tuple[str, ...] = needs_of(parameters)
+        else:
+            needs = CRITERIA[key].needs_with(parameters)
     elif name in OUTPUTS:
         needs = OUTPUTS[name].needs
     else:
@@ -407,7 +411,21 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
     if quantity not in scene.demands:
         return np.asarray(columns[quantity])
     key, parameters = scene.demands[quantity]
+    if "carrier" in parameters:
+        return _carried(columns, key, parameters)
     return demand(CRITERIA[key], columns, parameters)
+
+
+def _carried(columns: Columns, key: str, parameters: Mapping[str, float]) -> Array:
+    """The demand of a criterion, or a quantity, in the test that is as hard on the sphere as what it meets here."""
+    force, known = in_the_test(columns, parameters)
+    state = at_force(force, known)
+    own = known["share"] * state["energy"]
+    # a slow press offers what it stores
+    state = Columns({**state, "energy_sphere": own, "specific_energy_sphere": own / known["mass"],
+                     "specific_impact_energy": state["energy"] / known["mass"]})  # fmt: skip
+    rest = {name: value for name, value in parameters.items() if name not in CARRIED}
+    return demand(CRITERIA[key], state, rest) if key in CRITERIA else np.asarray(state[key])
 
 
 def answers_of(

@@ -26,8 +26,8 @@ def carried_block(contents: Contents) -> Block:
         subject = contents.subject(carried.solve)
         cells = [cell(entry, subject, probability=not carried.solve) for entry in carried.by_carrier().values()]
         what = input_name(carried.solve) if carried.solve else "probability of missing the aim"
-        rows.append((limit_name(name), what, *cells, carried.counts(limit.aim) or "–"))
-    header = ("limit", "what", "by force", "by energy", "by centre", "counts")
+        rows.append((limit_name(name), what, *cells, carried.safe(limit.aim) or "–"))
+    header = ("limit", "what", "by force", "by energy", "by centre", "safe end")
     finding = (
         "The strength comes from tests between platens. Whether a sphere breaks by the force on its contact, by the "
         "energy in it or by the tension at its centre is not settled: to survive the least answer counts, to break the "

@@ -180,19 +180,18 @@ def _verdicts(results: Results, width: int) -> list[str]:
 
 
 def _carried(results: Results, width: int) -> list[str]:
-    """What strengths measured elsewhere answer by each carrier, and which of them counts."""
-    rows = []
+    """What strengths measured elsewhere answer by each carrier, and which of them is on the safe side."""
+    rows: list[tuple[str, ...] | str] = []
     for name, limit in results.limits.items():
         carried = limit.carried
         if not carried:
             continue
-        texts = [
-            _estimate(entry, subject_of(results, carried.solve)) if carried.solve else _chance(entry)
-            for entry in carried.by_carrier().values()
-        ]
-        rows.append((name, carried.solve or "probability of a miss", *texts, carried.counts(limit.aim) or "-"))
-    header = ("carried from the tests", "", "by force", "by energy", "by centre", "counts")
-    return [table(header, rows, width), ""] if rows else []
+        rows.append(f"limit {name}, {carried.solve or 'probability of a miss'}")
+        safe = carried.safe(limit.aim)
+        for carrier, entry in carried.by_carrier().items():
+            text = _estimate(entry, subject_of(results, carried.solve)) if carried.solve else _chance(entry)
+            rows.append((f"by {carrier}", text, f"the safe end, to {limit.aim}" if carrier == safe else ""))
+    return [table(("carried from the tests", "value (95 % interval)", ""), rows, width), ""] if rows else []
 
 
 def _first_reason(texts: list[str]) -> str:

@@ -190,7 +190,7 @@ class CarriedEntry(Part):
         """What each carrier answers."""
         return {"force": self.force, "energy": self.energy, "centre": self.centre}
 
-    def counts(self, aim: Aim) -> str:
+    def safe(self, aim: Aim) -> str:
         """The carrier on the safe side: to survive the least number that is allowed, to break the largest; of the
         probabilities of missing the aim the largest."""
         return self.lowest if self.solve and aim == "survive" else self.highest

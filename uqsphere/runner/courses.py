@@ -32,7 +32,7 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     """Quantiles of the contact forces at each instant over the first scenes of the sample.
 
     The scenes are the first points of every randomisation, so that they spread over the inputs as the sample does.
-    None for a black box, a scene without scatter, or where a scene cannot be followed.
+    None for a black box, a rig other than `bars`, a scene without scatter, or where a scene cannot be followed.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def force_band(work: Work, sampled: Sampled) -> dict[str, Any] | None:
     """
 
     names = work.scene_names
-    if work.study.black_box or not names:
+    if work.study.black_box or not names or work.study.rig != "bars":
         return None
     sample = sampled.sample.head(max(1, SCENES // sampled.sample.replicates))
     rows = sample.inputs[:, :, : len(names)].reshape(-1, len(names))[~sample.failed.reshape(-1)]

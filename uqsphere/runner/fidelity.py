@@ -321,7 +321,7 @@ def _numbers(scene: Scene) -> dict[str, float]:
     scales = scene.scales
     found = {
         "mu_median": scales.mass_number,
-        "theta_median": scales.pulse_number if scene.shape != "step" else None,
+        "theta_median": scales.pulse_number if scene.rig == "bars" and scene.shape != "step" else None,
         "P_0_median": scales.force,
         "t_c_median": scales.time,
     }

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.model import scene_of
 from uqsphere.results import FractureEntry, LimitsOrder, SpeedRow, StateEntry
 from uqsphere.results.entries import Est
@@ -100,7 +101,8 @@ class Fracture:
         full = replace(work, fidelity="full", fallback=None, spare=True)
         over_record = self.together.at(full, pool)
         drawn = draw_breaking(over_record, specimens, random_generator(seed=work.study.seed, task="fracture.specimens"))
-        self.answer["first_loading"] = self._first_loading(full, pool, over_record).as_dict()
+        if work.study.rig == "bars":
+            self.answer["first_loading"] = self._first_loading(full, pool, over_record).as_dict()
         self.answer |= {"reason": "no sample breaks"} if drawn is None else _at_fracture(full, pool, self.limits, drawn)
 
     def _pool(self) -> Sample | None:
@@ -216,8 +218,11 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
         "force": result.force,
         "energy": result.energy,
         "specific_energy": result.energy / scene.scales.mass[rows],
-        "imbalance": result.imbalance,
     }
+    # with one contact the other force is nothing by definition
+    two = RIGS[work.study.rig].contacts == 2
+    if two:
+        known["imbalance"] = result.imbalance
     if "t10" in work.quantities:
         # of the energy of the whole record: what a sphere takes that has broken is not followed
         known["t10"] = np.take_along_axis(pool.answer("t10"), drawn.rows, axis=1).ravel()
@@ -231,7 +236,7 @@ def _at_fracture(work: Work, pool: Sample, limits: Sequence[Limit], drawn: Break
         "specimens": evaluations,
         "distinct_rows": len(distinct),
         "lost_share": lost,
-        "check": check_entry(check_at_fracture(result.imbalance, graded)),
+        **({"check": check_entry(check_at_fracture(result.imbalance, graded))} if two else {}),
     }
 
 
