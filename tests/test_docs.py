@@ -188,12 +188,12 @@ def test_symbols_have_the_units_of_the_nomenclature() -> None:
 
 
 def test_validity_checks_have_the_thresholds_that_are_told() -> None:
-    told = {ticked(row[0])[0]: row[2:] for row in rows(section(THEORY, "## 9"))}
-    assert list(told) == [rule.name for rule in RULES]
-    for rule in RULES:
+    told = [(ticked(row[0])[0], row[2:]) for row in rows(section(THEORY, "## 9"))]
+    assert [name for name, _ in told] == [rule.name for rule in RULES]
+    for rule, (_, thresholds) in zip(RULES, told, strict=True):
         sign = "" if rule.rising else "< "
         limits = (rule.information, rule.warning, rule.failure)
-        assert told[rule.name] == ["–" if limit is None else f"{sign}{limit:g}" for limit in limits], rule.name
+        assert thresholds == ["–" if limit is None else f"{sign}{limit:g}" for limit in limits], rule.name
 
 
 # --- commands -------------------------------------------------------------------------------------

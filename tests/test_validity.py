@@ -42,7 +42,9 @@ def checks(scene: Scene, **values: object) -> dict[str, Check]:
 
 def test_every_rule_is_answered_in_order():
     found = checks(scene_with(sphere_onset_pressure=3e9, sphere_hardness=6e9))
-    assert list(found) == [rule.name for rule in RULES if "hertz" in rule.laws and rule.name != "insert_thickness"]
+    assert list(found) == [
+        rule.name for rule in RULES if "hertz" in rule.laws and "bars" in rule.rigs and rule.name != "insert_thickness"
+    ]
     for check in found.values():
         assert 0.0 <= check.share <= 1.0
         assert check.text

@@ -178,8 +178,8 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     return found
 
 
-#: a blow in closed form ends by itself
-_CENSORED: Final = {"contact_censored": np.zeros(1), "width_censored": np.zeros(1)}
+#: a blow in closed form ends by itself, and the bodies touch once
+_CENSORED: Final = dict.fromkeys(("contact_censored", "width_censored", "touches"), np.zeros(1))
 
 
 def _speeds(scene: Scene, ahead: Partner, restitution: Array) -> dict[str, Array]:

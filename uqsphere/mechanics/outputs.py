@@ -97,6 +97,9 @@ OUTPUTS: Final[dict[str, Quantity]] = {entry.name: entry for entry in (
     Quantity(name="force_imbalance", symbol="|P_A-P_B|/P_max", dimension="number", rough=50_000,
              meaning="largest difference of the two contact forces over the largest force",
              needs=("difference", "x_max"), formula=lambda c: c["difference"] / c["x_max"] ** c["power"]),
+    Quantity(name="retouches", symbol="n_t", dimension="number", closed=True,
+             meaning="contacts lost and found again before the largest force", needs=("touches",),
+             formula=lambda c: c["touches"]),
     Quantity(name="energy", symbol="W", dimension="energy", display="J", follows="energy", fracture=True,
              meaning="largest elastic energy stored in both contacts", needs=("force", "approach", "stored"),
              formula=lambda c: c["force"] * c["approach"] * c["stored"]),
@@ -339,7 +342,7 @@ def _lacking(scene: Scene) -> dict[str, str]:
     if rig.contacts == 1:
         found["difference"] = "with one contact the other force is nothing: the imbalance is 1 by definition"
     if rig.name == "bars":
-        found["parting"] = "the record of bars ends at the first loss of contact: see contact_time"
+        found |= dict.fromkeys(("parting", "touches"), "the record of bars ends at the first loss of contact")
         found["carried_off"] = "bars carry waves both ways: history shows them"
     if not rig.blow:
         why = "no body meets the sphere with a speed: a wave, or a slow press, loads it"
@@ -347,7 +350,9 @@ def _lacking(scene: Scene) -> dict[str, str]:
     elif loss_to_waves(scene) is None and not any(one and one.kind in ("bar", "plate") for one in scene.partners):
         found["carried_off"] = "what stands at the poles carries nothing off here (a thick target: give its density)"
     if rig.name == "platens":
-        found |= dict.fromkeys(("parting", "contact", "width", "carried_off"), "platens press slowly and stay")
+        found |= dict.fromkeys(
+            ("parting", "touches", "contact", "width", "carried_off"), "platens press slowly and stay"
+        )
         if not {"platens.speed", "platens.loading_rate"} & scene.columns.keys():
             found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'
     if rig.name != "bars" and not np.any(scene.reflections):

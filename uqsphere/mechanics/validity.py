@@ -13,10 +13,11 @@ from typing import Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
-from uqsphere.mechanics import bars
+from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, DIAMETERS, ENERGIES, Criterion, Demands, in_range, ranges_of
 from uqsphere.mechanics.outputs import Answers
-from uqsphere.mechanics.partners import softest_partner, sphere_body
+from uqsphere.mechanics.partners import Partner, body_of, softest_partner, sphere_body
+from uqsphere.mechanics.rigs import GRAVITY, RIGS, loss_to_waves, terminal_speed
 from uqsphere.mechanics.scene import CONTACT_LAWS, Scene, answered
 from uqsphere.mechanics.yielding import Body, Face, Press
 
@@ -40,7 +41,8 @@ class Rule:
     ----------
     name, meaning : str
     measure : function of (scene, answers)
-        The number per row, (n,), NaN where it says nothing about a row; or a text, why the check is left out.
+        The number per row, (n,), NaN where it says nothing about a row; or a text, why the check is left out;
+        None where the scene has nothing to check.
     information, warning, failure : float or None
         Beyond these a row gets the grade 1, 2, 3; None: the check does not give this grade.
     rising : bool
@@ -49,15 +51,15 @@ class Rule:
         Sentence on a breach, with {worst}, {limit} and {side} of the numbers.
     fine : str
         Sentence where no row breaks it, with {worst} and {limit}.
-    laws : tuple of str
-        Laws of the contact under which it is asked.
+    laws, rigs : tuple of str
+        Laws of the contact, and rigs, for which it is asked.
     further : function of (scene, answers, good rows), optional
         What is said further on a breach.
     """
 
     name: str
     meaning: str
-    measure: Callable[[Scene, Answers], Array | str]
+    measure: Callable[[Scene, Answers], Array | str | None]
     information: float | None = None
     warning: float | None = None
     failure: float | None = None
@@ -65,6 +67,7 @@ class Rule:
     words: str
     fine: str
     laws: tuple[str, ...] = CONTACT_LAWS
+    rigs: tuple[str, ...] = tuple(RIGS)
     further: Callable[[Scene, Answers, Flags], str] | None = None
 
     @property
@@ -100,6 +103,11 @@ class Check:
         return self.share_information + self.share_warning + self.share_failure
 
 
+#: rigs by what they are checked for
+_BARS: Final = ("bars",)
+_BLOWS: Final = tuple(rig.name for rig in RIGS.values() if rig.blow)
+_ONE: Final = tuple(rig.name for rig in RIGS.values() if rig.contacts == 1)
+_WEIGHTS: Final = tuple(rig.name for rig in RIGS.values() if rig.mover == "hammer")
 _NO_SCENE: Final = "not checked: no scene was computed"
 _NO_YIELD: Final = "not checked: the yield strength of the bars is not given"
 
@@ -108,8 +116,16 @@ def _contact_over_radius(scene: Scene, answers: Answers) -> Array | str:
     return np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
 
 
-def _contact_over_bar(scene: Scene, answers: Answers) -> Array | str:
-    return np.asarray(2.0 * answers.values["a_max"] / scene.columns["bars.diameter"])
+def _bars_of(scene: Scene) -> list[tuple[Partner, Array]]:
+    """Partners that are bars, and their diameters."""
+    there = dict.fromkeys(one.table for one in scene.partners if one is not None and one.kind == "bar")
+    first = {one.table: one for one in scene.partners if one is not None}
+    return [(first[table], scene.columns[f"{table}.diameter"]) for table in there]
+
+
+def _contact_over_bar(scene: Scene, answers: Answers) -> Array | str | None:
+    found = [2.0 * answers.values["a_max"] / diameter for _, diameter in _bars_of(scene)]
+    return np.maximum.reduce(found) if found else None
 
 
 def _positive(values: Array) -> Array:
@@ -157,29 +173,43 @@ def _static(body_of: Callable[[Scene], Body]) -> Callable[[Scene, Answers, Flags
     return further
 
 
+def _over_partner_onset(scene: Scene, answers: Answers) -> Array | str:
+    """The pressure that the largest force is at each face over that at which its partner yields; the largest."""
+    found = []
+    for one in dict.fromkeys(one.table for one in scene.partners if one is not None):
+        partner = next(part for part in scene.partners if part is not None and part.table == one)
+        onset = body_of(scene, one, scene.column(f"{one}.nu")).onset
+        pressure = contact.pressure_at_force(answers.values["P_max"], partner.modulus, partner.effective_radius)
+        found.append(pressure / np.where(np.isfinite(onset), _positive(onset), np.nan))
+    worst = np.fmax.reduce(found)
+    return "not checked: no yield strength of what stands at the poles is given" if np.isnan(worst).all() else worst
+
+
 def _depth(scene: Scene, answers: Answers) -> Array | str:
-    faces = scene.faces
-    if faces is None:
-        return "not checked: nothing yields"
+    depths = _of_faces(scene, answers, lambda face, depth: depth)
+    return "not checked: nothing yields" if depths is None else depths
+
+
+def _of_faces(scene: Scene, answers: Answers, pick: Callable[[Face, Array], Array]) -> Array | None:
+    """The largest over the faces that yield of what is picked at the depth of the largest force; None: none yields."""
+    faces = [one.face for one in scene.partners if one is not None and one.face is not None]
     with np.errstate(all="ignore"):
-        return np.asarray(faces.depth_at(np.asarray(answers.values["P_max"])))
+        found = [pick(face, face.depth_at(np.asarray(answers.values["P_max"]))) for face in faces]
+    return np.maximum.reduce(found) if found else None
 
 
 def _dent_over_radius(scene: Scene, answers: Answers) -> Array | str:
-    depth = _depth(scene, answers)
-    if isinstance(depth, str) or scene.faces is None:
-        return depth
-    with np.errstate(all="ignore"):
-        return np.asarray(scene.faces.pressed(depth).dent / scene.scales.effective_radius)
+    found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius)
+    return "not checked: nothing yields" if found is None else found
 
 
 def _dents(scene: Scene, answers: Answers, good: Flags) -> str:
-    depth = _depth(scene, answers)
-    assert scene.faces is not None
-    assert not isinstance(depth, str)
-    dent = scene.faces.pressed(depth).dent[good]
+    found = _of_faces(scene, answers, lambda face, depth: face.pressed(depth).dent)
+    assert found is not None
+    dent = found[good]
     flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene).onset).any())
-    due = ": re-lap the bars" if flats_yield and np.nanmax(dent) > _RELAP else ""
+    faces = "the bars" if scene.rig == "bars" else "what stands there"
+    due = f": re-lap {faces}" if flats_yield and np.nanmax(dent) > _RELAP else ""
     return f"; dents of up to {1e6 * np.nanmax(dent):.2g} um stay{due}"
 
 
@@ -222,6 +252,102 @@ def _transits(scene: Scene, answers: Answers) -> Array | str:
         return np.asarray(answers.values["rise_time"] / transit)
 
 
+def _transits_of_blow(scene: Scene, answers: Answers) -> Array | str:
+    """Of one contact: the whole time under load, which is smooth; its rise alone is 0.314 of it."""
+    c = scene.columns
+    with np.errstate(all="ignore"):
+        transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
+        return np.asarray(answers.values["loaded_time"] / transit)
+
+
+def _struck_plate(scene: Scene) -> Partner | None:
+    return next((one for one in scene.partners if one is not None and one.kind == "plate"), None)
+
+
+def _thin_plate(scene: Scene, answers: Answers) -> Array | str | None:
+    """Thickness over contact radius, or transits of the thickness under load where these are fewer (not below 2:
+    a plate that is thick beside the blow is no failure, `thick` is nearer)."""
+    if (plate := _struck_plate(scene)) is None:
+        return None
+    E, nu, density, thickness = (
+        scene.columns[f"{plate.table}.{key}"] for key in ("E", "nu", "density", "thickness")
+    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
+        transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
+        return np.asarray(np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0)))
+
+
+def _plate_edge(scene: Scene, answers: Answers) -> Array | str | None:
+    """Time under load over the return of a bending wave from the edge, at the group speed of the blow's half period.
+
+    c_g = 2 (D/(rho h))^(1/4) sqrt(pi/t), way there and back the width.
+    """
+    if (plate := _struck_plate(scene)) is None:
+        return None
+    if f"{plate.table}.width" not in scene.columns:
+        return f"not checked: add width to [{plate.table}] for the way to its edge and back"
+    E, nu, density, thickness, width = (
+        scene.columns[f"{plate.table}.{key}"] for key in ("E", "nu", "density", "thickness", "width")
+    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        loaded = answers.values["loaded_time"]
+        bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
+        return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
+
+
+def _gravity(scene: Scene, answers: Answers) -> Array | str:
+    behind = scene.partners[0]
+    weight = scene.scales.mass + (0.0 if behind is None else behind.mass)
+    return np.asarray(weight * GRAVITY / answers.values["P_max"])
+
+
+def _drag(scene: Scene, answers: Answers) -> Array | str | None:
+    c = scene.columns
+    if "rig.drop_height" not in c:
+        return None
+    return np.asarray(c["rig.drop_height"] * GRAVITY / terminal_speed(c["sphere.radius"], c["sphere.density"]) ** 2)
+
+
+def _oblique(scene: Scene, answers: Answers) -> Array | str | None:
+    if "rig.angle" not in scene.columns:
+        return None
+    return np.rad2deg(scene.columns["rig.angle"])
+
+
+def _wave_loss(scene: Scene, answers: Answers) -> Array | str | None:
+    return loss_to_waves(scene)
+
+
+def _restitution_of_waves(scene: Scene, answers: Answers, good: Flags) -> str:
+    loss = loss_to_waves(scene)
+    return "" if loss is None else f"; waves alone leave a restitution of {np.sqrt(1.0 - loss[good].max()):.3g}"
+
+
+def _rod_rise(scene: Scene, answers: Answers) -> Array | str | None:
+    found = []
+    for partner, diameter in _bars_of(scene):
+        speed = bars.wave_speed(*(scene.columns[f"{partner.table}.{key}"] for key in ("E", "density")))
+        found.append(answers.values["rise_time"] * speed / (0.5 * diameter))
+    return np.minimum.reduce(found) if found else None
+
+
+def _echo_under_load(scene: Scene, answers: Answers) -> Array | str | None:
+    with np.errstate(all="ignore"):
+        found = answers.values["loaded_time"] / scene.first_echo
+    return found if np.any(np.isfinite(scene.first_echo)) else None
+
+
+def _chatter(scene: Scene, answers: Answers) -> Array | str:
+    return answers.values["retouches"]
+
+
+def _one_sided(scene: Scene, answers: Answers) -> Array | str:
+    ratio = np.asarray(answers.values["a_max"] / scene.columns["sphere.radius"])
+    imbalance = answers.values.get("force_imbalance")
+    return ratio if imbalance is None else np.where(imbalance > 0.1, ratio, np.nan)
+
+
 def _pulse_rise(scene: Scene, answers: Answers) -> Array | str:
     c, breaks = scene.columns, scene.pulse.breaks
     if scene.shape in ("rectangular", "step"):
@@ -261,43 +387,44 @@ RULES: Final[tuple[Rule, ...]] = (
          words="the contact is not small against the sphere, a/r reaches {worst} (limit {limit})",
          fine="contact small against the sphere: a/r at most {worst} (limit {limit})"),
     Rule(name="contact_on_bar_end", meaning="contact radius over bar radius (Hertz: half space)",
-         measure=_contact_over_bar, warning=0.2,
+         measure=_contact_over_bar, warning=0.2, failure=1.0, rigs=("bars", "impact", "drop_weight", "load_cell"),
          words="the bar's end is no half space to the contact, a/(d_b/2) reaches {worst} "
                "(limit {limit})",
          fine="contact small against the bar's end: a/(d_b/2) at most {worst} (limit {limit})"),
     Rule(name="bar_yield_contact", meaning="contact pressure over that at which the bars yield (elastic contact)",
-         measure=_over_bar_onset, warning=1.0, laws=("hertz", "damage"), further=_static(softest_partner),
+         measure=_over_bar_onset, warning=1.0, laws=("hertz", "damage"), rigs=_BARS,
+         further=_static(softest_partner),
          words="the bars yield under the sphere, p_0 reaches {worst} times the pressure at which they begin to",
          fine="bars elastic under the sphere: p_0 at most {worst} times the pressure at which they begin to yield"),
     Rule(name="bar_yield_pulse", meaning="stress of the pulse over the bars' yield strength (elastic waves)",
-         measure=_pulse_over_yield, warning=1.0,
+         measure=_pulse_over_yield, warning=1.0, rigs=_BARS,
          words="the pulse makes the bars yield, its stress reaches {worst} times their yield strength",
          fine="bars elastic under the pulse: its stress is at most {worst} times their yield strength"),
     Rule(name="force_balance", meaning="largest difference of the two forces over the largest force",
-         measure=_imbalance, information=0.05, warning=0.1,
+         measure=_imbalance, information=0.05, warning=0.1, rigs=(*_BARS, *_WEIGHTS),
          words="the two forces differ by up to {worst} of the largest at some instant (limit "
                "{limit}; at the peak itself it may be less): one gauge does not stand for both faces",
          fine="forces in balance: they differ by at most {worst} of the largest (limit {limit})"),
     Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), in the rise time",
-         measure=_transits, warning=4.0, failure=3.0, rising=False,
+         measure=_transits, warning=4.0, failure=3.0, rising=False, rigs=(*_BARS, *_WEIGHTS),
          words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while the force rises from "
                "10 % to 90 % (at least {limit}), too few for a quasi-static sphere",
          fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while the "
               "force rises from 10 % to 90 % (at least {limit})"),
     Rule(name="one_dimensional_bars", meaning="rise of the pulse over bar radius/c_0 (one-dimensional waves)",
-         measure=_pulse_rise, warning=5.0, rising=False,
+         measure=_pulse_rise, warning=5.0, rising=False, rigs=_BARS,
          words="the pulse rises or falls within {worst} bar radii/c_0 (at least {limit}), sharper "
                "than one-dimensional waves can carry",
          fine="pulse smooth enough for one-dimensional waves: it rises in at least {worst} bar radii/c_0 "
               "(at least {limit})"),
     Rule(name="force_level", meaning="pulse length over t_c (does the force come near P_0 = Z v_0/2?)",
-         measure=_pulse_over_scale, information=2.0, rising=False,
+         measure=_pulse_over_scale, information=2.0, rising=False, rigs=_BARS,
          words="the pulse is short, in the worst scene {worst} t_c (near P_0 from {limit}): the force of the first "
                "loading stays below P_0 = Z v_0/2 and depends on the pulse's length",
          fine="pulse long against the contact: at least {worst} t_c (from {limit} on the force nears "
               "P_0 = Z v_0/2)"),
     Rule(name="before_reflection", meaning="record over the first return of a reflected wave (infinite bars)",
-         measure=_record_over_echo, information=1.0,
+         measure=_record_over_echo, information=1.0, rigs=_BARS,
          words="infinite bars were asked for, but the record runs to {worst} times the first return of a "
                "reflected wave in bars of the given length",
          fine="infinite bars: the record ends before a wave is back, at {worst} times its first return"),
@@ -318,9 +445,69 @@ RULES: Final[tuple[Rule, ...]] = (
          words="a dent is deep beside the curvature of the face, {worst} of its radius (limit {limit})",
          fine="dents shallow: at most {worst} of the radius (limit {limit})"),
     Rule(name="insert_thickness", meaning="three contact radii over the thickness of the inserts",
-         measure=_contact_over_insert, warning=1.0,
+         measure=_contact_over_insert, warning=1.0, rigs=_BARS,
          words="the inserts are thin, three contact radii reach {worst} of their thickness: the bar yields below them",
          fine="inserts thick enough: three contact radii are at most {worst} of their thickness"),
+    Rule(name="pressure_shape", meaning="approach over that at which a face first yields (shape of the pressure)",
+         measure=_depth, information=2.0, warning=6.0, laws=("plastic",),
+         words="a face is pressed to {worst} times its first yield: the pressure is flatter than Hertz's ({limit}), "
+               "stresses inside and at the rim are those of Hertz on the same circle",
+         fine="pressure near Hertz's: faces pressed to at most {worst} times the first yield (limit {limit})"),
+    Rule(name="quasi_static_sphere", meaning="wave transits of the sphere, 2 r/sqrt(E/rho), under load",
+         measure=_transits_of_blow, warning=6.0, failure=4.0, rising=False, rigs=_ONE,
+         words="a wave, at sqrt(E/rho), crosses the sphere only {worst} times while it is pressed (at least {limit}), "
+               "too few for a quasi-static sphere",
+         fine="sphere quasi-static: a wave, at sqrt(E/rho), crosses it at least {worst} times while it is pressed "
+              "(at least {limit})"),
+    Rule(name="face_yield", meaning="contact pressure over that at which what stands at a pole yields",
+         measure=_over_partner_onset, warning=1.0, laws=("hertz", "damage"), rigs=(*_BLOWS, "platens"),
+         further=_static(softest_partner),
+         words="what stands at a pole yields under the sphere, p_0 reaches {worst} times the pressure where it begins",
+         fine="what stands at the poles stays elastic: p_0 at most {worst} times the pressure at which it yields"),
+    Rule(name="thin_plate", meaning="thickness of the plate over the contact radius, or transits of it under load",
+         measure=_thin_plate, warning=5.0, failure=2.0, rising=False, rigs=("impact", "drop_weight"),
+         words="the plate is not thin beside the blow, or the contact: {worst} (at least {limit}); where few "
+               "waves cross its thickness under load, a thick target is nearer",
+         fine="plate as its theory has it: {worst} contact radii thick, or transits of it (at least {limit})"),
+    Rule(name="plate_edge", meaning="time under load over the return of the bending wave from the plate's edge",
+         measure=_plate_edge, warning=1.0, rigs=("impact", "drop_weight"),
+         words="the bending wave is back from the plate's edge while the sphere is pressed: {worst} returns",
+         fine="plate wide enough: the sphere is pressed for at most {worst} of the way to its edge and back"),
+    Rule(name="gravity", meaning="weight of what moves over the largest force (left out of the motion)",
+         measure=_gravity, information=0.01, warning=0.05, rigs=_BLOWS,
+         words="weights, which the motion leaves out, reach {worst} of the largest force (limit {limit})",
+         fine="weights small beside the force: at most {worst} of it (limit {limit})"),
+    Rule(name="drag", meaning="fall over that in which the drag of the air would stop the gain of speed, g h/v_t²",
+         measure=_drag, information=0.05, warning=0.2, rigs=_ONE,
+         words="the drag of the air matters for the speed after the fall: g h/v_t² reaches {worst} (limit {limit})",
+         fine="drag of the air small in the fall: g h/v_t² at most {worst} (limit {limit})"),
+    Rule(name="oblique", meaning="angle between the path and the surface [deg]; friction and spin are left out",
+         measure=_oblique, information=75.0, warning=45.0, failure=20.0, rising=False, rigs=_ONE,
+         words="the blow is oblique, {worst} deg (square on from {limit}): friction, spin and tension by sliding at "
+               "the rim are left out, the normal part of the speed counts",
+         fine="blow nearly square on: at least {worst} deg (from {limit})"),
+    Rule(name="wave_loss", meaning="share of the energy that a thick target carries off as waves",
+         measure=_wave_loss, information=0.02, warning=0.05, rigs=_ONE, further=_restitution_of_waves,
+         words="the target carries off {worst} of the energy as waves (limit {limit}); forces leave that out",
+         fine="a thick target carries off little: at most {worst} of the energy (limit {limit})"),
+    Rule(name="one_dimensional_rod", meaning="rise of the force over bar radius/c_0 (one-dimensional waves)",
+         measure=_rod_rise, warning=5.0, rising=False, rigs=("impact", "drop_weight", "load_cell"),
+         words="the force rises within {worst} rod radii/c_0 (at least {limit}), too fast for waves of one dimension",
+         fine="force smooth enough for one-dimensional waves: it rises in at least {worst} rod radii/c_0 "
+              "(at least {limit})"),
+    Rule(name="echo_in_contact", meaning="time under load over the round trip of the rod",
+         measure=_echo_under_load, information=1.0, rigs=("impact", "drop_weight", "load_cell"),
+         words="waves come back along the rod while the sphere is pressed: {worst} round trips",
+         fine="no wave is back along the rod under load: at most {worst} of a round trip"),
+    Rule(name="chatter", meaning="contacts lost and found again before the largest force",
+         measure=_chatter, information=0.0, rigs=_WEIGHTS,
+         words="contacts are lost and found again before the largest force, up to {worst} times",
+         fine="no contact is lost and found again before the largest force"),
+    Rule(name="one_sided_field", meaning="contact radius over sphere radius where the forces differ at the peak",
+         measure=_one_sided, information=0.1, warning=0.2, failure=0.3, rigs=_BLOWS,
+         words="the forces at the poles differ and the contact is large, a/r reaches {worst} (limit {limit}): the "
+               "field of one force is not half that of two",
+         fine="field of unequal forces near that of each pole alone: a/r at most {worst} (limit {limit})"),
 )  # fmt: skip
 
 
@@ -353,6 +540,7 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
         rule
         for rule in RULES
         if scene.contact_law in rule.laws
+        and scene.rig in rule.rigs
         and (rule.name != "insert_thickness" or "bars.insert_E" in scene.columns)
         and (rule.name != "sphere_yield_contact" or "sphere.onset_pressure" in scene.columns)
     )
@@ -369,7 +557,8 @@ def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     if len(answers.status) != len(scene):
         raise ValueError(f"{len(answers.status)} answers do not belong to a batch of {len(scene)} scenes")
     good = answered(answers.status)
-    return [_check(rule, scene, answers, good) for rule in rules_of(scene)]
+    found = (_check(rule, scene, answers, good) for rule in rules_of(scene))
+    return [check for check in found if check is not None]
 
 
 def check_at_fracture(imbalance: Array, weights: Array) -> Check:
@@ -402,8 +591,10 @@ def check_at_fracture(imbalance: Array, weights: Array) -> Check:
     return _result(rule.name, shares, worst, f"in {broken} {rule.words.format(**numbers)}")
 
 
-def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check:
+def _check(rule: Rule, scene: Scene, answers: Answers, good: Flags) -> Check | None:
     measured = rule.measure(scene, answers)
+    if measured is None:
+        return None
     if isinstance(measured, str):
         return _without_number(rule, scene, measured, bool(good.any()))
     usable = measured[good & ~np.isnan(measured)]
