@@ -60,7 +60,7 @@ def _carry_out(given: Sequence[str]) -> int:
     chosen: argparse.Namespace | None = None
     try:
         chosen = build_parser().parse_args(given)
-        does = getattr(import_module(chosen.module), f"command_{chosen.command}")
+        does = getattr(import_module(chosen.module), f"command_{chosen.command.replace('-', '_')}")
         code = int(does(chosen))
         sys.stdout.flush()
         return code

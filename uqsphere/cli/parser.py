@@ -132,6 +132,8 @@ def _add_data(command: Command) -> None:
     _json(given)
     records = "pulse, contact forces and stiffness from records of strain gauges"
     _add_records(command("records", records, "uqsphere.cli.records"))
+    _add_fit(command("fit-contact", "onset, hardness and pile-up from a slow test on a sphere between two platens",
+                     "uqsphere.cli.records"))  # fmt: skip
     plan = "speeds, ramps and lengths at which a sphere breaks as wanted, between elastic bars"
     _add_plan(command("plan", plan, "uqsphere.cli.plan"))
 
@@ -177,6 +179,21 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
         "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write tables and figures here")
+    _json(parser)
+
+
+def _add_fit(parser: argparse.ArgumentParser) -> None:
+    """The options of `uqsphere fit-contact`."""
+    parser.add_argument("record", metavar="FILE.csv", type=Path, help="displacement and force, loaded and let go")
+    parser.add_argument("--diameter", required=True, metavar="LENGTH", help='of the sphere, such as "20 mm"')
+    parser.add_argument("--platens", default="rigid", metavar="NAME",
+                        help="a material of the bars, or rigid; E of the sphere follows")  # fmt: skip
+    parser.add_argument("--nu", type=float, default=0.25, help="Poisson ratio of the sphere (default 0.25)")
+    parser.add_argument("--columns", metavar="D,F", help="columns that count: displacement, force")
+    parser.add_argument("--displacement-unit", default="", metavar="UNIT", help="such as um")
+    parser.add_argument("--force-unit", default="", metavar="UNIT", help="such as kN")
+    parser.add_argument("--machine-stiffness", metavar="K", help='such as "100 kN/mm" (default: rigid)')
+    parser.add_argument("--pile-up", type=float, metavar="C", help="where it is known, 1 to 3: it is not fitted then")
     _json(parser)
 
 

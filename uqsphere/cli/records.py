@@ -19,6 +19,7 @@ from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
     from uqsphere.records.inverse import Inverse
+    from uqsphere.records.loading import ContactFit
     from uqsphere.records.pulse import Bar
     from uqsphere.records.record import Record
     from uqsphere.study import Study
@@ -251,3 +252,72 @@ def _answers(found: Inverse, columns: Mapping[str, float]) -> tuple[dict[str, ob
         "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure, "notes": list(found.notes),
     }  # fmt: skip
     return content, rows
+
+
+# --- a slow test between platens ------------------------------------------------------------------------
+
+
+def command_fit_contact(chosen: argparse.Namespace) -> int:
+    """Onset, hardness and pile-up of a slow test, as the lines of a study."""
+    from uqsphere.materials import library
+    from uqsphere.mechanics.yielding import metal_onset
+    from uqsphere.records.loading import fit_contact, read_loading
+    from uqsphere.records.table import RecordError
+
+    diameter = _value(chosen.diameter, "length", "--diameter")
+    stiffness = math.inf
+    if chosen.machine_stiffness is not None:
+        stiffness = _value(chosen.machine_stiffness, "stiffness", "--machine-stiffness")
+    if not diameter > 0.0 or not stiffness > 0.0:
+        raise UsageError("--diameter and --machine-stiffness must be above zero")
+    if not 0.0 <= chosen.nu < 0.5 or (chosen.pile_up is not None and not 1.0 <= chosen.pile_up <= 3.0):
+        raise UsageError("--nu must lie from 0 to below 0.5, --pile-up from 1 to 3")
+    known = library()["bars"]
+    if chosen.platens != "rigid" and chosen.platens not in known:
+        raise UsageError(f"--platens: found {chosen.platens!r}, allowed: rigid, {', '.join(known)}")
+    columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
+    try:
+        loading = read_loading(chosen.record, columns=columns, units=(chosen.displacement_unit, chosen.force_unit))
+        fit = fit_contact(loading, diameter=diameter, compliance=1.0 / stiffness, pile_up=chosen.pile_up)
+    except RecordError as error:
+        text = str(error).removeprefix(f"{chosen.record.name}: ")
+        raise UsageError(f"{chosen.record}: {text}") from None
+    notes, soft = list(loading.notes), 0.0
+    if chosen.platens != "rigid":
+        bar = {key: entry.value for key, entry in known[chosen.platens].properties.items()}
+        soft = (1.0 - bar["nu"] ** 2) / bar["E"]
+        if fit.onset.high > (onset := float(metal_onset(bar["yield_strength"], bar["nu"]))) / 1.3:
+            notes.append(f"the platens yield from {onset / 1e9:.3g} GPa on: what was fitted may be theirs")
+    _print_fit(chosen, fit, soft, notes)
+    return 0
+
+
+def _print_fit(chosen: argparse.Namespace, fit: ContactFit, soft: float, notes: Sequence[str]) -> None:
+    """The numbers of a fit with their intervals; `soft` [1/Pa] is what the platens add to the compliance."""
+    named = {"onset_pressure": fit.onset, "hardness": fit.hardness, "pile_up": fit.pile_up}
+    keys = ("value", "low", "high")
+    rest = [1.0 / number - soft for number in (fit.modulus.value, fit.modulus.low, fit.modulus.high)]
+    young = [(1.0 - chosen.nu**2) / number for number in rest] if min(rest) > 0.0 else None
+    if chosen.json:
+        content = {name: {key: getattr(part, key) for key in keys} for name, part in named.items()}
+        reduced = {key: getattr(fit.modulus, key) for key in keys}
+        print(json.dumps({
+            "kind": "contact", "file": chosen.record.name, **content, "reduced_modulus": reduced,
+            "sphere_modulus": None if young is None else dict(zip(keys, young, strict=True)),
+            "depth": fit.depth, "dent": fit.dent, "misfit": fit.misfit, "samples": fit.samples, "notes": list(notes),
+        }, indent=2, allow_nan=False))  # fmt: skip
+        return
+    for note in notes:
+        print(f"note: {plain(note)}", file=sys.stderr)
+    rows = [_row(name.replace("_", " "), "GPa", 1e-9, [getattr(named[name], key) for key in keys]) for name in
+            ("onset_pressure", "hardness")]  # fmt: skip
+    rows.append(_row("pile-up", "", 1.0, [getattr(fit.pile_up, key) for key in keys]))
+    rows.append(_row("reduced modulus E*", "GPa", 1e-9, [getattr(fit.modulus, key) for key in keys]))
+    if young is not None:
+        rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
+    rows.append(("pressed to, over first yield", f"{fit.depth:.3g}", ""))
+    rows.append(("dent", f"{1e6 * fit.dent:.3g} um", ""))
+    rows.append(("misfit of the displacement", f"{1e6 * fit.misfit:.2g} um", f"{fit.samples} samples"))
+    print(table(("what", "value", "95 % interval"), rows))
+    print(f'\n[contact]\nlaw = "plastic"\nonset_pressure = "{fit.onset.value / 1e9:.4g} GPa"')
+    print(f'hardness = "{fit.hardness.value / 1e9:.4g} GPa"\npile_up = {fit.pile_up.value:.4g}')
