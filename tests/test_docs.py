@@ -220,7 +220,7 @@ def test_commands_and_their_options_are_those_of_the_parser() -> None:
 
 def test_every_command_named_anywhere_exists() -> None:
     for page, text in PAGES.items():
-        for name in re.findall(r"(?:`|^\$ |bin/)uqsphere ([a-z]\w*)", text, re.MULTILINE):
+        for name in re.findall(r"(?:`|^\$ |bin/)uqsphere ([a-z][\w-]*)", text, re.MULTILINE):
             assert name in parsers(), (page, name)
 
 
