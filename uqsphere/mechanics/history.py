@@ -15,8 +15,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.balance import Balance, balance_of
 from uqsphere.mechanics.damper import Damper, move_with_damper
-from uqsphere.mechanics.field import BARS, Tension, field_grid, first_tension, waves_at
+from uqsphere.mechanics.field import BARS, Tension, Waves, field_grid, first_tension, waves_at
 from uqsphere.mechanics.gauges import GaugeRecord, force_imbalance
 from uqsphere.mechanics.integrator.solve import Motion, motion
 from uqsphere.mechanics.scene import Scene
@@ -78,11 +79,12 @@ class History:
     time : (m,) array
         Ascending instants [s]: a uniform grid, the events, and jumps of the waves twice (before, after).
     approach_a, approach_b, force_a, force_b, pressure_a, pressure_b : (m,) arrays
-        At the incident face A and the receiving face B [m, N, Pa]; an approach is negative while apart.
+        At the faces A (incident, behind) and B (receiving, ahead) [m, N, Pa]; an approach is negative while apart.  The
+        pressure is Hertz's in the centre; where faces yield the mean one, P/(pi a²).
     velocity : (m,) array
         Velocity of the sphere's centre [m/s].
     incident, returning, leaving_a, leaving_b : (m,) arrays
-        The waves f, h, g_A and k_B of theory (4) and (5) at the faces [m/s].
+        The waves f, h, g_A and k_B of theory (4) and (5) at the faces [m/s]; 0 in rigs other than bars.
     changes : tuple of ContactChange
         Contacts lost and found again, in order of time.
     first_peak, later_peak : Peak or None
@@ -98,6 +100,8 @@ class History:
     fidelity : str
     motion : Motion
         The integrated scene itself: `uqsphere.mechanics.gauges` and `field` read any place and instant off it.
+    balance : Balance or None
+        Dents, velocities of the partners and energies; None for cheaper models and a damper against frequency.
     gauges : tuple of GaugeRecord
         Signals of the gauges of a study, or of one half-way along each bar; none from `trace` itself.
     """
@@ -127,6 +131,7 @@ class History:
     fidelity: str
     motion: Motion = field(repr=False, compare=False)
     gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
+    balance: Balance | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in _COURSES}
@@ -145,6 +150,8 @@ class History:
         """a/r and p_0 [Pa] at the largest contact pressure of either face; theory (15)."""
         pressure = max((peak.pressure for peak in (self.first_peak, self.later_peak) if peak is not None), default=0.0)
         radius = float(self.motion.scene.columns["sphere.radius"][self.motion.row])
+        if self.balance is not None and self.motion.forces is not None:
+            return float(self.balance.radius.max()) / radius, pressure
         # Hertz: p_0 = (2/pi) E* a/r_eff
         return pressure * 0.5 * np.pi * self.effective_radius / self.modulus / radius, pressure
 
@@ -197,24 +204,32 @@ def trace(scene: Scene, row: int = 0, *, fidelity: str = "full", tolerance: floa
         raise ValueError(f"a damper against frequency goes with the full model, found {fidelity}")
     horizon = found.horizon
     changes = find_changes(found, tolerance=tolerance)
-    lost = next((change.time for change in changes if change.kind == "lost"), np.inf)
+    lost = next((change.time for change in changes if change.kind == "lost" and scene.rig == "bars"), np.inf)
     first, later = largest(found, 0.0, lost), largest(found, lost, horizon)
     times, sides = _instants(found, points, [event.time for event in (*changes, first, later) if event is not None])
     states = found.states_at(times)
-    waves = waves_at(found, times, sides=sides)
+    still = np.zeros(len(times))
+    waves = Waves(incident=still, returning=still, leaving_a=still, leaving_b=still)
+    if scene.rig == "bars":
+        waves = waves_at(found, times, sides=sides)
     forces = list(found.forces_at(times).T)
-    pressures = [found.pressure_at(force) for force in forces]
+    balance = balance_of(found, times) if fidelity == "full" and damper is None else None
+    if balance is not None and balance.dent.max() > 0.0:
+        approaches, pressures = list(balance.approach), list(balance.mean_pressure)
+    else:
+        approaches = [states[:, 0], states[:, 1]]
+        pressures = [np.asarray(found.pressure_at(force, pole)) for pole, force in enumerate(forces)]
     # without mass the sphere moves with the mean of the two bar ends; the integrator has no velocity for it
     velocity = waves.incident + waves.returning if fidelity == "massless" else states[:, 2]
     scales = scene.scales
     return History(
-        time=times, approach_a=states[:, 0], approach_b=states[:, 1], force_a=forces[0], force_b=forces[1],
+        time=times, approach_a=approaches[0], approach_b=approaches[1], force_a=forces[0], force_b=forces[1],
         pressure_a=pressures[0], pressure_b=pressures[1], velocity=velocity, incident=waves.incident,
         returning=waves.returning, leaving_a=waves.leaving_a, leaving_b=waves.leaving_b, changes=changes,
         first_peak=first, later_peak=later, record_end=min(lost, horizon), horizon=horizon,
         mass_number=float(scales.mass_number[row]), pulse_number=float(scales.pulse_number[row]),
         modulus=float(scales.modulus[row]), effective_radius=float(scales.effective_radius[row]),
-        hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found,
+        hertz_constant=float(scales.hertz_constant[row]), fidelity=fidelity, motion=found, balance=balance,
     )  # fmt: skip
 
 
@@ -245,7 +260,7 @@ def _instants(found: Motion, points: int, events: list[float]) -> tuple[Array, A
     """Grid and events in order; `sides` is -1 at the first of the two instants of a jump, else 1."""
     scene, row, horizon = found.scene, found.row, found.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
-    breaks = scene.pulse.breaks[row]
+    breaks = scene.pulse.breaks[row] if scene.rig == "bars" else np.zeros(0)
     breaks = breaks[np.isfinite(breaks)]
     bars = [bar for bar in (0, 1) if scene.reflections[row, bar] != 0.0]
     # echoes of the echoes are left to the grid: the first of each bar is what people look for
@@ -319,7 +334,9 @@ def largest(found: Motion, begin: float, end: float) -> Peak | None:
             time = nodes[highest]
         force = float(found.forces_at(np.array([time]))[0, face])
         if force > 0.0 and (best is None or force > best.force):
-            best = Peak(time=float(time), face=name, pressure=float(found.pressure_at(force)), force=force)
+            best = Peak(
+                time=float(time), face=name, pressure=float(np.ravel(found.pressure_at(force, face))[0]), force=force
+            )
     return best
 
 

@@ -117,6 +117,10 @@ class Face:
     modulus: Array
     effective_radius: Array
 
+    def at(self, row: int) -> Face:
+        """The law of one row, (1,) each."""
+        return Face(**{name: getattr(self, name)[[row]] for name in self.__dataclass_fields__})
+
     @property
     def softening(self) -> Array:
         """b of (C3): 0 for Thornton, infinite for Hertz."""

@@ -45,6 +45,8 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     tolerance = min(study.model.tolerance, 1e-8)
     try:
         found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
+        if study.rig != "bars":
+            return found
         places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found.motion)
         gauges = (gauge_record(found.motion, bar, position, points=len(found.time)) for bar, position in places)
         return replace(found, gauges=tuple(gauges))
@@ -70,8 +72,10 @@ def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:
 
 def history_summary(found: History) -> dict[str, Any]:
     """The findings of a history as (what, value) lines, for the terminal and for JSON."""
+    rig = found.motion.scene.rig
     lines = [("mu (mass of the sphere)", f"{found.mass_number:.4g}")]
-    lines.append(("theta (length of the pulse)", f"{found.pulse_number:.4g}"))
+    if rig == "bars":
+        lines.append(("theta (length of the pulse)", f"{found.pulse_number:.4g}"))
     if found.first_peak is not None:
         peak = found.first_peak
         lines.append(("largest contact pressure before contact is lost", format_value(peak.pressure, "p_max", 6)))
@@ -88,8 +92,9 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(
             ("NOTE", "the later peak is the larger one: quantities of interest end at the first loss of contact")
         )
-    bars = _bars(found)
-    lines += bars.pop("lines")
+    bars = _bars(found) if rig == "bars" else {}
+    lines += bars.pop("lines", [])
+    lines += _balance_lines(found)
     lines.append(("end of the record of the quantities", f"{found.record_end * 1e6:.6g} us"))
     lines.append(("end of this history", f"{found.horizon * 1e6:.6g} us"))
     return {
@@ -100,6 +105,26 @@ def history_summary(found: History) -> dict[str, Any]:
         **bars,
         "lines": [list(line) for line in lines],
     }
+
+
+def _balance_lines(found: History) -> list[tuple[str, str]]:
+    """Dents and plastic work that are left, and with which velocities the bodies part."""
+    balance, lines = found.balance, []
+    if balance is None:
+        return []
+    for k, face in enumerate("AB"):
+        if balance.dent[k, -1] > 0.0:
+            lines.append((f"dent left at face {face}", f"{1e6 * float(balance.dent[k, -1]):.4g} um"))
+    if (plastic := float(balance.plastic[:, -1].sum())) > 0.0:
+        lines.append(("plastic work", format_value(plastic, "energy")))
+    if found.motion.scene.rig != "bars":
+        lines.append(("velocity of the sphere at the end", f"{float(balance.sphere[-1]):.6g} m/s"))
+        lines += [
+            (f"velocity of the partner at {face} at the end", f"{float(balance.partner[k, -1]):.6g} m/s")
+            for k, face in enumerate("AB")
+            if np.abs(balance.partner[k]).max() > 1e-9
+        ]
+    return lines
 
 
 def _bars(found: History) -> dict[str, Any]:

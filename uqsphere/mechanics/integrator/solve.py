@@ -164,6 +164,12 @@ class Motion:
         units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
         return np.asarray(self._at(self.states, times) * units)
 
+    def rates_at(self, times: Array) -> Array:
+        """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
+        powers = np.arange(1, self.states.shape[2])
+        slopes = self.states[:, :2, 1:] * powers / self.length[:, None, None]
+        return np.asarray(self._at(slopes, times) * (self.scene.scales.approach[self.row] / self.unit))
+
     def force_at(self, approach: Array) -> Array:
         """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c) of `linear`."""
         scales = self.scene.scales
@@ -177,10 +183,15 @@ class Motion:
             return self.force_at(self.states_at(times)[:, :2])
         return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row])
 
-    def pressure_at(self, force: Values) -> Values:
-        """Contact pressure p_0 [Pa] at a contact force [N]."""
-        scales = self.scene.scales
-        return contact.pressure_at_force(force, scales.modulus[self.row], scales.effective_radius[self.row])
+    def pressure_at(self, force: Values, pole: int = 0) -> Values:
+        """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the face yields."""
+        partner = self.scene.partners[pole]
+        if partner is None:
+            return np.zeros_like(force)
+        if self.forces is not None and partner.face is not None and np.isfinite(partner.face.onset[self.row]):
+            law = partner.face.at(self.row)
+            return law.pressed(law.depth_at(np.asarray(force))).centre
+        return contact.pressure_at_force(force, partner.modulus[self.row], partner.effective_radius[self.row])
 
 
 def thread_count(threads: int | None = None) -> int:

@@ -14,6 +14,7 @@ from uqsphere.mechanics import bars
 from uqsphere.mechanics.field import BARS, last_time
 from uqsphere.mechanics.gauges import BarForces, bar_forces, force_imbalance, gauge_strain
 from uqsphere.mechanics.history import equilibrium, shown_time, view_field
+from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.stress.tables import outside
 from uqsphere.quantities import display_unit, format_value, reading_units, unit_that_reads
 from uqsphere.report.figures.canvas import (
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from uqsphere.mechanics.balance import Balance
     from uqsphere.mechanics.gauges import GaugeRecord
     from uqsphere.mechanics.history import History
     from uqsphere.mechanics.scene import Scene
@@ -85,29 +87,7 @@ def draw_history(history: History) -> Picture:
     (force_unit, force), (pressure_unit, pressure) = display_unit("P_max"), display_unit("p_max")
     keep = _thinned(history)
     t = history.time[keep] * factor
-    panels: list[tuple[str, list[tuple[str, Array, str, str]]]] = [
-        (
-            f"contact force [{force_unit}]",
-            [
-                ("incident face A", force * history.force_a, BLUE, "-"),
-                ("receiving face B", force * history.force_b, ORANGE, "--"),
-            ],
-        ),
-        (
-            f"contact pressure\n[{pressure_unit}]",
-            [("A", pressure * history.pressure_a, BLUE, "-"), ("B", pressure * history.pressure_b, ORANGE, "--")],
-        ),
-        ("sphere velocity\n[m/s]", [("sphere", history.velocity, GREEN, "-")]),
-        (
-            "waves in the bars\n[m/s]",
-            [
-                ("towards A", history.incident, BLUE, "-"),
-                ("from A", history.leaving_a, PURPLE, ":"),
-                ("from B", history.leaving_b, ORANGE, "--"),
-                ("towards B", history.returning, GREEN, "-."),
-            ],
-        ),
-    ]
+    panels = _panels(history, force, force_unit, pressure, pressure_unit)
     with style():
         figure, axes = new_figure(8.4, rows=len(panels), sharex=True)
         for place, (label, courses) in zip(axes, panels, strict=True):
@@ -132,6 +112,97 @@ def draw_history(history: History) -> Picture:
         axes[-1].set_xlabel(f"time since first touch [{unit}]")
         _record_label(figure, axes[0], history, factor, unit)
     return Picture(name="history", title="One scene over time", finding=history_finding(history), figure=figure)
+
+
+def _panels(
+    history: History, force: float, force_unit: str, pressure: float, pressure_unit: str
+) -> list[tuple[str, list[tuple[str, Array, str, str]]]]:
+    """What is drawn over time, by panel: label and courses, each with name, values, colour and line."""
+    rig = RIGS[history.motion.scene.rig]
+    a, b = ("incident face A", "receiving face B") if rig.name == "bars" else (f"A, {rig.behind}", f"B, {rig.ahead}")
+    faces = [("A", a, BLUE, "-", "a"), ("B", b, ORANGE, "--", "b")]
+    faces = faces[1:] if rig.contacts == 1 else faces
+    kind = "mean pressure, ○ centre" if _yields(history) else "contact pressure"
+    forces = [(name, force * getattr(history, f"force_{key}"), c, line) for _, name, c, line, key in faces]
+    pressures = [(name, pressure * getattr(history, f"pressure_{key}"), c, line) for name, _, c, line, key in faces]
+    speeds = [("sphere", history.velocity, GREEN, "-")]
+    if rig.name != "bars" and history.balance is not None:
+        tables = [("A", rig.behind, BLUE, "-"), ("B", rig.ahead, ORANGE, "--")]
+        speeds += [(t, history.balance.partner["AB".index(k)], c, line) for k, t, c, line in tables if t]
+    found = [
+        (f"contact force [{force_unit}]", forces),
+        (f"{kind}\n[{pressure_unit}]", pressures),
+        ("velocity\n[m/s]" if len(speeds) > 1 else "sphere velocity\n[m/s]", speeds),
+    ]
+    if rig.name == "bars":
+        waves = [
+            ("towards A", history.incident, BLUE, "-"),
+            ("from A", history.leaving_a, PURPLE, ":"),
+            ("from B", history.leaving_b, ORANGE, "--"),
+            ("towards B", history.returning, GREEN, "-."),
+        ]
+        found.append(("waves in the bars\n[m/s]", waves))
+    return found
+
+
+def _yields(history: History) -> bool:
+    return history.balance is not None and bool(history.balance.dent.max() > 0.0)
+
+
+def draw_balance(history: History) -> Picture:
+    """Force over approach with the loop of what yields, Hertz beside it, and where the energy is over time."""
+    balance, motion = history.balance, history.motion
+    assert balance is not None
+    force_unit, force = display_unit("P_max")
+    energy_unit = unit_that_reads("energy", [float(balance.stored.sum(axis=0).max())])
+    unit, factor = _time_unit(history.horizon)
+    with style():
+        figure, (loop, over) = new_figure(7.0, rows=2)
+        for pole, (name, colour, line) in enumerate((("A", BLUE, "-"), ("B", ORANGE, "--"))):
+            partner = motion.scene.partners[pole]
+            if partner is None:
+                continue
+            loop.plot(balance.approach[pole] * 1e6, balance.force[pole] * force, color=colour, linestyle=line,
+                      linewidth=1.2, label=f"face {name}")  # fmt: skip
+            beta = float(partner.hertz_constant[motion.row])
+            x = np.linspace(0.0, float(balance.approach[pole].max()), 100)
+            if pole == 1:
+                loop.plot(x * 1e6, beta * x**1.5 * force, color=GREY, linestyle=":", linewidth=1.2, label="Hertz")
+        loop.set_xlim(left=min(0.0, 1.05e6 * float(balance.approach.max()) * -0.02))
+        loop.set_ylim(0.0, 1.15 * force * float(balance.force.max()))
+        loop.set_xlabel("approach [µm]")
+        loop.set_ylabel(f"force [{force_unit}]")
+        loop.legend(loc="upper left")
+        with reading_units({"energy": energy_unit}):
+            scale = display_unit("energy")[1]
+        parts = [
+            ("stored", balance.stored.sum(axis=0), BLUE, "-"),
+            ("plastic", balance.plastic.sum(axis=0), RED, "-."),
+            ("sphere's motion", balance.kinetic, GREEN, "--"),
+            ("passed on at B", balance.passed[1], ORANGE, ":"),
+        ]
+        for name, course, colour, line in parts:
+            if np.abs(course).max() > 0.0:
+                over.plot(balance.time * factor, course * scale, color=colour, linestyle=line, label=name)
+        over.set_xlabel(f"time since first touch [{unit}]")
+        over.set_ylabel(f"energy [{energy_unit}]")
+        over.legend(loc="upper left", bbox_to_anchor=(0.0, 1.22), ncols=4, borderpad=0.0)
+        over.grid()
+        loop.grid()
+    title = "Force over approach, and where the energy is"
+    return Picture(name="balance", title=title, finding=_balance_finding(balance), figure=figure)
+
+
+def _balance_finding(balance: Balance) -> str:
+    plastic, passed = float(balance.plastic[:, -1].sum()), float(balance.passed[1, -1])
+    given = float(balance.kinetic[0] + max(balance.passed[0, -1], 0.0))
+    if given <= 0.0:
+        return "No work is done on the sphere."
+    text = f"Of the work done on the sphere {100.0 * passed / given:.2g} % is passed on at face B"
+    if plastic > 0.0:
+        dents = ", ".join(f"{1e6 * float(d):.2g} µm" for d in balance.dent[:, -1] if d > 0.0)
+        text += f" and {100.0 * plastic / given:.2g} % is plastic; dents of {dents} stay"
+    return text + "."
 
 
 def _events(axes: Axes, history: History, factor: float) -> None:
@@ -565,14 +636,28 @@ def units_of_history(found: History) -> dict[str, str]:
 
 def _write(found: History, study: Study, folder: Path) -> list[Path]:
     scene = found.motion.scene
-    columns = [getattr(found, field) for field in _COLUMNS.values()]
-    rows = np.stack(columns, axis=1).tolist()
+    bars_rig = scene.rig == "bars"
+    names = [name for name in _COLUMNS if bars_rig or "wave" not in name]
+    columns = [getattr(found, _COLUMNS[name]) for name in names]
+    balance = found.balance
+    if balance is not None and (not bars_rig or _yields(found)):
+        extra = {
+            "dent": balance.dent,
+            "plastic": balance.plastic,
+            "stored": balance.stored,
+            "velocity": balance.partner,
+        }
+        units = {"dent": "m", "plastic": "J", "stored": "J", "velocity": "m/s"}
+        names += [f"{name}_{face} [{units[name]}]" for name in extra for face in "ab"]
+        columns += [course for pair in extra.values() for course in pair]
     contents = {
-        "history.csv": csv_text(list(_COLUMNS), rows),
+        "history.csv": csv_text(names, np.stack(columns, axis=1).tolist()),
         "history.svg": history_figure(found),
-        "xt.svg": xt_figure(scene, found),
     }
-    contents |= _bar_pictures(found)
+    if bars_rig:
+        contents |= {"xt.svg": xt_figure(scene, found), **_bar_pictures(found)}
+    if len(names) > len(_COLUMNS) or not bars_rig:
+        contents["balance.svg"] = render(draw_balance(found))
     ratio, pressure = found.hardest_contact
     nu = float(scene.columns["sphere.nu"][found.motion.row])
     if not outside(ratio, nu):
