@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.balance import balance_of, rod_record
 from uqsphere.mechanics.field import waves_at
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.scene import Scene
@@ -143,3 +144,64 @@ def test_answers_do_not_know_units(length, time, mass):
              "alpha_max": length, "a_max": length, "specific_energy": speed**2}  # fmt: skip
     for name, unit in units.items():
         np.testing.assert_allclose(other[name], one[name] * unit, rtol=1e-9, err_msg=name)
+
+
+# --- the same of every rig and law, as `history` shows it ---------------------------------------------------------
+
+STEEL = {"E": 205e9, "nu": 0.29, "density": 7850.0}
+BALL = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.008, "sphere.density": 2600.0}
+
+
+def rig_scene(rig: str, options: dict[str, str | bool] | None = None, **numbers: float) -> Scene:
+    columns = {**BALL, **{name.replace("__", "."): value for name, value in numbers.items()}}
+    return Scene(columns={n: np.array([v]) for n, v in columns.items()}, rig=rig, options=options or {})
+
+
+def steel(table: str, **more: float) -> dict[str, float]:
+    return {f"{table}__{key}": value for key, value in {**STEEL, **more}.items()}
+
+
+RIG_SCENES = {
+    "impact": rig_scene("impact", rig__speed=3.6, **steel("target")),
+    "plate": rig_scene("impact", {"target.kind": "plate"}, rig__speed=3.0, **steel("target", thickness=0.012)),
+    "drop_weight": rig_scene("drop_weight", hammer__speed=0.5, hammer__mass=0.5, **steel("hammer"), **steel("anvil")),
+    "load_cell": rig_scene(
+        "load_cell", hammer__speed=2.0, hammer__mass=0.07,
+        **steel("hammer"), **steel("rod", diameter=0.02, length=1.5),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RIG_SCENES)
+def test_energy_of_a_blow_is_where_it_is_said_to_be(name: str) -> None:
+    found = dynamics.motion(RIG_SCENES[name], 0, tolerance=1e-9)
+    balance = balance_of(found, np.linspace(0.0, found.horizon, 20_001))
+    held = float((balance.kinetic + balance.stored.sum(axis=0)).max())
+    assert np.abs(balance.residual).max() < 1e-6 * held
+    assert balance.force[:, -1] == pytest.approx(0.0, abs=1e-6 * balance.force.max())
+
+
+def test_a_face_that_yields_keeps_its_dent_and_its_work() -> None:
+    scene = scene_with("trapezoid", pulse_rise=25e-6, pulse_fall=25e-6, striker_speed=0.5)
+    columns = {**scene.columns, "contact.onset_pressure": np.array([1.35e9]), "contact.hardness": np.array([2.4e9])}
+    columns["contact.pile_up"] = np.array([8.0 / 3.0])
+    law = {"contact_law": "plastic", "contact_dynamics": "path"}
+    found = dynamics.motion(Scene(columns=columns, shape="trapezoid", **law), 0, tolerance=1e-9)
+    balance = balance_of(found, np.linspace(0.0, found.horizon, 40_001))
+    assert (np.diff(balance.dent, axis=1) >= 0.0).all()
+    assert (np.diff(balance.plastic, axis=1) >= -1e-15).all()
+    assert balance.dent[:, -1].min() > 1e-6
+    held = float((balance.stored + balance.plastic).sum(axis=0).max())
+    assert np.abs(balance.residual).max() < 2e-5 * held
+
+
+def test_the_gauge_of_a_rod_sees_the_force_at_the_face_later() -> None:
+    found = dynamics.motion(RIG_SCENES["load_cell"], 0, tolerance=1e-9)
+    speed, section = np.sqrt(205e9 / 7850.0), np.pi * 0.01**2
+    times = np.linspace(0.0, 0.9 * 2.0 * 1.3 / speed, 500)
+    strain = rod_record(found, 0.2, times + 0.2 / speed).strain
+    inside = times + 0.2 / speed < 2.0 * 1.5 / speed - 0.2 / speed
+    due = -found.forces_at(times)[:, 1] / (205e9 * section)
+    np.testing.assert_allclose(strain[inside], due[inside], rtol=1e-9, atol=1e-15)
+    with pytest.raises(ValueError, match="beyond the rod"):
+        rod_record(found, 2.0, times)

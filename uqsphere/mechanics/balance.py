@@ -13,6 +13,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics import contact
+from uqsphere.mechanics.gauges import GaugeRecord
 from uqsphere.mechanics.integrator.solve import Motion
 
 
@@ -112,8 +113,8 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, A
     return peak.dent + above, radius_now, peak.dent, 0.4 * force * np.maximum(above, 0.0), peak.plastic
 
 
-def rod_strain(motion: Motion, position: float, times: Array) -> Array:
-    """Strain of a gauge on the rod ahead of the sphere, (m,), compression negative.
+def rod_record(motion: Motion, position: float, times: Array) -> GaugeRecord:
+    """The signal of a gauge on the rod ahead of the sphere, compression negative.
 
     The wave that leaves the face is g(t) = P_B(t)/Z + R g(t - T); at x it is met by what the far end sends back:
     eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Up to the first return this is (R17), F = -E A eps(t + x/c0).
@@ -144,5 +145,9 @@ def rod_strain(motion: Motion, position: float, times: Array) -> Array:
             at, strength = at - trip, strength * end
         return total / float(partner.impedance[row])
 
-    returning = end * leaving(times - trip + position / speed) if end != 0.0 else 0.0
-    return np.asarray((returning - leaving(times - position / speed)) / speed)
+    delay = position / speed
+    returning = end * leaving(times - trip + delay) if end != 0.0 else 0.0
+    return GaugeRecord(
+        bar="rod", position=position, time=times, strain=np.asarray((returning - leaving(times - delay)) / speed),
+        overlaps=(), clean_until=trip - 2.0 * delay,
+    )  # fmt: skip

@@ -29,6 +29,7 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     UsageError
         For a scene outside the model's domain, or a number that a scene does not have.
     """
+    from uqsphere.mechanics.balance import rod_record
     from uqsphere.mechanics.gauges import default_positions, gauge_record
     from uqsphere.mechanics.history import trace
     from uqsphere.mechanics.scene import STATUS
@@ -46,7 +47,7 @@ def history_of(study: Study, values: Mapping[str, float] | None = None, *, point
     try:
         found = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points, damper=damper)
         if study.rig != "bars":
-            return found
+            return replace(found, gauges=tuple(rod_record(found.motion, g.position, found.time) for g in study.gauges))
         places = tuple((gauge.bar, gauge.position) for gauge in study.gauges) or default_positions(found.motion)
         gauges = (gauge_record(found.motion, bar, position, points=len(found.time)) for bar, position in places)
         return replace(found, gauges=tuple(gauges))

@@ -416,8 +416,8 @@ class ServiceTable(RigTable):
 class Gauge:
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Annotated[Text, among(("incident", "receiving"))] = key(
-        '`"incident"` or `"receiving"`', due='add bar = "incident"'
+    bar: Annotated[Text, among(("incident", "receiving", "rod"))] = key(
+        '`"incident"` or `"receiving"`; `"rod"` in a load cell', due='add bar = "incident"'
     )
     position: Length = key(
         "distance from the sphere, a length within the bar", due='add the distance from the sphere, position = "0.75 m"'

@@ -16,6 +16,7 @@ from uqsphere.study.document import (
     Analysis,
     Dependence,
     Document,
+    Gauge,
     ToleranceRequest,
 )
 from uqsphere.study.faults import Findings, Place, Raw, one_of, shown, suggestion
@@ -132,7 +133,12 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
         parts = _read_relations(document, scene, limits, analysis, black_box, findings)
     if black_box is False:
         parts["receiving_damper"] = read_damper(document.bars, findings)
-        parts["gauges"] = read_gauges(document.gauges, scene, findings)
+        rod = (
+            ()
+            if document.rod is None or document.rod.gauge is None
+            else (Gauge(bar="rod", position=document.rod.gauge),)
+        )
+        parts["gauges"] = read_gauges((*rod, *document.gauges), scene, findings)
     if findings.faults:
         return None
     study = Study(

@@ -397,13 +397,17 @@ def read_gauges(tables: tuple[Gauge, ...], scene: Scene, findings: Findings) -> 
         place: Place = ("gauges", index)
         if not findings.clean(place):
             continue
-        length = scene.mean(f"bars.{gauge.bar}_length")
-        if length is not None and gauge.position > length:
+        on_rod = gauge.bar == "rod"
+        name = "rod.length" if on_rod else f"bars.{gauge.bar}_length"
+        length, what = scene.mean(name), "rod" if on_rod else f"{gauge.bar} bar"
+        if on_rod != (scene.options.get("rig.kind", "bars") == "load_cell"):
             findings.add(
-                (*place, "position"),
-                f"found {format_value(gauge.position, 'bars.incident_length')}, beyond the far end of the {gauge.bar} "
-                f"bar of {format_value(length, f'bars.{gauge.bar}_length')}: the distance counts from the sphere",
+                (*place, "bar"), f"the rig has no {what}: gauges stand on the bars, or on the rod of a load_cell"
             )
+        elif length is not None and gauge.position > length:
+            found_at, end = format_value(gauge.position, "bars.incident_length"), format_value(length, name)
+            said = f"found {found_at}, beyond the far end of the {what} of {end}: the distance counts from the sphere"
+            findings.add((*place, "position"), said)
         elif gauge in found:
             findings.add(place, f"a gauge on the {gauge.bar} bar at this place is named twice")
         else:

@@ -134,6 +134,9 @@ def _panels(
         (f"{kind}\n[{pressure_unit}]", pressures),
         ("velocity\n[m/s]" if len(speeds) > 1 else "sphere velocity\n[m/s]", speeds),
     ]
+    if rig.name == "load_cell" and history.gauges:
+        signals = [(record.name, 1e6 * record.strain, PURPLE, "-") for record in history.gauges[:1]]
+        found.append(("strain at the gauge\n[µm/m]", signals))
     if rig.name == "bars":
         waves = [
             ("towards A", history.incident, BLUE, "-"),
@@ -650,6 +653,9 @@ def _write(found: History, study: Study, folder: Path) -> list[Path]:
         units = {"dent": "m", "plastic": "J", "stored": "J", "velocity": "m/s"}
         names += [f"{name}_{face} [{units[name]}]" for name in extra for face in "ab"]
         columns += [course for pair in extra.values() for course in pair]
+    if not bars_rig:
+        names += [f"strain, {record.name} [1]" for record in found.gauges]
+        columns += [record.strain for record in found.gauges]
     contents = {
         "history.csv": csv_text(names, np.stack(columns, axis=1).tolist()),
         "history.svg": history_figure(found),
