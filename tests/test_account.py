@@ -48,7 +48,7 @@ def test_a_band_looks_at_probabilities_of_interest_alone() -> None:
 
 
 #: parts of a plan in the order of the columns of docs/validation.md
-COLUMNS = ("pilot", "sampling", "rare events", "margins", "fracture", "sensitivity")
+COLUMNS = ("pilot", "sampling", "rare events", "margins", "fracture", "sensitivity", "ways to break")
 #: contact times may jump so much that their indices take more
 ROUGH = ("granite", "sensitivity")
 

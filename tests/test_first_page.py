@@ -30,9 +30,10 @@ from uqsphere.report.phrases import answer_text, breaks, missing, safe_side
 from uqsphere.report.tables import answer_checks_table, margins_table
 from uqsphere.report.terminal import summary_of
 from uqsphere.report.verdict import cautions, glances, verdicts
-from uqsphere.results import AssumedEntry, LimitEntry
+from uqsphere.results import LimitEntry
 from uqsphere.results.entries import CheckEntry
 from uqsphere.results.margins import LognormalEntry, MarginEntry
+from uqsphere.results.verdicts import AssumedEntry
 
 _ASSUMED = [
     {"assumption": "dependence", "with": ["sphere.E"], "miss": estimate(0.0105, 1e-4), "met": False},

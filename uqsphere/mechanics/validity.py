@@ -546,6 +546,17 @@ def rules_of(scene: Scene) -> tuple[Rule, ...]:
     )
 
 
+def grades_of(scene: Scene, answers: Answers) -> dict[str, Places]:
+    """The grade of every row, by the meaning of each rule that measures rows; rows without an answer are graded 0."""
+    good = answered(answers.status)
+    found = {rule: rule.measure(scene, answers) for rule in rules_of(scene)}
+    return {
+        rule.meaning: np.where(good, grades(rule, measured), 0)
+        for rule, measured in found.items()
+        if not isinstance(measured, str)
+    }
+
+
 def check_validity(scene: Scene, answers: Answers) -> list[Check]:
     """Every check that is asked of a batch, on its answers, in the order of `RULES`.
 

@@ -33,9 +33,10 @@ from uqsphere.report.phrases import (
     safe_side,
     value_text,
 )
-from uqsphere.results import AssumedEntry, LimitEntry
+from uqsphere.results import LimitEntry
 from uqsphere.results.entries import CheckEntry, Est
 from uqsphere.results.margins import MarginEntry
+from uqsphere.results.verdicts import AssumedEntry
 
 #: what a check finds where it is broken
 _FOUND: Final = {

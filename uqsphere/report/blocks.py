@@ -105,7 +105,7 @@ class Chapter:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """One answer: `word` is met, not met, undecided, no target or answer; `lines` are its three lines."""
+    """One answer: `word` is that of a limit (`LimitEntry.word`), or answer; `lines` are its three lines."""
 
     word: str
     heading: str
@@ -115,4 +115,6 @@ class Verdict:
     @property
     def mark(self) -> str:
         """A sign beside the colour."""
-        return {"met": "✓", "not met": "✗", "undecided": "?", "no target": "○"}.get(self.word, "")
+        return {"met": "✓", "not met": "✗", "undecided": "?", "not established": "?", "no target": "○"}.get(
+            self.word, ""
+        )

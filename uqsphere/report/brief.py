@@ -365,7 +365,7 @@ def _judged(group: dict[str, LimitEntry]) -> tuple[str, tuple[str, ...]]:
 
 
 def _verdict(limit: LimitEntry) -> str:
-    return {True: "met", False: "not met", None: "undecided"}[limit.met]
+    return limit.word
 
 
 def _reasons(limit: LimitEntry) -> list[str]:

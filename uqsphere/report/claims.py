@@ -323,6 +323,26 @@ def measure_claim(subject: str, entry: MeasureEntry) -> Claim | None:
 # --- the answer of an inverse question --------------------------------------------------------------------
 
 
+def _stricter(results: Results, name: str, *, most: bool) -> str:
+    """Which way to break asks for more than a limit does, with a strength that is assumed; empty where none does."""
+    limit, entry = results.limits[name], results.margins[name]
+    assert limit.target is not None
+    judged = [one for v in results.verdicts if (v.aim, v.target) == (limit.aim, limit.target) for one in v.judged]
+    assumed = {one.name: one.answer for one in judged if one.assumed and one.answer is not None}
+    nowhere = [one.name for one in judged if one.assumed and one.answer is None and one.miss.number > limit.target]
+    if not any(one.name == name for one in judged):
+        return ""
+    if nowhere:
+        return f"by {nowhere[0]}, with a strength assumed from the library, no value between the bounds"
+    if not assumed:
+        return ""
+    worst = min(assumed, key=lambda called: assumed[called] if most else -assumed[called])
+    if (assumed[worst] < entry.value.number) is not most:
+        return ""
+    value = safe_side(Est.of(assumed[worst]), subject_of(results, entry.solve), at_most=most, digits=2)
+    return f"by {worst}, with a strength assumed from the library, {'at most' if most else 'at least'} {value}"
+
+
 def answer_claim(results: Results, name: str) -> Claim | None:
     """At most or at least how much keeps the aim of a limit; None where it has no target."""
     entry, limit = results.margins.get(name), results.limits.get(name)
@@ -361,6 +381,9 @@ def answer_claim(results: Results, name: str) -> Claim | None:
     beyond = beyond_bars(entry, subject)
     if beyond is not None:
         more.append(f"{known} is the answer for elastic bars: {beyond.text}")
+    stricter = _stricter(results, name, most=most)
+    if stricter:
+        more.append(stricter)
     own = solved_name(results, solve)
     return Claim(
         topic="answer",

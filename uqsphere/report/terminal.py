@@ -156,13 +156,13 @@ def _fracture_rows(found: FractureEntry) -> list[tuple[str, ...]]:
 
 def _verdicts(results: Results, width: int) -> list[str]:
     """A line for every limit: the verdict in words first, then probability, target and margin."""
-    words = {True: "met", False: "NOT MET", None: "undecided"}
+    words = {"not met": "NOT MET", "not established": "NOT ESTABLISHED"}
     texts: list[str] = []
     # the interval of the margin stands there where there is room for it
     for said, limited in ((estimate_text, None), (rounded, width)):
         rows = []
         for name, limit in results.limits.items():
-            verdict = words[limit.met] if limit.target is not None else "no target"
+            verdict = words.get(limit.word, limit.word)
             target = plain_percent(limit.target) if limit.target is not None else "-"
             margin = limit.margin["median"]
             shown = "-" if margin.value is None else said(margin)
@@ -176,7 +176,33 @@ def _verdicts(results: Results, width: int) -> list[str]:
         for name, limit in results.limits.items()
         if limit.margin["median"].value is None
     ]
-    return [*texts, ""] if texts else []
+    texts += [
+        wrap(plain(f"{name}, {limit.word}: {reason.text}"), width)
+        for name, limit in results.limits.items()
+        for reason in limit.reasons
+    ]
+    return [*texts, "", *_ways(results, width)] if texts else []
+
+
+def _ways(results: Results, width: int) -> list[str]:
+    """The ways to break that were judged beside the limits of the study, and those that could not be."""
+    rows: list[tuple[str, ...] | str] = []
+    texts: dict[str, None] = {}
+    for entry in results.verdicts:
+        assumed = [one for one in entry.judged if one.assumed]
+        if assumed:
+            rows.append(f"to {entry.aim}")
+        for one in assumed:
+            answer = "-" if one.answer is None else format_value(one.answer, subject_of(results, entry.solve), 3)
+            ends = "-" if one.range is None else probability_range(*one.range)
+            chance = plain_percent(float(f"{one.miss.value or 0.0:.2g}"))
+            rows.append((one.name, chance, ends, *((answer,) if entry.solve else ())))
+        for called, why in entry.not_judged.items():
+            texts[wrap(f"not judged: {called}: {why}", width)] = None
+    at = next((entry.solve for entry in results.verdicts if entry.solve), "")
+    header = ("strength assumed", "probability of a miss", "over its range (95 %)", *((f"at {at}",) if at else ()))
+    found = [*([table(header, rows, width)] if rows else []), *texts]
+    return [*found, ""] if found else []
 
 
 def _carried(results: Results, width: int) -> list[str]:

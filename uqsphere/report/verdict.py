@@ -23,6 +23,7 @@ from uqsphere.report.assumptions import (
     judged_cautions,
     reach_cautions,
     short_probability,
+    verdict_word,
     warned,
 )
 from uqsphere.report.blocks import Verdict
@@ -66,6 +67,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import LimitEntry, MeasureEntry, Results
 from uqsphere.results.entries import Est
+from uqsphere.results.verdicts import JudgedEntry
 from uqsphere.uq.failure_indices import BY_DIRECTION, BY_INFORMATION
 
 
@@ -77,14 +79,8 @@ def verdicts(contents: Contents) -> list[Verdict]:
     return [_quantity_verdict(contents, name) for name in contents.results.quantities]
 
 
-def _word(limit: LimitEntry) -> str:
-    if limit.target is None:
-        return "no target"
-    return {True: "met", False: "not met", None: "undecided"}[limit.met]
-
-
 def _limit_verdict(contents: Contents, name: str, limit: LimitEntry) -> Verdict:
-    word = _word(limit)
+    word = limit.word
     to_break = limit.aim == "break"
     what = f"Probability of missing {limit_name(name)}" if to_break else f"Probability of {limit_name(name)}"
     fracture = breaks(contents.results, name)
@@ -115,7 +111,9 @@ def _limit_verdict(contents: Contents, name: str, limit: LimitEntry) -> Verdict:
             line
             for line in (
                 answer,
-                _uncertainty(contents, limit, word),
+                reasons_text(limit),
+                ways_text(contents.results, name),
+                _uncertainty(contents, limit, verdict_word(limit.met) if limit.target is not None else word),
                 granted_line(contents, name),
                 _hangs_on(contents, limit),
                 _by_reflections(contents, name),
@@ -123,6 +121,36 @@ def _limit_verdict(contents: Contents, name: str, limit: LimitEntry) -> Verdict:
             if line
         ),
     )
+
+
+def reasons_text(limit: LimitEntry) -> str:
+    """Why the verdict is what it is, where the probability alone does not say it."""
+    return "".join(f"{capital(reason.text)}. " for reason in limit.reasons).rstrip()
+
+
+def ways_text(results: Results, name: str) -> str:
+    """By which ways to break a limit was judged beside its own, in sentences; empty where that is all."""
+    limit = results.limits[name]
+    found = next((one for one in results.verdicts if (one.aim, one.target) == (limit.aim, limit.target)), None)
+    if found is None or not any(one.name == name for one in found.judged):
+        return ""
+    others = [
+        f"{limit_name(one.name)} ({_chance_of(one)})" for one in found.judged if not one.assumed and one.name != name
+    ]
+    assumed = [f"{one.name} ({_chance_of(one)})" for one in found.judged if one.assumed]
+    text = f"Judged together with {listed(others)}. " if others else ""
+    if assumed:
+        text += "With strengths assumed from the library, which decide nothing alone, the aim is missed by "
+        text += f"{listed(assumed)}. "
+    for called, why in found.not_judged.items():
+        text += f"{capital(called)} is not judged: {why}. "
+    return text.rstrip()
+
+
+def _chance_of(one: JudgedEntry) -> str:
+    """How likely a way by itself misses the aim, an assumed one over the range of its strength."""
+    own = plain_percent(float(f"{one.miss.value or 0.0:.2g}"))
+    return own if one.range is None else f"{own}, {probability_range(*one.range)} over the range of its strength"
 
 
 def _as_planned(contents: Contents, name: str) -> str:
@@ -308,10 +336,6 @@ def cautions(contents: Contents) -> list[str]:
     elif "evaluations" in results.accuracy.stopped_by.values():
         found.append(_out_of_budget(contents))
     found += extrapolation_cautions(contents)
-    for name, limit in results.limits.items():
-        opened = limit.ignorance
-        if opened and limit.target is not None and limit.met is not None and opened.met is None:
-            found.append(f"Limit {limit_name(name)} is not decided by the tests. {ignorance_text(contents, limit)}")
     missed = _missed([str(text) for text in results.accuracy.missed])
     if missed and limits_are_accurate(results):
         missed[0] += " The probabilities that the verdict rests on are as accurate as asked."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, StrictBool, StrictInt, StrictStr, StringConstraints, model_validator
 
@@ -29,6 +29,7 @@ from uqsphere.results.entries import (
     read_entry,
 )
 from uqsphere.results.margins import MarginEntry
+from uqsphere.results.verdicts import AssumedEntry, ReasonEntry, SettlingEntry, VerdictEntry, Word
 
 # --- study and inputs -----------------------------------------------------------------------------------
 
@@ -280,36 +281,6 @@ class LimitOpenEntry(Part):
         return bool(self) and self.reason is None
 
 
-class AssumedEntry(Entry):
-    """An assumption on a strength, and the probability of missing the aim with another in its place."""
-
-    assumption: Literal["dependence", "modulus", "cov", "law"]
-    taken: Number | StrictStr | None = None
-    instead: Number | StrictStr | None = None
-    others: tuple[StrictStr, ...] = Field(default=(), alias="with")
-    miss: Probability
-    met: StrictBool | None
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        due = {"dependence": list, "law": str}.get(self.assumption, float)
-        for value in (self.taken, self.instead):
-            fits = {list: value is None, str: isinstance(value, str), float: isinstance(value, (int, float))}[due]
-            if not fits:
-                raise ValueError(f"found {value!r}, which is no {self.assumption}")
-        return self
-
-
-class SettlingEntry(Part):
-    """How many tests of a strength would settle whether the target is kept."""
-
-    NEEDS = ("tests", "confidence")
-
-    tests: Count | None = None
-    confidence: Share = 0.0
-    reason: StrictStr | None = None
-
-
 class LimitEntry(Entry):
     """A limit: probabilities of exceeding it and of missing its aim, margin and design point."""
 
@@ -329,12 +300,20 @@ class LimitEntry(Entry):
     governing_inputs: dict[Name, Number] | None
     governing_inputs_method: StrictStr | None = None
     met: StrictBool | None
+    verdict: Word | None = None
+    reasons: tuple[ReasonEntry, ...] = ()
     ignorance: Maybe[LimitOpenEntry] = Field(default_factory=LimitOpenEntry)
     assumed: tuple[AssumedEntry, ...] = ()
     tests_to_settle: Maybe[SettlingEntry] = Field(default_factory=SettlingEntry)
     drivers: Maybe[LimitDriversEntry] = Field(default_factory=LimitDriversEntry)
     measure_first: Maybe[MeasureEntry] = Field(default_factory=MeasureEntry)
     carried: Maybe[CarriedEntry] = Field(default_factory=CarriedEntry)
+
+    @property
+    def word(self) -> str:
+        """The verdict on it as people read it; of a run that judged it by its own probability alone, that."""
+        own = {True: "met", False: "not met", None: "undecided"}[self.met]
+        return "no target" if self.target is None else self.verdict or own
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -560,6 +539,7 @@ class Results(Entry):
     margins: dict[Name, MarginEntry]
     fracture: Maybe[FractureEntry] = Field(default_factory=FractureEntry)
     analyses: dict[Name, AnalysisEntry] = Field(default_factory=dict)
+    verdicts: tuple[VerdictEntry, ...] = ()
     model: ModelEntry
     validity: tuple[CheckEntry, ...]
     plan: PlanEntry = Field(default_factory=PlanEntry)

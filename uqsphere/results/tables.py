@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from uqsphere.results import AssumedEntry, FractureEntry, MeasureEntry, QuantityEntry, Results
+from uqsphere.results import FractureEntry, MeasureEntry, QuantityEntry, Results
 from uqsphere.results.entries import Est
+from uqsphere.results.verdicts import AssumedEntry
 from uqsphere.store import csv_text
 
 #: a row of cells; header and rows by name

@@ -14,12 +14,15 @@ from uqsphere.runner.expensive import Expensive, Priced
 from uqsphere.runner.finished import Run
 from uqsphere.runner.results import Findings, bare_results, build_manifest, build_results, write_results
 from uqsphere.runner.samples import save_points
+from uqsphere.runner.verdict import gather
 from uqsphere.store import Store
 
 
 def finish(work: Work, store: Store, priced: Priced, expensive: Expensive | None, found: Findings) -> Run:
     """Write what was found, with the way that was taken; what an evaluation costs stands in the manifest alone."""
     way = priced.way
+    found = replace(found, evidence=gather(work, found.sampled.sample))
+    work.ledger.close("ways to break")
     taken = "surrogate" if expensive is not None and expensive.surrogate else "sampling"
     plan = PlanEntry(
         way=taken,

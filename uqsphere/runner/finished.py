@@ -26,9 +26,9 @@ class Run:
 
     @property
     def met(self) -> bool:
-        """Whether every limit with a target meets it, those of services too."""
+        """Whether the verdict on every limit with a target is that it is met, of services too."""
         limits = [limit for part in self.results.parts.values() for limit in part.limits.values()]
-        return all(limit.met is True for limit in limits if limit.target is not None)
+        return all(limit.verdict == "met" for limit in limits if limit.target is not None)
 
     @property
     def services(self) -> dict[str, Run]:

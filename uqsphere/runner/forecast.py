@@ -33,11 +33,14 @@ from uqsphere.runner.schedule import (
     SAMPLING,
     SPECIMENS,
     SURROGATE,
+    WAYS,
+    WAYS_CURVE,
     pilot_points,
 )
 from uqsphere.study import Limit, Study
 from uqsphere.study.document import FURTHER
 from uqsphere.study.faults import one_of
+from uqsphere.study.ways import means_fracture
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
@@ -250,6 +253,16 @@ def _timed(study: Study) -> int:
     )
 
 
+def _ways(study: Study) -> tuple[float, float]:
+    """Evaluations on which all ways to break are judged, here and along the free scalar."""
+    if study.black_box or not any(means_fracture(limit) for limit in study.limits):
+        return 0.0, 0.0
+    rows = float(REPLICATES * WAYS.first if study.random else 1)
+    if study.margins is not None and study.margins.axis.moves_rows:
+        rows += REPLICATES * WAYS_CURVE.first * WAYS_CURVE.most
+    return rows, rows
+
+
 def _surrogate(study: Study, first: float) -> tuple[float, float]:
     """Runs of one design, the `first` of which are those that were timed."""
     runs = _RUNS if len(study.random) <= 5 else _RUNS_MANY
@@ -284,6 +297,7 @@ def _planned(study: Study, budget: int | None, surrogate: bool) -> Iterator[tupl
         likely, most = _sensitivity(study) if study.random else (0.0, 0.0)
         yield "sensitivity", likely, most
         yield CHEAPER[1], 0, cheaper * most
+        yield "ways to break", *_ways(study)
 
 
 def forecast(study: Study, budget: int | None = None, surrogate: bool = False) -> tuple[Part, ...]:

@@ -27,6 +27,7 @@ from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.indices import Sensitivity
 from uqsphere.runner.questions.margins import MarginAnswer
 from uqsphere.runner.sums import write_sums
+from uqsphere.runner.verdict import Evidence, Known, judge
 from uqsphere.runner.whatif import find_assumed, find_ignorance
 from uqsphere.store import Store, write_atomically, write_json
 from uqsphere.study import Margins, Study
@@ -52,6 +53,7 @@ class Findings:
     history: Sequence[SpeedRow] = ()
     stops: dict[str, str] = field(default_factory=dict)
     paper: list[dict[str, Any]] = field(default_factory=list)
+    evidence: Evidence | None = None
     fracture: FractureEntry | None = None
     carried: Mapping[str, CarriedEntry] = field(default_factory=dict)
     plan: PlanEntry = field(default_factory=PlanEntry)
@@ -208,6 +210,8 @@ def build_results(work: Work, found: Findings) -> Results:
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
     assumed = find_assumed(work, found.sampled)
+    known = Known(limits=found.sampled.limits, left_open=limits_open, margins=found.margins)
+    words, verdicts = judge(work, known, found.evidence)
     missed = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
     told = [one.text for one in missed]
     told += [f"margins {name}: {text}" for name, margin in found.margins.items() for text in margin.missed]
@@ -224,6 +228,7 @@ def build_results(work: Work, found: Findings) -> Results:
         "limits": {
             name: {
                 **_limit(limit),
+                **words.get(name, {}),
                 "ignorance": limits_open.get(name),
                 **assumed.get(name, {}),
                 **found.drivers.limits.get(name, {}),
@@ -238,6 +243,7 @@ def build_results(work: Work, found: Findings) -> Results:
         ),
         **({} if found.fracture is None else {"fracture": found.fracture}),
         **({"analyses": found.analyses} if found.analyses else {}),
+        **({"verdicts": verdicts} if verdicts else {}),
         "model": {
             "chosen": found.pilot.chosen,
             "why": found.pilot.why,

@@ -56,6 +56,9 @@ SPECIMENS: Final = 64
 FRACTURE_CURVE: Final = Schedule(first=64, most=17)
 #: rows of a sample for strengths that are carried from their tests, the first ones of it, and their share of the budget
 CARRIED: Final = Schedule(first=1024, share=0.2)
+#: rows on which the ways to break are judged, and the values of a free scalar and rows at each of them
+WAYS: Final = Schedule(first=512)
+WAYS_CURVE: Final = Schedule(first=16, most=25)
 #: runs of the one design of an expensive model: those that are timed, the fewest, the most
 SURROGATE: Final = Schedule(first=32, least=8, judged=128, most=1024)
 

@@ -600,6 +600,11 @@ class Analysis:
     cost: Seconds | None = key(
         'what one evaluation of a black box takes, such as `"10 s"`; see below', default_is="measured"
     )
+    ways: Annotated[Text, among(("all", "given"))] = key(
+        '`"all"`: the sphere of a rock is judged by every way to break, with strengths of the library where the study '
+        'has no limit; `"given"`: by its limits alone',
+        "all",
+    )
     on_failure: Annotated[Text, among(("abort", "bound", "drop"))] = key(
         'failed evaluations: `"abort"` at the first; `"bound"` counts each once as exceeding and once as not; '
         '`"drop"` leaves them out, up to 1 % (below 1,000 evaluations: what chance makes of 1 %)',
@@ -665,6 +670,7 @@ class EmpiricalTable:
     upper: Number = None
     censored: Text | None = key("column of flags: tests stopped before a failure")
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
+    made_up: Flag = key("the observations were made up, so that no verdict is established by them", False)
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)
@@ -686,6 +692,7 @@ class SphereTestsTable:
     platens: Platens = key("`bars`, `rigid`, a material of bars, or a table of `E` and `nu`", "bars")
     fit: Text = key("the law that is fitted to the strengths", "weibull")
     unbiased: Flag = key("takes the bias of few tests out of the modulus or the scatter", False)
+    made_up: Flag = key("the tests were made up, so that no verdict is established by them", False)
 
 
 @dataclass(frozen=True, kw_only=True, config=_CLOSED)

@@ -30,10 +30,11 @@ _FEW: Final = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """A number as understood: SI value or law, and the law's parameters as given (SI)."""
+    """A number as understood: SI value or law, the law's parameters as given (SI), and whether its data are made up."""
 
     value: float | Law
     given: Mapping[str, float] = field(default_factory=dict)
+    made_up: bool = False
 
     @property
     def nominal(self) -> float:
@@ -100,7 +101,8 @@ def _read_law(raw: Mapping[str, Raw], place: Place, quantity: Quantity, findings
         if table is not None:
             _warn_of_few(law, (*place, "file"), findings)
         _warn_of_bounds(law, given, place, quantity, findings)
-        return Reading(value=law, given=given) if _inside(law, place, quantity, findings) else None
+        found = Reading(value=law, given=given, made_up=table is not None and table.made_up)
+        return found if _inside(law, place, quantity, findings) else None
     return None
 
 

@@ -150,6 +150,7 @@ def _resolve_part(data: dict[str, Raw], findings: Findings, path: Path, text: st
         fixed=scene.fixed(),
         random=scene.random(),
         given={name: reading.given for name, reading in _random(scene, limits).items()},
+        made_up=tuple(name for name, reading in _random(scene, limits).items() if reading.made_up),
         options=scene.options,
         materials=scene.materials,
         sources=scene.sources,

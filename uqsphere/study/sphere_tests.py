@@ -83,7 +83,8 @@ def read_sphere_tests(
                     **state,
                     **_by_energy(np.array(columns["energy"]), str(table.energy_is), stiff, platens, state),
                 }
-            return Reading(value=_law(table, _beside(state, stiff, platens, scene), stopped, demand))
+            law = _law(table, _beside(state, stiff, platens, scene), stopped, demand)
+            return Reading(value=law, made_up=table.made_up)
         except LawError as error:
             key = "force" if error.key in ("column", "file") else error.key
             raise Misplaced(error.message, key if key in raw else "") from None

@@ -109,6 +109,8 @@ class Study:
         The receiving bar's far end against frequency, which only `uqsphere history` can follow.
     services : mapping of str to Study
         The machines that are asked, each a study of its own.
+    made_up : tuple of str
+        The random numbers whose observations the file calls made up.
     """
 
     title: str
@@ -133,6 +135,7 @@ class Study:
     record: MeasuredPulse | None = None
     gauges: tuple[Gauge, ...] = ()
     receiving_damper: EndImpedance | None = None
+    made_up: tuple[str, ...] = ()
     services: Mapping[str, Study] = field(default_factory=dict)
 
     @property
@@ -201,6 +204,7 @@ class Study:
             **({"receiving_damper": _lists(asdict(self.receiving_damper))} if self.receiving_damper else {}),
             **({"gauges": [asdict(gauge) for gauge in self.gauges]} if self.gauges else {}),
             **({"services": {name: own.hash for name, own in self.services.items()}} if self.services else {}),
+            **({"made_up": list(self.made_up)} if self.made_up else {}),
         }
 
 
@@ -230,8 +234,8 @@ def _analysis_json(analysis: Analysis) -> dict[str, Json]:
     table = _lists(asdict(analysis))
     if analysis.accuracy.curve == Accuracy.curve:
         del table["accuracy"]["curve"]
-    own = ("cost", "rows_per_call", "time_limit")
-    return {key: value for key, value in table.items() if value is not None or key not in own}
+    later = {"cost": None, "rows_per_call": None, "time_limit": None, "ways": Analysis.ways}
+    return {key: value for key, value in table.items() if key not in later or value != later[key]}
 
 
 def _bound(value: float) -> float | None:

@@ -71,7 +71,7 @@ def residual_correlation(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))
 
 
-def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator) -> Union:
+def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator, *, missed: bool = False) -> Union:
     """The limits taken together.
 
     Parameters
@@ -81,6 +81,9 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
         Of `residual_correlation`; the identity for strengths that do not depend on each other given the inputs.
     rng : numpy.random.Generator
         Draws the strengths that hold; without it there is no answer where strengths depend on each other.
+    missed : bool
+        Takes together that a limit is not exceeded, for an aim that every one of them must be: the scores of the
+        strengths change their sign, and keep their correlation.
 
     Raises
     ------
@@ -95,7 +98,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     shape = (len(states), *next(iter(shapes)))
     chances, holding = np.zeros(shape), np.zeros(shape)
     for j, state in enumerate(states):
-        below, above = tails(state)
+        below, above = reversed(tails(state)) if missed else tails(state)
         if np.any(factor[j, :j]):
             with np.errstate(divide="ignore"):
                 score = np.where(below <= 0.5, ndtri(below), -ndtri(above))

@@ -60,11 +60,12 @@ class AnyLimit:
         covariance[np.ix_(random, random)] = own - across.T @ np.linalg.solve(within, across)
         return cls(limits=limits, factor=residual_correlation(covariance))
 
-    def at(self, work: Work, sample: Sample) -> Union:
-        """The union at the rows of a sample."""
+    def at(self, work: Work, sample: Sample, aim: str = "survive") -> Union:
+        """The union at the rows of a sample, of limits that are exceeded, or for the aim to break, that are not."""
         # one stream wherever the union is asked for: common random numbers, where any are needed at all
         rng = random_generator(seed=work.study.seed, task="fracture.holding")
-        return make_union([state_of(work, limit, sample) for limit in self.limits], self.factor, rng)
+        states = [state_of(work, limit, sample) for limit in self.limits]
+        return make_union(states, self.factor, rng, missed=aim == "break")
 
     def probability(self, work: Work, sample: Sample) -> Estimate:
         """Probability that any limit is exceeded, by the sample, or by importance sampling where it is small."""
