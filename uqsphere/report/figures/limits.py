@@ -330,17 +330,15 @@ def fracture_finding(contents: Contents) -> str:
     states = found.states()
     if found.time:
         time, force, energy = (rounded(states[key].median, _STATE[key][1], 3) for key in ("time", "force", "energy"))
-        imbalance = plain_percent(float(f"{found.imbalance.median.value:.2g}"))
+        differ = found.imbalance.median.value
+        apart = "" if differ is None else f"; the two forces then differ by {plain_percent(float(f'{differ:.2g}'))}"
         whole = union.value
         whom, weakest = "The spheres that break", ""
         if 0.0 < whole < 0.5:
             count = float(f"{1.0 / whole:.2g}")
             whom = f"The spheres that break as planned, one in {thousands(round(count))} and the weakest of all,"
             weakest = ", which is no property of all spheres"
-        parts.append(
-            f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}; the two forces "
-            f"then differ by {imbalance}."
-        )
+        parts.append(f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}{apart}.")
     if found.t10:
         ends = [rounded(found.t10.quantiles[p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
         parts.append(
