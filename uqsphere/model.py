@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 #: fidelities in the order of their cost
-FIDELITIES = ("massless", "linear", "full")
+FIDELITIES = ("massless", "linear", "elastic", "full")
 #: status of a row whose black box gave a number that is not finite
 STATUS_NOT_FINITE = 6
 #: status of a row whose contact may be lost at either of two times: it carries the likelier one
@@ -138,6 +138,22 @@ def _library_onset(study: Study) -> dict[str, float]:
     return {f"sphere.{name}": known[name].value for name in names} if set(names) <= known.keys() else {}
 
 
+def cheaper_fidelities(study: Study) -> tuple[str, ...]:
+    """The fidelities that may stand for `full` in a study: no spring where faces yield, and no law without one."""
+    law = study.options.get("contact.law", "hertz")
+    if law == "hertz":
+        return "massless", "linear"
+    path = law == "plastic" and study.options.get("contact.dynamics") == "auto"
+    return ("massless", "elastic") if path else ("massless",)
+
+
+def as_integrated(scene: Scene, fidelity: str) -> tuple[Scene, str]:
+    """The scene and fidelity that the integrator knows: `elastic` is `full` with the law of the faces at the end."""
+    if fidelity != "elastic":
+        return scene, fidelity
+    return replace(scene, contact_dynamics="elastic"), "full"
+
+
 def solve_scene(
     scene: Scene, fidelity: str, *, tolerance: float, threads: int | None, quantities: Sequence[str] | None
 ) -> Answers:
@@ -145,6 +161,7 @@ def solve_scene(
     from uqsphere.mechanics import closed_form
     from uqsphere.mechanics.integrator import solve as dynamics
 
+    scene, fidelity = as_integrated(scene, fidelity)
     if scene.rig != "bars":
         return _solve_rig(scene, fidelity, tolerance=tolerance, threads=threads, quantities=quantities)
     if closed_form.closed_form_applies(scene, fidelity):
@@ -339,7 +356,7 @@ def evaluate(
     values : mapping of dotted path to (n,) array
         In SI; the rest of the scene stands at its mean.
     quantities : names of `uqsphere.quantities.OUTPUTS`
-    fidelity : full, massless or linear
+    fidelity : full, massless, linear, or elastic: yield from the largest force alone
     tolerance : relative error of every quantity
     threads : all processors if None; the answers do not depend on it
 

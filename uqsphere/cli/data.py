@@ -75,6 +75,7 @@ def _models() -> tuple[Rows, str]:
     rows = [
         ("massless", "no mass of the sphere (mu = 0); closed form for a rectangle or step on infinite bars"),
         ("linear", "linear spring of the secant stiffness in place of the Hertz contact"),
+        ("elastic", "forces by Hertz; what yields follows from the largest of them (contact.dynamics)"),
         ("full", "Hertz contact at both faces, mass of the sphere, waves and reflections in the bars"),
         ("auto", "the cheapest of these whose measured error is small against the accuracy asked for"),
     ]

@@ -246,6 +246,7 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Array]:
             "P_max": force, "alpha_max": approach, "p_max": pressure, "p_hertz": pressure, "p_field": pressure,
             "p_mean": 2.0 / 3.0 * pressure, "a_max": contact.contact_radius(approach, partner.effective_radius),
             "dent_left": none, "dissipated": none, "stored": contact.contact_energy(approach, partner.hertz_constant),
+            "elastic": contact.contact_energy(approach, partner.hertz_constant),
         }  # fmt: skip
     path = scene.contact_dynamics == "path"
     state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
@@ -253,7 +254,7 @@ def _side(scene: Scene, pole: int, x: Array) -> dict[str, Array]:
         "P_max": state.force, "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean,
         "p_hertz": contact.pressure_at_force(state.force, partner.modulus, partner.effective_radius),
         "p_field": 1.5 * state.mean, "a_max": state.radius, "dent_left": state.dent, "dissipated": state.plastic,
-        "stored": state.stored,
+        "stored": state.stored, "elastic": contact.contact_energy(approach, partner.hertz_constant),
     }  # fmt: skip
 
 
@@ -302,7 +303,11 @@ def _energies(scene: Scene, tracked: Mapping[str, Array], sides: list[dict[str, 
     static = scene.contact_dynamics == "elastic" and scene.struck.face is not None
     if not static and "stored" not in tracked:
         return {}
-    energy = sum(side["stored"] for side in sides) if static else unit * tracked["stored"]
+    energy = sum(side["stored"] for side in sides)
+    if "stored" in tracked:
+        # the faces are not at their largest together: of what they would hold by Hertz this is what they held
+        held = unit * tracked["stored"]
+        energy = held * (energy / sum(side["elastic"] for side in sides)) if static else held
     own: Values
     if len(sides) == 1 or scene.rig == "bars":
         own = there[0].share * energy

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import scene_of
+from uqsphere.model import as_integrated, scene_of
 from uqsphere.runner.evaluate import Work
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.store import Store, csv_text, write_atomically, write_json
@@ -67,15 +67,17 @@ def _follow(work: Work, rows: Array, times: Array) -> Array | None:
     """Contact forces (n, 2, m) of rows of inputs; None where one is answered by another fidelity alone."""
     from uqsphere.mechanics.history import force_courses
 
-    scene = _scene(work, rows)
+    scene, fidelity = _scene(work, rows)
     try:
-        return force_courses(scene, times, fidelity=work.fidelity, tolerance=_tolerance(work))
+        return force_courses(scene, times, fidelity=fidelity, tolerance=_tolerance(work))
     except ValueError:
         return None
 
 
-def _scene(work: Work, rows: Array) -> Scene:
-    return scene_of(work.study, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+def _scene(work: Work, rows: Array) -> tuple[Scene, str]:
+    """The scene of rows of inputs, and the fidelity that it is followed with."""
+    scene = scene_of(work.study, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+    return as_integrated(scene, work.fidelity)
 
 
 def _tolerance(work: Work) -> float:
@@ -85,7 +87,7 @@ def _tolerance(work: Work) -> float:
 def _followed(work: Work, rows: Array) -> tuple[Array, Array] | None:
     """Instants (m) of the first loading, and the forces (n, 2, m) of the rows then."""
     # look first how long the first loading lasts, then follow it finely
-    trial = np.linspace(0.0, _LONGEST * float(np.median(_scene(work, rows).scales.time)), _TRIAL)
+    trial = np.linspace(0.0, _LONGEST * float(np.median(_scene(work, rows)[0].scales.time)), _TRIAL)
     look = _follow(work, rows, trial)
     if look is None:
         return None
@@ -105,8 +107,8 @@ def _hardest(work: Work, row: Array, times: Array) -> dict[str, object] | None:
     pair = _follow(work, row[None, :], times)
     if pair is None or not np.isfinite(pair).all():
         return None
-    single = _scene(work, row[None, :])
-    course = trace(single, 0, points=2, fidelity=work.fidelity, tolerance=_tolerance(work))
+    single, fidelity = _scene(work, row[None, :])
+    course = trace(single, 0, points=2, fidelity=fidelity, tolerance=_tolerance(work))
     ratio, pressure = course.hardest_contact
     return {
         "inputs": {name: float(row[k]) for k, name in enumerate(work.scene_names)},

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.mechanics.fidelity import Fallback, fit_error_law
-from uqsphere.model import FIDELITIES, is_answered, scene_of, solve_scene
+from uqsphere.model import cheaper_fidelities, is_answered, scene_of, solve_scene
 from uqsphere.results.entries import CheckEntry
 from uqsphere.runner.chunks import remembered
 from uqsphere.runner.evaluate import Work, draw
@@ -244,7 +244,9 @@ def first_look(work: Work) -> Pilot:
     same = _first(full, len(few))
     scatter = np.array([_scatter(full, name) for name in work.quantities])
     asked, bound = study.model.fidelity, allowed_error(study)
-    tried = [f for f in FIDELITIES[:-1] if (asked == f and count > 1) or (asked == "auto" and count >= PILOT.least)]
+    tried = [
+        f for f in cheaper_fidelities(study) if (asked == f and count > 1) or (asked == "auto" and count >= PILOT.least)
+    ]
     candidates = tuple(look.candidate(fidelity, same, row_cost(full), scatter) for fidelity in tried)
     taken = _choose(candidates, bound) if asked == "auto" else None
     chosen = taken.fidelity if taken else ("full" if asked == "auto" else asked)
@@ -353,6 +355,9 @@ def _why(
             f"the {bound:.2g} that the accuracy asked for allows"
         )
     tried = ", ".join(f"{c.fidelity} {_worst(c.error):.2g}" for c in candidates)
+    if close := [c for c in candidates if c.fits]:
+        costs = ", ".join(f"{c.fidelity} {_worst(c.error):.2g} at {100.0 * c.cost:.0f} % of the cost" for c in close)
+        return f"no cheaper model that is accurate enough saves much ({costs})"
     return (
         f"the cheaper models err by more than the {bound:.2g} of a standard deviation that the accuracy asked for "
         f"allows (worst quantity on the pilot sample: {tried})"

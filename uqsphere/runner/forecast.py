@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.carried import CARRIERS
 from uqsphere.mechanics.rigs import RIGS
-from uqsphere.model import scene_of
+from uqsphere.model import cheaper_fidelities, scene_of
 from uqsphere.quantities import lookup
 from uqsphere.runner.schedule import (
     CARRIED,
@@ -181,8 +181,8 @@ def _pilot(study: Study, budget: float) -> tuple[int, int]:
     if points == 1:
         return 1, 1
     half, asked = points // 2, study.model.fidelity
-    # both cheaper models, and the full one at a closer tolerance where neither is taken
-    others = (3 if points >= PILOT.least else 1) if asked == "auto" else 1
+    # the cheaper models, and the full one at a closer tolerance where neither is taken
+    others = (len(cheaper_fidelities(study)) + 1 if points >= PILOT.least else 1) if asked == "auto" else 1
     return points + others * half, points + others * half
 
 
