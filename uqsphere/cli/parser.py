@@ -159,22 +159,36 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
 
 def _add_records(parser: argparse.ArgumentParser) -> None:
     """The options of `uqsphere records`."""
-    parser.add_argument("record", metavar="FILE.csv", type=Path, help="time and one signal, two gauges or three waves")
+    parser.add_argument("record", metavar="FILE", type=Path, help="time and one signal, two gauges or three waves, or "
+                        "two gauges a bar; or a folder of such files")  # fmt: skip
     parser.add_argument("--study", type=Path, metavar="STUDY", help="sphere and bars; needed for forces")
     _set(parser)
-    parser.add_argument("--columns", metavar="T,A,B", help="columns that count: time, then the signals")
+    parser.add_argument(
+        "--columns",
+        metavar="T,A,B",
+        help="columns that count, by name or number: time, then signals; gauges of a bar as A+B",
+    )
     parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
     parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
-    parser.add_argument("--gauge-factor", type=float, default=2.0, metavar="K")
-    parser.add_argument("--excitation", type=float, default=0.0, metavar="VOLTS", help="supply of the bridge")
-    parser.add_argument("--amplification", type=float, default=1.0, metavar="A")
-    parser.add_argument("--active-arms", type=float, default=1.0, metavar="N", help="1 quarter, 2 half bridge")
+    parser.add_argument("--sample-interval", default="", metavar="TIME", help="for a file without a time")
+    parser.add_argument("--gauge-factor", default="2", metavar="K[,K]", help="one, or one for each bar")
+    parser.add_argument("--excitation", default="0", metavar="V[,V]", help="supply of the bridge, volts")
+    parser.add_argument("--amplification", default="1", metavar="A[,A]")
+    parser.add_argument("--active-arms", default="1", metavar="N[,N]", help="1 quarter, 2 half bridge")
     parser.add_argument("--incident-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
     parser.add_argument("--receiving-gauge", default="0 m", metavar="LENGTH", help="its distance from the sphere")
     parser.add_argument("--window", metavar="BEGIN,END", help='times of the incident wave, such as "100 us,420 us"')
     parser.add_argument("--polarity", choices=("auto", "tension", "compression"), default="auto",
                         help="what is positive in the record (default: the first wave presses)")  # fmt: skip
     parser.add_argument("--correct-dispersion", action="store_true", help="carry the waves from gauges to faces")
+    parser.add_argument("--receiving-bar", metavar="KEYS", help='where it is another: "E=72 GPa, density=2810 kg/m3"')
+    parser.add_argument("--specimen", choices=("sphere", "other"), default="sphere",
+                        help="other: forces and energies alone, no elastic sphere is fitted")  # fmt: skip
+    parser.add_argument("--bound", default="", metavar="FORCE", help="more than such a specimen can bear is doubted")
+    parser.add_argument("--calibration", type=Path, metavar="FILE",
+                        help="a shot without a specimen, wired alike: it gives bar speed and gains")  # fmt: skip
+    parser.add_argument("--striker-speed", default="", metavar="SPEED", help="of the calibration shot")
+    parser.add_argument("--pdf", action="store_true", help="the sheet on paper too, with --out")
     parser.add_argument(
         "--gain-sd", type=float, default=0.01, metavar="SD", help="of each gauge, relative (default 0.01)"
     )

@@ -1,4 +1,5 @@
-"""What the records of a test say, for the command line: the pulse of one gauge, or forces from two bars."""
+"""What the records of tests say, for the command line: the pulse of one gauge, forces from two bars, a folder of tests,
+a calibration shot."""
 
 from __future__ import annotations
 
@@ -8,9 +9,9 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from uqsphere.console import plain, table
 from uqsphere.errors import UsageError
@@ -18,11 +19,17 @@ from uqsphere.quantities import format_value
 from uqsphere.units import UnitError, parse_value
 
 if TYPE_CHECKING:
-    from uqsphere.records.inverse import Inverse
+    from uqsphere.records.inverse import Rig
+    from uqsphere.records.laboratory import Calibration, Reading
     from uqsphere.records.loading import ContactFit
     from uqsphere.records.pulse import Bar
-    from uqsphere.records.record import Record
+    from uqsphere.records.record import Record, Wiring
     from uqsphere.study import Study
+
+#: ends of the names of records, in a folder
+_ENDINGS: Final = (".csv", ".txt", ".tsv", ".dat", ".asd", ".raw", ".xlsx")
+#: records of a folder, and notes on one that are printed
+_MOST, _NOTES = 1000, 12
 
 
 def _value(text: str, dimension: str, option: str) -> float:
@@ -42,32 +49,58 @@ def _window(text: str | None) -> tuple[float | None, float | None]:
     return begin, end
 
 
+def _wirings(chosen: argparse.Namespace, signals: int) -> list[Wiring]:
+    """How each signal becomes strain; of two numbers the first is the incident bar's."""
+    from uqsphere.records.record import Wiring
+
+    numbers: dict[str, list[float]] = {}
+    for name in ("gauge_factor", "amplification", "active_arms", "excitation"):
+        option = f"--{name.replace('_', '-')}"
+        try:
+            found = [float(part) for part in str(getattr(chosen, name)).split(",")]
+        except ValueError:
+            raise UsageError(f"{option} takes a number, or one for each bar, such as 200,500") from None
+        if len(found) > 2 or not all(0.0 < value < math.inf or name == "excitation" for value in found):
+            raise UsageError(f"{option} must be above zero, one number or two, found {getattr(chosen, name)}")
+        numbers[name] = [found[0]] * (signals - 1) + found[-1:]
+    return [
+        Wiring(unit=chosen.unit, time_unit=chosen.time_unit, **{name: each[k] for name, each in numbers.items()})
+        for k in range(signals)
+    ]
+
+
 def command_records(chosen: argparse.Namespace) -> int:
-    """The pulse of a record, or forces, stiffness and the end of the elastic contact of a test."""
+    """The pulse of a record, or forces, energies, stiffness and the end of the elastic contact of a test or of many."""
     from uqsphere.records.table import RecordError
     from uqsphere.study import load_study
 
-    for name in ("gauge_factor", "amplification", "active_arms"):
-        if not 0.0 < getattr(chosen, name) < math.inf:
-            raise UsageError(f"--{name.replace('_', '-')} must be above zero, found {getattr(chosen, name)}")
     if not 0.0 <= chosen.gain_sd < 1.0:
         raise UsageError(f"--gain-sd must lie from 0 to below 1, found {chosen.gain_sd}")
     study = None if chosen.study is None else load_study(chosen.study, chosen.overrides)
     if study is not None and study.black_box:
         raise UsageError("records need a scene with sphere and bars; this study is a black box")
+    if chosen.pdf:
+        from uqsphere.report.page import check_pdf
+
+        check_pdf()
+    path = chosen.record
     try:
-        record, signals = _read(chosen)
-        said = _pulse(chosen, record, study) if signals < 2 or study is None else _test(chosen, record, study)
+        shot = _calibration(chosen, study)
+        if path.is_dir():
+            return _folder(chosen, study, shot)
+        said = _said(chosen, path, study, shot)
     except RecordError as error:
-        text = str(error).removeprefix(f"{chosen.record.name}: ")
-        raise UsageError(f"{chosen.record}: {text}") from None
+        text = str(error).removeprefix(f"{path.name}: ")
+        raise UsageError(f"{path}: {text}") from None
     written = _write(chosen.out, said.files()) if chosen.out is not None else []
     if chosen.json:
         print(json.dumps({**said.content, "written": written}, indent=2, allow_nan=False))
-    else:
-        for note in said.notes:
-            print(f"note: {plain(note)}", file=sys.stderr)
-        print("\n".join([table(said.header, said.rows), *(f"wrote {path}" for path in written)]))
+        return 0
+    for note in said.notes[:_NOTES]:
+        print(f"note: {plain(note)}", file=sys.stderr)
+    if len(said.notes) > _NOTES:
+        print(f"note: and {len(said.notes) - _NOTES} more, in --json and on the sheet", file=sys.stderr)
+    print("\n".join([table(said.header, said.rows), *(f"wrote {path}" for path in written)]))
     return 0
 
 
@@ -79,36 +112,36 @@ class _Said:
     notes: Sequence[str]
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
-    files: Callable[[], dict[str, str]]
+    files: Callable[[], dict[str, str | bytes]]
 
 
-def _write(folder: Path, files: Mapping[str, str]) -> list[str]:
+def _write(folder: Path, files: Mapping[str, str | bytes]) -> list[str]:
     from uqsphere.store import write_atomically
 
-    for name, text in files.items():
-        write_atomically(folder / name, text)
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / name, content)
     return [str(folder / name) for name in files]
 
 
-def _read(chosen: argparse.Namespace) -> tuple[Record, int]:
-    """The record with its baseline and sign, and how many signals it has."""
-    from uqsphere.records.record import Wiring, make_record, mend
+def _read(chosen: argparse.Namespace, path: Path, study: Study | None) -> Record:
+    """The record, mended, with one signal for every bar or wave."""
+    from uqsphere.records.record import make_record, mend
     from uqsphere.records.table import read_table
 
-    wiring = Wiring(unit=chosen.unit, gauge_factor=chosen.gauge_factor, excitation=chosen.excitation,
-                    amplification=chosen.amplification, active_arms=chosen.active_arms,
-                    time_unit=chosen.time_unit)  # fmt: skip
     columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
-    read = read_table(chosen.record)
+    interval = _value(chosen.sample_interval, "time", "--sample-interval") if chosen.sample_interval else 0.0
+    read = read_table(path, interval)
     signals = (len(columns) or len(read.names)) - 1
-    if signals > 1 and chosen.study is None:
+    if signals > 1 and study is None:
         raise UsageError(
-            f"{chosen.record.name} has {signals} signals: name the study with sphere and bars by --study, or the one "
+            f"{path.name} has {signals} signals: name the study with sphere and bars by --study, or the one "
             "that is the pulse by --columns TIME,SIGNAL"
         )
-    if signals == 4 and not columns:
-        signals = 2  # two gauges a bar
-    return mend(make_record(read, min(max(signals, 1), 3), wiring=wiring, columns=columns), chosen.polarity), signals
+    if signals in (4, 6) and not columns:
+        signals //= 2  # two gauges a bar
+    signals = min(max(signals, 1), 3)
+    return mend(make_record(read, signals, wiring=_wirings(chosen, signals), columns=columns), chosen.polarity)
 
 
 def _numbers(study: Study) -> dict[str, float]:
@@ -127,8 +160,71 @@ def _bar(columns: Mapping[str, float]) -> Bar:
                wave_speed=math.sqrt(columns["bars.E"] / columns["bars.density"]))  # fmt: skip
 
 
-def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> _Said:
+def _other_bar(text: str | None, columns: Mapping[str, float]) -> tuple[Bar, float] | None:
+    """Another receiving bar and its E A [N]."""
+    if text is None:
+        return None
+    units = {"E": "pressure", "density": "density", "diameter": "length"}
+    given = {key: columns[f"bars.{key}"] for key in units}
+    for part in text.split(","):
+        key, _, value = (piece.strip() for piece in part.partition("="))
+        if key not in units:
+            raise UsageError('--receiving-bar takes E, density and diameter, such as "E=72 GPa, density=2810 kg/m3"')
+        given[key] = _value(value, units[key], "--receiving-bar")
+        if not given[key] > 0.0:
+            raise UsageError(f"--receiving-bar: {key} must be above zero")
+    bar = _bar({f"bars.{key}": value for key, value in given.items()} | {"bars.nu": columns["bars.nu"]})
+    return bar, given["E"] * math.pi * bar.radius**2
+
+
+def _rig(chosen: argparse.Namespace, columns: Mapping[str, float], study: Study) -> tuple[Rig, float | None]:
+    """Bars and gauges, and E A of a receiving bar that is another."""
+    from uqsphere.records.inverse import Rig
+
+    infinite = bool(study.options["bars.infinite"])
+    gauges = {bar: _value(getattr(chosen, f"{bar}_gauge"), "length", f"--{bar}-gauge") for bar in
+              ("incident", "receiving")}  # fmt: skip
+    lengths, silent = {}, math.inf
+    for bar in gauges:
+        length = columns.get(f"bars.{bar}_length", math.inf)
+        # an end that sends nothing back leaves the record undisturbed
+        absorbs = columns.get(f"bars.{bar}_end", 1.0) == 0.0
+        lengths[bar] = math.inf if infinite or absorbs else length
+        if absorbs and not infinite:
+            silent = min(silent, length - gauges[bar])
+    other = _other_bar(chosen.receiving_bar, columns)
+    rig = Rig(bar=_bar(columns), incident_gauge=gauges["incident"], receiving_gauge=gauges["receiving"],
+              incident_length=lengths["incident"], receiving_length=lengths["receiving"], absorbing_length=silent,
+              correct_dispersion=chosen.correct_dispersion,
+              receiving_bar=other[0] if other else None)  # fmt: skip
+    return rig, other[1] if other else None
+
+
+def _calibration(chosen: argparse.Namespace, study: Study | None) -> Calibration | None:
+    """What the shot without a specimen says of bars and gauges."""
+    from uqsphere.records.laboratory import calibrate
+
+    if chosen.calibration is None:
+        return None
+    if study is None:
+        raise UsageError("--calibration needs --study with the bars, and the gauges' distances")
+    rig, other = _rig(chosen, _numbers(study), study)
+    if other is not None:
+        raise UsageError("--calibration is for two equal bars: it goes without --receiving-bar")
+    speed = _value(chosen.striker_speed, "speed", "--striker-speed") if chosen.striker_speed else 0.0
+    return calibrate(_read(chosen, chosen.calibration, study), rig, speed)
+
+
+def _said(chosen: argparse.Namespace, path: Path, study: Study | None, shot: Calibration | None) -> _Said:
+    record = _read(chosen, path, study)
+    if record.strain.shape[1] < 2 or study is None:
+        return _pulse(chosen, path, record, study)
+    return _test(chosen, path, record, study, shot)
+
+
+def _pulse(chosen: argparse.Namespace, path: Path, record: Record, study: Study | None) -> _Said:
     from uqsphere.records.pulse import cut_pulse, fit_pulse
+    from uqsphere.records.table import read_bytes
 
     begin, end = _window(chosen.window)
     distance = _value(chosen.incident_gauge, "length", "--incident-gauge")
@@ -139,7 +235,7 @@ def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> _
             raise UsageError("--correct-dispersion needs --study with the bars, and --incident-gauge")
         bar = _bar(columns)
     cut = cut_pulse(record, bar=bar, distance=distance if bar else 0.0, begin=begin, end=end)
-    pulse = fit_pulse(cut, chosen.record.name, hashlib.sha256(chosen.record.read_bytes()).hexdigest())
+    pulse = fit_pulse(cut, path.name, hashlib.sha256(read_bytes(path)).hexdigest())
     speed = None if columns is None else 2.0 * math.sqrt(columns["bars.E"] / columns["bars.density"]) * pulse.peak
     noise = f"{record.noise[0] * 1e6:.3g} microstrain, correlated over {record.memory[0]:.2g} samples"
     rows: list[tuple[str, ...]] = [
@@ -152,59 +248,78 @@ def _pulse(chosen: argparse.Namespace, record: Record, study: Study | None) -> _
     if speed is not None:
         rows.append(("striker speed that it stands for", format_value(speed, "striker.speed")))
 
-    def files() -> dict[str, str]:
+    def files() -> dict[str, str | bytes]:
         from uqsphere.report.figures.records import pulse_figure
 
         return {"record.svg": pulse_figure(record, cut, pulse)}
 
     content: dict[str, object] = {
-        "kind": "pulse", "file": chosen.record.name, "peak_strain": pulse.peak, "duration": pulse.duration,
+        "kind": "pulse", "file": path.name, "peak_strain": pulse.peak, "duration": pulse.duration,
         "rise": pulse.rise, "begin": cut.begin, "step": record.step, "noise": float(record.noise[0]),
         "noise_modes": pulse.noise, "band_share": cut.inside, "pieces": len(pulse.breaks) - 1, "striker_speed": speed,
-        "notes": list(pulse.notes),
+        "notes": list(pulse.notes), "changes": _changes(record),
     }  # fmt: skip
     return _Said(content=content, notes=pulse.notes, header=("what", "value"), rows=rows, files=files)
 
 
-def _test(chosen: argparse.Namespace, record: Record, study: Study) -> _Said:
-    from uqsphere.records.inverse import Rig, at_faces, invert
+def _changes(record: Record) -> list[dict[str, object]]:
+    """What mending changed, with sample, time [s] and size [strain] where they are known."""
+    keys = ("step", "signal", "sample", "time", "size", "text")
+    return [{key: getattr(one, key) for key in keys if getattr(one, key) is not None} for one in record.changes]
+
+
+def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, shot: Calibration | None) -> _Said:
+    from uqsphere.records.laboratory import read_test
 
     columns = _numbers(study)
-    infinite = bool(study.options["bars.infinite"])
-
-    def length(bar: str) -> float:
-        # an end that sends nothing back leaves the record undisturbed
-        silent = columns.get(f"bars.{bar}_end", 1.0) == 0.0
-        return math.inf if infinite or silent else columns.get(f"bars.{bar}_length", math.inf)
-
-    rig = Rig(
-        bar=_bar(columns), incident_gauge=_value(chosen.incident_gauge, "length", "--incident-gauge"),
-        receiving_gauge=_value(chosen.receiving_gauge, "length", "--receiving-gauge"),
-        incident_length=length("incident"), receiving_length=length("receiving"),
-        correct_dispersion=chosen.correct_dispersion,
-    )  # fmt: skip
+    if shot is not None:
+        columns["bars.E"] = columns["bars.density"] * shot.wave_speed**2
+        gains = [shot.gains[0]] * (record.strain.shape[1] - 1) + [shot.gains[1]]
+        record = replace(record, strain=record.strain * gains, noise=record.noise * gains,
+                         offset=record.offset * gains, spread=record.spread * gains)  # fmt: skip
+    rig, receiving = _rig(chosen, columns, study)
     begin, end = _window(chosen.window)
-    faces = at_faces(record, rig, begin=begin, end=end)
-    found = invert(faces, columns, gain_sd=chosen.gain_sd)
+    bound = _value(chosen.bound, "force", "--bound") if chosen.bound else math.inf
+    read = read_test(record, rig, columns, gain_sd=chosen.gain_sd, begin=begin, end=end, receiving=receiving,
+                     sphere=chosen.specimen == "sphere", bound=bound)  # fmt: skip
+    content, rows = _answers(read, columns)
+    content = {"kind": "test", "file": path.name, "samples": len(read.forces.time), "step": read.faces.step,
+               "end": float(read.forces.time[-1]), **content,
+               "bar_speed": rig.bar.wave_speed, "diameter": 2.0 * columns["sphere.radius"],
+               "changes": _changes(record)}  # fmt: skip
+    notes = [*(shot.notes if shot else ()), *read.notes]
+    content["notes"] = notes
+    header = ("what", "value", "95 % interval")
 
-    def files() -> dict[str, str]:
+    def files() -> dict[str, str | bytes]:
         from uqsphere.report.figures.records import forces_figure, pulse_figure
+        from uqsphere.report.lab_sheet import lab_sheet
         from uqsphere.store import csv_text
 
-        force = found.forces
-        limits = [limit for face in "AB" for limit in force.interval(face)]
-        head = ["time [s]", "force_a [N]", "force_b [N]", "force_a_low [N]", "force_a_high [N]", "force_b_low [N]",
-                "force_b_high [N]", "model_a [N]", "model_b [N]"]  # fmt: skip
-        courses = [force.time, force.force_a, force.force_b, *limits, found.fitted_a, found.fitted_b]
+        force = read.forces
+        names = ["time [s]", "force_a [N]", "force_b [N]", "force_mean [N]"]
+        courses = [force.time, force.force_a, force.force_b, 0.5 * (force.force_a + force.force_b)]
+        for face in "AB":
+            names += [f"force_{face.lower()}_{side} [N]" for side in ("low", "high")]
+            courses += force.interval(face)
+        if read.inverse is not None:
+            names += ["model_a [N]", "model_b [N]"]
+            courses += [read.inverse.fitted_a, read.inverse.fitted_b]
         lines = [[float(course[k]) for course in courses] for k in range(len(force.time))]
-        return {"forces.csv": csv_text(head, lines), "forces.svg": forces_figure(faces, found),
-                "record.svg": pulse_figure(record, faces.pulse, found.pulse)}  # fmt: skip
+        pulse = read.inverse.pulse if read.inverse is not None else None
+        figures = [forces_figure(read), pulse_figure(record, read.faces.pulse, pulse)]
+        page = lab_sheet(path.name, header, rows, notes, figures)
+        found: dict[str, str | bytes] = {"forces.csv": csv_text(names, lines), "forces.svg": figures[0],
+                                         "record.svg": figures[1], "sheet.html": page}  # fmt: skip
+        return {**found, **({"sheet.pdf": _paper(page)} if chosen.pdf else {})}
 
-    content, rows = _answers(found, columns)
-    content = {"kind": "test", "file": chosen.record.name, "samples": len(found.forces.time), "step": faces.step,
-               "end": float(found.forces.time[-1]), **content}  # fmt: skip
-    header = ("what", "value", "95 % interval")
-    return _Said(content=content, notes=found.notes, header=header, rows=rows, files=files)
+    return _Said(content=content, notes=notes, header=header, rows=rows, files=files)
+
+
+def _paper(page: str) -> bytes:
+    from uqsphere.report.page import typeset
+
+    return bytes(typeset(page, "").write_pdf())
 
 
 def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple[str, ...]:
@@ -213,18 +328,46 @@ def _row(what: str, unit: str, factor: float, numbers: Sequence[float]) -> tuple
     return what, f"{value} {unit}", f"{low} to {high} {unit}"
 
 
-def _answers(found: Inverse, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
+def _answers(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
     """The numbers of the JSON document and the rows of the table."""
-    stiff, forces, end = found.stiffness, found.forces, found.departure
     keys, rows = ("value", "low", "high"), []
     largest = {}
-    for face, fitted, measured in (("A", found.fitted_a, forces.force_a), ("B", found.fitted_b, forces.force_b)):
-        at = int(abs(fitted).argmax() if found.held else measured.argmax())
-        numbers = [float(course[at]) for course in (measured, *forces.interval(face))]
-        largest[face] = {"time": float(forces.time[at]), **dict(zip(keys, numbers, strict=True))}
-        rows.append(_row(f"largest force at {face}, at {forces.time[at] * 1e6:.4g} us", "kN", 1e-3, numbers))
+    for face, peak in read.peaks.items():
+        numbers = (peak.value, peak.low, peak.high)
+        largest[face] = {"time": peak.time, **dict(zip(keys, numbers, strict=True)), "doubts": list(peak.doubts)}
+        rows.append(_row(f"largest force at {face}, at {peak.time * 1e6:.4g} us", "kN", 1e-3, numbers))
+        rows += [("  doubted", doubt, "") for doubt in peak.doubts]
+    loading, whole = read.energies
+    for what, energy in (("up to the largest force", loading), ("in all", whole)):
+        parts = f"{energy.incident:.4g} J in, {energy.reflected:.3g} back, {energy.transmitted:.3g} on"
+        rows.append((f"energy absorbed, {what}", f"{energy.absorbed:.4g} J", parts))
+    balanced = "never" if read.balanced is None else f"{read.balanced * 1e6:.4g} us"
+    rows.append(("forces first within 5 % of their mean", balanced,
+                 f"{read.balance:.0%} of the time from half the force to the largest"))  # fmt: skip
+    rows.append(("loading rate", f"{read.loading_rate * 1e-9:.4g} kN/us", ""))
+    rows.append(("for the camera: first touch", f"{read.touch * 1e6:.8g} us of the record",
+                 f"the largest force {read.peaks['B'].time * 1e6:.4g} us later"))  # fmt: skip
+    model, more = _of_the_sphere(read, columns)
+    energies = {
+        what: {key: getattr(one, key) for key in ("incident", "reflected", "transmitted", "absorbed")}
+        for what, one in (("to_largest", loading), ("whole", whole))
+    }
+    content: dict[str, object] = {
+        "largest_force": largest, "energy": energies, "balanced_from": read.balanced, "balanced_share": read.balance,
+        "loading_rate": read.loading_rate, "first_touch": read.touch, **model, "withheld": list(read.withheld),
+    }  # fmt: skip
+    return content, [*rows, *more, *(("withheld", text, "") for text in read.withheld)]
+
+
+def _of_the_sphere(read: Reading, columns: Mapping[str, float]) -> tuple[dict[str, object], list[tuple[str, ...]]]:
+    """Stiffness and the end of the elastic contact, where an elastic sphere explains the record."""
+    found, keys = read.inverse, ("value", "low", "high")
+    if found is None:
+        names = ("reduced_modulus", "sphere_modulus", "gains", "misfit", "elastic_throughout", "departure")
+        return dict.fromkeys(names), []
+    stiff, end = found.stiffness, found.departure
     reduced = (stiff.modulus, stiff.low, stiff.high)
-    rows.append(_row("reduced modulus E*", "GPa", 1e-9, reduced))
+    rows = [_row("reduced modulus E*", "GPa", 1e-9, reduced)]
     bar = (1.0 - columns["bars.nu"] ** 2) / columns["bars.E"]
     rest = [1.0 / value - bar for value in reduced]
     modulus = None
@@ -233,25 +376,94 @@ def _answers(found: Inverse, columns: Mapping[str, float]) -> tuple[dict[str, ob
         modulus = dict(zip(keys, young, strict=True))
         rows.append(_row("E of the sphere that gives it", "GPa", 1e-9, young))
     rows.append(("misfit over noise", f"{stiff.misfit:.3g}", ""))
+    departure = None
     if end is None:
         rows.append(("elastic contact", "held to the end of the record", ""))
     else:
         rows.append(_row("elastic contact ends", "us", 1e6, (end.time, end.earliest, end.latest)))
-        rows += [
-            _row(f"force at {face} there, candidate for fracture", "kN", 1e-3, force)
-            for face, force in (("A", end.force_a), ("B", end.force_b))
-        ]
-    departure = None if end is None else {
-        "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
-        "force_a": dict(zip(keys, end.force_a, strict=True)), "force_b": dict(zip(keys, end.force_b, strict=True)),
-    }  # fmt: skip
-    content: dict[str, object] = {
-        "largest_force": largest,
+        said = "candidate for fracture" if read.broke else "no fracture"
+        rows += [_row(f"force at {face} there, {said}", "kN", 1e-3, force)
+                 for face, force in (("A", end.force_a), ("B", end.force_b))]  # fmt: skip
+        departure = {
+            "time": end.time, "earliest": end.earliest, "latest": end.latest, "excess": end.excess,
+            "force_a": dict(zip(keys, end.force_a, strict=True)), "force_b": dict(zip(keys, end.force_b, strict=True)),
+            "candidate": read.broke,
+        }  # fmt: skip
+    return {
         "reduced_modulus": {**dict(zip(keys, reduced, strict=True)), "std_error": stiff.std_error},
         "sphere_modulus": modulus, "gains": {"incident": stiff.gain_a, "receiving": stiff.gain_b},
-        "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure, "notes": list(found.notes),
-    }  # fmt: skip
-    return content, rows
+        "misfit": stiff.misfit, "elastic_throughout": found.held, "departure": departure,
+    }, rows  # fmt: skip
+
+
+# --- many tests ----------------------------------------------------------------------------------------
+
+
+def _folder(chosen: argparse.Namespace, study: Study | None, shot: Calibration | None) -> int:
+    """Every record of a folder: a table that the tests of a study read, and a page with a sheet of each."""
+    from uqsphere.records.table import RecordError
+    from uqsphere.report.lab_sheet import tests_page
+    from uqsphere.store import csv_text
+
+    paths = sorted(path for path in chosen.record.iterdir() if path.suffix.lower() in _ENDINGS)
+    if not paths or len(paths) > _MOST:
+        raise UsageError(f"{chosen.record} has {len(paths)} records ({', '.join(_ENDINGS)}), from 1 to {_MOST} are due")
+    if study is None:
+        raise UsageError("a folder of tests needs --study with sphere and bars")
+    tests: list[dict[str, object]] = []
+    rows: list[tuple[str, ...]] = []
+    lines: list[list[object]] = []
+    written: list[str] = []
+    for path in paths:
+        try:
+            said = _said(chosen, path, study, shot)
+        except (RecordError, UsageError) as error:
+            text = str(error).removeprefix(f"{path.name}: ")
+            tests.append({"kind": "refused", "file": path.name, "why": text})
+            rows.append((path.name, "refused", text))
+            continue
+        if chosen.out is not None:
+            written += _write(chosen.out / path.stem, said.files())
+        tests.append(said.content)
+        line, row = _line(said.content)
+        rows.append(row)
+        lines += [line] if line else []
+    header = ("test", "largest force at B", "noted")
+    if chosen.out is not None:
+        head = ["test", "diameter_mm", "force_kN", "force_low_kN", "force_high_kN", "stopped", "outcome", "absorbed_J",
+                "rate_kN_per_us", "doubted"]  # fmt: skip
+        stems = [path.stem for path in paths]
+        page = tests_page(chosen.record.name, header, rows, stems)
+        written += _write(chosen.out, {"tests.csv": csv_text(head, lines), "index.html": page})
+    if chosen.json:
+        print(json.dumps({"kind": "folder", "tests": tests, "written": written}, indent=2, allow_nan=False))
+    else:
+        print("\n".join([table(header, rows), *(f"wrote {path}" for path in written[-2:])]))
+    return 0
+
+
+def _line(content: Mapping[str, object]) -> tuple[list[object], tuple[str, ...]]:
+    """A test as a line of tests.csv, empty for a pulse, and as a row of the table."""
+    if content["kind"] != "test":
+        return [], (str(content["file"]), "", "a pulse alone")
+    largest, energy, end = content["largest_force"], content["energy"], content["departure"]
+    assert isinstance(largest, dict)
+    assert isinstance(energy, dict)
+    peak = largest["B"]
+    broke = isinstance(end, dict) and bool(end["candidate"])
+    force = end["force_b"] if broke and isinstance(end, dict) else peak
+    doubts = "; ".join(peak["doubts"])
+    held = content["elastic_throughout"]
+    outcome = "broke" if broke else "survived" if held else ""
+    line = [content["file"], float(str(content["diameter"])) * 1e3, *(force[key] * 1e-3 for key in
+            ("value", "low", "high")), 1 if held else 0, outcome, energy["whole"]["absorbed"],
+            float(str(content["loading_rate"])) * 1e-9, doubts]  # fmt: skip
+    changes = content["changes"]
+    assert isinstance(changes, list)
+    mended = sum(one["step"] not in ("read", "sign", "baseline", "gauges") for one in changes)
+    said = [f"doubted: {doubts}"] * bool(doubts) + [f"{mended} samples or stretches mended"] * bool(mended)
+    value = f"{peak['value'] * 1e-3:.4g} kN ({peak['low'] * 1e-3:.4g} to {peak['high'] * 1e-3:.4g})"
+    return line, (str(content["file"]), value, "; ".join(said))
 
 
 # --- a slow test between platens ------------------------------------------------------------------------

@@ -116,6 +116,8 @@ class Record:
         Standard deviation of the baseline that was taken off.
     spread : (n, k) array
         Half the difference of the gauges of a bar, the bending they show; 0 with one gauge.
+    alone : (k,) array of bool
+        Whether a signal rests on one gauge because another of its bar was left out.
     bars : tuple of tuples of int
         The gauges that make a signal, before they are joined; one each after that.
     names : tuple of str
@@ -130,6 +132,7 @@ class Record:
     memory: Array
     offset: Array
     spread: Array
+    alone: Flags
     bars: tuple[tuple[int, ...], ...]
     names: tuple[str, ...]
     changes: tuple[Change, ...] = ()
@@ -238,6 +241,7 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
     raw: list[Array] = []
     names: list[str] = []
     bars: list[tuple[int, ...]] = []
+    alone: list[bool] = []
     for group, own in zip(groups, wirings, strict=True):
         faults, used = [], []
         for at in group:
@@ -252,13 +256,14 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
         if not used:
             raise RecordError(faults[0])
         notes += [f"{fault}: the other gauges of the bar stand alone" for fault in faults]
+        alone += [bool(faults)] * len(used)
         bars.append(tuple(used))
     start, step, strain, held = _even(time, np.stack(raw, axis=1), notes)
     if len(strain) > _LARGE:
         start, step, strain, held = _thinned(start, step, strain, held, notes)
     none = np.zeros(len(raw))
     return Record(start=start, step=step, strain=strain, held=held, noise=none, memory=none + 1.0, offset=none,
-                  spread=np.zeros_like(strain), bars=tuple(bars), names=tuple(names),
+                  spread=np.zeros_like(strain), alone=np.array(alone), bars=tuple(bars), names=tuple(names),
                   changes=tuple(Change(step="read", text=note) for note in notes))  # fmt: skip
 
 
@@ -395,8 +400,11 @@ def first_wave(values: Array, step: float, noise: float) -> Wave:
     RecordError
         Where no wave rises above the noise.
     """
+    from scipy.ndimage import median_filter
+
     width = max(1, round(2.0 * _SHORTEST / step))
-    calm = smooth(values, width)
+    # bursts of a trigger swing within a few microseconds; running medians have nothing of them
+    calm = smooth(median_filter(values, 2 * min(3 * round(_SHORTEST / step), _SPIKE_MOST) + 1, mode="nearest"), width)
     peak = float(np.abs(calm).max())
     if not peak > 5.0 * noise / math.sqrt(width) or peak == 0.0:
         raise RecordError("no wave rises above the noise of the record")
@@ -564,12 +572,19 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
     scatter = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
     try:
         wave = first_wave(values - middle, step, scatter)
+        # a drift hides the foot: a line through what lies well before the rise comes off first
+        early = max(wave.half - 3 * wave.rising, 0) // 3
+        if early >= _BASELINE:
+            low, high = np.median(values[:early]), np.median(values[early : 2 * early])
+            level = low + (high - low) / early * (np.arange(len(values)) - 0.5 * early)
+            wave = first_wave(values - level, step, scatter)
     except RecordError as error:
         raise RecordError(f"{name}: {error}") from None
     count = wave.foot - max(3, wave.rising // 5)
     quiet = values[: max(count, 0)]
     place = np.arange(len(quiet), dtype=float)
-    if count < _BASELINE or abs(np.median(quiet) - middle) > 0.05 * wave.peak:
+    third = max(len(quiet) // 3, 1)
+    if count < _BASELINE or abs(np.median(quiet[:third]) - np.median(quiet[-third:])) > 0.1 * wave.peak:
         quiet, place = _rest_behind(values, name, wave.peak)
         told.append(Change(step="baseline", signal=name,
                            text=f"{name}: no baseline before the wave, taken from the end of the record"))  # fmt: skip
@@ -635,13 +650,15 @@ def _joined(record: Record, polarity: str) -> Record:
     """Every gauge about its rest and with its sign; those of a bar averaged, with the bending they show."""
     changes = list(record.changes)
     signs: list[str] = []
-    columns, helds, spreads, names, rests = [], [], [], [], []
+    alone = [bool(record.alone[list(bar)].any()) for bar in record.bars]
+    names: list[str] = []
+    columns, helds, spreads, rests = [], [], [], []
     for bar in record.bars:
         alive = _alive(record, bar, polarity, changes, signs)
+        alone[len(names)] |= len(alive) < len(bar)
         known = np.stack([~record.held[:, k] for k, _ in alive], axis=1)
         gauges = np.stack([one.values for _, one in alive], axis=1)
-        share = known / np.maximum(known.sum(axis=1, keepdims=True), 1)
-        mean = np.where(known.any(axis=1), (share * gauges).sum(axis=1), gauges.mean(axis=1))
+        mean = _bridged(gauges, known).mean(axis=1)
         name = " and ".join(record.names[k] for k, _ in alive)
         rest = alive[0][1]
         spread = np.zeros(len(mean))
@@ -663,10 +680,28 @@ def _joined(record: Record, polarity: str) -> Record:
                               "positive; a wave that presses is negative here, the sign is turned"))  # fmt: skip
     return replace(
         record, strain=np.stack(columns, axis=1), held=np.stack(helds, axis=1), spread=np.stack(spreads, axis=1),
+        alone=np.array(alone),
         names=tuple(names), bars=tuple((k,) for k in range(len(names))), changes=tuple(changes),
         noise=np.array([one.noise for one in rests]), memory=np.array([one.memory for one in rests]),
         offset=np.array([one.offset for one in rests]),
     )  # fmt: skip
+
+
+def _bridged(gauges: Array, known: Flags) -> Array:
+    """Gauges of a bar (n, g) where one is not known: the others, and the bending between the ends of the stretch."""
+    bridged, place = gauges.copy(), np.arange(len(gauges))
+    for k in range(gauges.shape[1]):
+        others = np.delete(np.arange(gauges.shape[1]), k)
+        lost = ~known[:, k]
+        if len(others) == 0 or not lost.any() or lost.all():
+            continue
+        count = known[:, others].sum(axis=1)
+        rest = (gauges[:, others] * known[:, others]).sum(axis=1) / np.maximum(count, 1)
+        lost &= count > 0
+        both = known[:, k] & (count > 0)
+        bent = np.interp(place, place[both], (gauges[:, k] - rest)[both])
+        bridged[lost, k] = (rest + bent)[lost]
+    return bridged
 
 
 def _alive(record: Record, bar: tuple[int, ...], polarity: str, changes: list[Change],

@@ -372,7 +372,14 @@ def _with_clock(values: Array, form: _Form, name: str) -> Table:
     notes = list(form.notes)
     first = values[: max(len(values) // 20, 200), 0]
     steps = np.diff(first[np.isfinite(first)])
-    timed = len(form.places) > 1 and len(steps) > 0 and float((steps >= 0.0).mean()) > 0.9 and steps.max() > 0.0
+    signal = form.units[0] in SIGNAL_UNITS
+    timed = (
+        not signal
+        and len(form.places) > 1
+        and len(steps) > 0
+        and float((steps >= 0.0).mean()) > 0.9
+        and steps.max() > 0.0
+    )
     names, units, interval = form.names, form.units, form.interval
     if not timed and not interval:
         # LANL's .raw has, above each signal, the begin of its clock and its step
