@@ -584,7 +584,9 @@ def _rested(values: Array, step: float, name: str, time: Array, changes: list[Ch
     quiet = values[: max(count, 0)]
     place = np.arange(len(quiet), dtype=float)
     third = max(len(quiet) // 3, 1)
-    if count < _BASELINE or abs(np.median(quiet[:third]) - np.median(quiet[-third:])) > 0.1 * wave.peak:
+    climbs = abs(float(np.median(quiet[:third]) - np.median(quiet[-third:]))) / (2 * third) if count > 0 else 0.0
+    # a drift climbs far slower than the wave
+    if count < _BASELINE or climbs * wave.rising > 0.05 * wave.peak:
         quiet, place = _rest_behind(values, name, wave.peak)
         told.append(Change(step="baseline", signal=name,
                            text=f"{name}: no baseline before the wave, taken from the end of the record"))  # fmt: skip
