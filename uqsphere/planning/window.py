@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -43,6 +43,9 @@ LISTED: Final = 9
 HALVINGS: Final = 12
 #: speeds of a listed ramp for each one of the map, so that a narrow window is not stepped over
 _FINER: Final = 2
+#: relative step in which a laboratory sets the speed of a striker: shots repeat within about 1 % (as standard
+#: deviation; general literature on gas guns), so that less than twice that is not set but met by chance
+SETTING: Final = 0.02
 #: pulses that follow from a striker and a ramp
 SHAPES: Final = ("rectangular", "ramp", "trapezoid")
 #: longest ramp where none is asked for [s]
@@ -383,11 +386,23 @@ def _between(
         lowest: list[tuple[float, str | None]] = [(float(speeds[0]), None)] if all_[0] else []
         highest: list[tuple[float, str | None]] = [(float(speeds[-1]), None)] if all_[-1] else []
         pairs = zip(lowest + ends[*key, True], ends[*key, False] + highest, strict=True)
-        windows[key[0]] += [
+        windows[key[0]] += _settable([
             Window(kind=key[1], rise=key[2], low=low, high=high, below=below, above=above)
             for (low, below), (high, above) in pairs
-        ]
+        ])  # fmt: skip
     return windows
+
+
+def _settable(windows: list[Window]) -> list[Window]:
+    """Windows of one ramp as a laboratory can use them: those across a gap too small to be set are one, and of several
+    those too small to be set are none."""
+    merged = windows[:1]
+    for window in windows[1:]:
+        if window.low < merged[-1].high * (1.0 + SETTING):
+            merged[-1] = replace(merged[-1], high=window.high, above=window.above)
+        else:
+            merged.append(window)
+    return [window for window in merged if window.high > window.low * (1.0 + SETTING)] or merged
 
 
 def _place(subject: Subject, request: Request, edges: Sequence[_Edge]) -> list[tuple[float, str]]:

@@ -71,6 +71,18 @@ def _with_damper(study: Study, scene: Scene) -> tuple[Scene, Damper | None]:
     return replace(scene, columns=columns), damper
 
 
+def _yield_lines(found: History, pressure: float) -> list[tuple[str, str]]:
+    """What is said of an elastic contact beyond the onset of yield of what stands at the poles."""
+    from uqsphere.mechanics.partners import softest_partner
+
+    scene = found.motion.scene
+    onset = float(softest_partner(scene).onset[0])
+    if scene.contact_law != "hertz" or not pressure > onset:
+        return []
+    said = f"{pressure / onset:.3g} times the {format_value(onset, 'p_max', 4)} at which the faces beside it yield"
+    return [("NOTE", f"{said}: an elastic contact overstates pressure and force from there on")]
+
+
 def history_summary(found: History) -> dict[str, Any]:
     """The findings of a history as (what, value) lines, for the terminal and for JSON."""
     rig = found.motion.scene.rig
@@ -82,6 +94,7 @@ def history_summary(found: History) -> dict[str, Any]:
         lines.append(("largest contact pressure before contact is lost", format_value(peak.pressure, "p_max", 6)))
         lines.append(("  at", f"{peak.time * 1e6:.4g} us, face {peak.face}"))
         lines.append(("  force there", format_value(peak.force, "P_max", 6)))
+        lines += _yield_lines(found, peak.pressure)
     for change in found.changes:
         word = "lost" if change.kind == "lost" else "found again"
         lines.append((f"contact {word} at face {change.face}", f"{change.time * 1e6:.6g} us"))

@@ -293,6 +293,11 @@ def draw_xt(scene: Scene, history: History, row: int = 0) -> Picture:
             [0.0, 0.0], [0.0, min(history.record_end, last) * factor], color=RED, linewidth=3.5, solid_capstyle="butt"
         )
         _bars(axes, scene, lengths, ends)
+        for gauge in history.gauges:
+            place = -gauge.position if gauge.bar == "incident" else gauge.position
+            axes.axvline(place, color=GREEN, linewidth=0.9, linestyle=":")
+            axes.annotate("gauge", (place, 0.98), xycoords=("data", "axes fraction"), xytext=(3, -2), va="top",
+                          textcoords="offset points", rotation=90, fontsize=7.5, color=GREEN)  # fmt: skip
         axes.set_ylim(-lengths[0] / c0 * factor, last * factor)
         axes.set_xlabel("place along the bars, sphere at 0 [m]")
         axes.set_ylabel(f"time since first touch [{unit}]")
