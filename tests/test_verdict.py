@@ -210,3 +210,42 @@ def test_a_model_that_fails_where_the_aim_is_missed_establishes_nothing(
     monkeypatch.setattr("uqsphere.mechanics.validity.grades_of", failing)
     run = found(tmp_path, CONTACT % "4 GPa" + "target = 0.05\n", more='ways = "given"')
     assert codes(run, "contact") == {"e"}
+
+
+# --- beyond the laws of the strengths -----------------------------------------------------------------------
+
+
+def test_a_verdict_that_turns_where_contacts_yield_is_not_established(tmp_path: Path) -> None:
+    """Between soft bars the true pressure is that at which they flow: an elastic one beyond it breaks nothing."""
+    limits = CONTACT % "2.5 GPa" + "target = 0.05\n"
+    run = found(tmp_path, limits.replace("modulus = 12", "modulus = 60"), more='ways = "given"')
+    assert run.results.limits["contact"].verdict == "not met"
+    soft = tmp_path / "soft"
+    soft.mkdir()
+    path = soft / "study.toml"
+    text = (
+        (tmp_path / "study.toml")
+        .read_text()
+        .replace('"maraging_steel"', '"maraging_steel"\nyield_strength = "900 MPa"')
+    )
+    path.write_text(text)
+    run = uqsphere.run(load_study(path), out=soft / "out")
+    assert run.results.limits["contact"].met is False
+    assert (codes(run, "contact"), run.results.limits["contact"].verdict) == ({"a"}, "not established")
+
+
+def test_carriers_that_disagree_leave_a_service_not_established(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    head = HEAD.format(rock="granite", more="").split("[bars]")[0]
+    path.write_text(
+        head + '[rig]\nkind = "none"\n[service.chute]\nkind = "impact"\nspeed = "5.5 m/s"\n'
+        'target = { kind = "thick", material = "steel" }\nsolve = "speed"\nbetween = ["1 m/s", "20 m/s"]\n'
+        "[analysis]\naccuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.2 }\n"
+        'methods = ["qmc"]\nways = "given"\n[limits.core]\nin = "chute"\ncriterion = "core_tension"\n'
+        'strength = { dist = "weibull", mean = "32 MPa", modulus = 20 }\nplatens = "rigid"\ntarget = 0.01\n'
+    )
+    run = uqsphere.run(load_study(path), out=tmp_path / "out")
+    limit = run.results.services["chute"].limits["core"]
+    assert len({limit.met, *limit.carried.met.values()}) > 1
+    assert "b" in {reason.code for reason in limit.reasons}
+    assert (limit.verdict, run.met) == ("not established", False)

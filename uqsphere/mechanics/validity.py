@@ -553,7 +553,7 @@ def grades_of(scene: Scene, answers: Answers) -> dict[str, Places]:
     return {
         rule.meaning: np.where(good, grades(rule, measured), 0)
         for rule, measured in found.items()
-        if not isinstance(measured, str)
+        if measured is not None and not isinstance(measured, str)
     }
 
 

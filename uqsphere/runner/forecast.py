@@ -257,10 +257,11 @@ def _ways(study: Study) -> tuple[float, float]:
     """Evaluations on which all ways to break are judged, here and along the free scalar."""
     if study.black_box or not any(means_fracture(limit) for limit in study.limits):
         return 0.0, 0.0
-    rows = float(REPLICATES * WAYS.first if study.random else 1)
+    rows, along = float(REPLICATES * WAYS.first if study.random else 1), 0.0
     if study.margins is not None and study.margins.axis.moves_rows:
-        rows += REPLICATES * WAYS_CURVE.first * WAYS_CURVE.most
-    return rows, rows
+        along = float(REPLICATES * WAYS_CURVE.first * WAYS_CURVE.most)
+    # where contacts yield the rows are answered a second time
+    return rows + along, 2.0 * rows + along
 
 
 def _surrogate(study: Study, first: float) -> tuple[float, float]:

@@ -210,7 +210,7 @@ def build_results(work: Work, found: Findings) -> Results:
     study, ledger = work.study, work.ledger
     limits_open, quantities_open = find_ignorance(work, found.sampled)
     assumed = find_assumed(work, found.sampled)
-    known = Known(limits=found.sampled.limits, left_open=limits_open, margins=found.margins)
+    known = Known(limits=found.sampled.limits, left_open=limits_open, margins=found.margins, carried=found.carried)
     words, verdicts = judge(work, known, found.evidence)
     missed = [*found.sampled.missed, *(one for indices in found.sensitivity.values() for one in indices.missed)]
     told = [one.text for one in missed]

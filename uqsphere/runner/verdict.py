@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.model import Answered, scene_of, solve_scene
-from uqsphere.results.entries import Est
+from uqsphere.mechanics.outputs import absent_in
+from uqsphere.model import Answered, is_answered, scene_of, solve_scene
+from uqsphere.results.entries import CarriedEntry, Est
 from uqsphere.results.verdicts import JudgedEntry, ReasonEntry, VerdictEntry
 from uqsphere.runner.axis_rows import evaluate_at
 from uqsphere.runner.chunks import remembered
@@ -53,7 +54,8 @@ FAILURE: Final = 3
 class Evidence:
     """Rows of a run's sample with the demands of all ways to break; `along` has such rows by values of the free scalar.
 
-    `work` has the limits of the ways behind those of the file.
+    `work` has the limits of the ways behind those of the file; `static` are the same rows under the static contact law,
+    None where no face yields, or the study has such a law itself.
     """
 
     work: Work
@@ -62,6 +64,7 @@ class Evidence:
     scene: Scene
     answers: Answers
     along: Mapping[float, Sample]
+    static: Sample | None
 
     def chances(self, limits: Sequence[Limit], aim: str, sample: Sample | None = None) -> Array:
         """Probability (R, n) that the aim is missed by any of some limits, given the inputs."""
@@ -95,29 +98,62 @@ def gather(work: Work, sample: Sample) -> Evidence | None:
     """
     study, random = work.study, bool(work.scene_names)
     left = study.analysis.budget.evaluations - work.ledger.total
-    count = min(WAYS.first, sample.count, left // (sample.replicates if random else 1))
+    # the rows are answered twice, by the study's contact law and by the static one
+    count = min(WAYS.first, sample.count, left // 2 // (sample.replicates if random else 1))
     if study.black_box or count < 1 or not any(means_fracture(limit) for limit in study.limits):
         return None
-    ways = ways_of(study)
-    limits = (*study.limits, *(way.limit for way in ways.assumed))
-    asked = tuple(dict.fromkeys(limit.quantity for limit in limits))
-    wider = replace(study, limits=limits, analysis=replace(study.analysis, quantities=asked))
-    own = replace(work, study=wider, ledger=Ledger(started=work.ledger.started), fidelity="full", fallback=None,
-                  spare=True)  # fmt: skip
     head, d = sample.head(count), len(work.scene_names)
     rows = head.inputs[:, :, :d].reshape(head.size, d)[: None if random else 1]
-    scene = scene_of(wider, {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
-    tolerance = study.model.tolerance
-
-    def solved() -> Answers:
-        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=None)
-
-    answers = remembered(work.store, "verdict.full", scene, ["full", tolerance, None], solved)
-    own.ledger.evaluations["full"] = len(rows)
+    ways = ways_of(study)
+    scene = scene_of(_wider(study, ways), {name: rows[:, k] for k, name in enumerate(work.scene_names)}, len(rows))
+    lacking = {way.called: why for way in ways.assumed if (why := absent_in(scene, way.limit.quantity))}
+    ways = Ways(
+        assumed=tuple(way for way in ways.assumed if way.called not in lacking),
+        not_judged={**ways.not_judged, **lacking},
+    )
+    own = replace(work, study=_wider(study, ways), ledger=Ledger(started=work.ledger.started), fidelity="full",
+                  fallback=None, spare=True)  # fmt: skip
+    answers = _solved(own, scene)
     found = Evidence(work=own, ways=ways, sample=_with(own, head, answers), scene=scene, answers=answers,
-                     along=_along(own, left - len(rows)))  # fmt: skip
+                     along=_along(own, left - 2 * len(rows)), static=_static(own, head, scene, answers))  # fmt: skip
     work.ledger.evaluations["ways"] = own.ledger.total
     return found
+
+
+def _wider(study: Study, ways: Ways) -> Study:
+    """The study with the limits of the ways behind its own, asked for the demands of all of them."""
+    limits = (*study.limits, *(way.limit for way in ways.assumed))
+    asked = tuple(dict.fromkeys(limit.quantity for limit in limits))
+    return replace(study, limits=limits, analysis=replace(study.analysis, quantities=asked))
+
+
+def _solved(work: Work, scene: Scene) -> Answers:
+    """Every quantity of the scenes by the full model, from the store if they were asked before."""
+    tolerance = work.study.model.tolerance
+
+    def solve() -> Answers:
+        return solve_scene(scene, "full", tolerance=tolerance, threads=work.threads, quantities=None)
+
+    work.ledger.evaluations["full"] = work.ledger.evaluations.get("full", 0) + len(scene)
+    about = [scene.contact_law, scene.contact_dynamics, tolerance]
+    return remembered(work.store, f"verdict.{scene.contact_law}", scene, about, solve)
+
+
+def _static(work: Work, points: Sample, scene: Scene, elastic: Answers) -> Sample | None:
+    """The rows with the pressures, depths and energies of faces that yield under the forces of the elastic motion."""
+    if scene.contact_law != "hertz":
+        return None
+    yielding = replace(scene, contact_law="plastic", contact_dynamics="elastic")
+    onsets = [partner.face.onset for partner in yielding.partners if partner is not None and partner.face is not None]
+    rows = (
+        np.any([elastic.values["p_hertz"] > onset for onset in onsets], axis=0) if onsets else np.zeros(1, dtype=bool)
+    )
+    if not rows.any():
+        return None
+    found = _solved(work, yielding)
+    rows &= is_answered(found.status)
+    values = {name: np.where(rows, found.values[name], column) for name, column in elastic.values.items()}
+    return _with(work, points, replace(elastic, values=values))
 
 
 def _with(work: Work, points: Sample, answers: Answers) -> Sample:
@@ -200,11 +236,12 @@ def _judged_with(work: Work, limit: Limit) -> tuple[Limit, ...]:
 @dataclass(frozen=True, kw_only=True)
 class Known:
     """What a run found of its limits, by their names: probabilities, what the tests behind their laws leave open (as
-    results.json has it), and answers over the free scalar."""
+    results.json has it), answers over the free scalar, and what carriers of their strengths would answer."""
 
     limits: Mapping[str, LimitAnswer]
     left_open: Mapping[str, Mapping[str, Any]]
     margins: Mapping[str, MarginAnswer]
+    carried: Mapping[str, CarriedEntry]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,6 +297,10 @@ class _Case:
     def verdict(self, found: Estimate) -> bool | None:
         """The verdict that a probability gives."""
         return None if self.limit.target is None else target_met(found, self.limit.target)
+
+    def turns(self, found: Estimate) -> bool:
+        """Whether another probability gives another verdict."""
+        return self.verdict(found) is not self.met
 
     def chance(self, way: Way, strength: Law | float) -> Array:
         """Chances (R, n) to miss the aim by a way with some strength."""
@@ -320,6 +361,37 @@ def _verdict(case: _Case) -> tuple[str | None, list[ReasonEntry]]:
 # --- the reasons ------------------------------------------------------------------------------------------
 
 
+def _by_contact(case: _Case) -> str:
+    """(a): whether faces that yield where they were taken for elastic turn the verdict."""
+    evidence = case.evidence
+    if evidence is None or evidence.static is None or not means_fracture(case.limit):
+        return ""
+    found = _more(case.miss, evidence.chances(case.given, case.aim, evidence.static) - case.before)
+    return f"where contacts yield the probability of a miss is {_percent(found)}" if case.turns(found) else ""
+
+
+def _by_carriers(case: _Case) -> str:
+    """(b): whether the strength carried from its test by force, by energy or by centre tension turns the verdict."""
+    for one in case.given:
+        carried, own = case.known.carried.get(one.name), case.own(one).value
+        if carried is None or own is None or one.aim != case.aim:
+            continue
+        found = {name: _shifted(case.miss, miss, own) for name, miss in carried.miss.items() if miss.value is not None}
+        if any(case.turns(miss) for miss in found.values()):
+            told = [f"{_percent(miss)} by {name}" for name, miss in found.items()]
+            return f"the strength of {one.name} carried from its test gives a probability of a miss of {_listed(told)}"
+    return ""
+
+
+def _shifted(base: Estimate, instead: Est, own: float) -> Estimate:
+    """A probability with that of one of its limits, `own`, replaced."""
+    value, low, high = (
+        min(max((end or 0.0) + (base.value or 0.0) - own, 0.0), 1.0)
+        for end in (instead.value, instead.low, instead.high)
+    )
+    return replace(base, value=value, low=low, high=high)
+
+
 def _by_assumed(case: _Case) -> str:
     """(c): whether a way with an assumed strength turns the verdict somewhere in the 95 % range of that strength."""
     if case.evidence is None:
@@ -329,12 +401,12 @@ def _by_assumed(case: _Case) -> str:
     for way in case.ways:
         chances = [case.chance(way, law) for law in (way.weak, way.limit.strength, way.strong)]
         found = [case.with_ways([chance]) for chance in chances]
-        if any(case.verdict(one) is not case.met for one in found):
+        if any(case.turns(one) for one in found):
             turning.append(way.called)
         ends.append(max(chances, key=lambda chance: float(chance.mean())))
     if turning:
         return f"it turns on {_listed(turning)}, with strengths assumed from the library"
-    if ends and case.verdict(together := case.with_ways(ends)) is not case.met:
+    if ends and case.turns(together := case.with_ways(ends)):
         return f"it turns on all ways with assumed strengths together: up to {_percent(together)}"
     return ""
 
@@ -381,6 +453,8 @@ def _by_made_up(case: _Case) -> str:
 
 #: the tests of a verdict by their code, each a text where it finds it not established
 _TESTS: Final[dict[str, Callable[[_Case], str]]] = {
+    "a": _by_contact,
+    "b": _by_carriers,
     "c": _by_assumed,
     "d": _by_tests,
     "e": _by_checks,
