@@ -173,7 +173,8 @@ class CheckEntry(Part):
 class CarriedEntry(Part):
     """A strength carried from its test by each carrier: the free number at the target, `solve`, or where nothing is
     solved for the probability of missing the aim; the carriers with the lowest and the highest number; by each carrier
-    the probability of missing the aim as planned, and whether the target is met."""
+    the probability of missing the aim as planned, whether the target is met, and the free number at every probability
+    of exceeding that is asked for."""
 
     NEEDS = ("force", "energy", "centre", "lowest", "highest")
 
@@ -185,6 +186,7 @@ class CarriedEntry(Part):
     highest: StrictStr = ""
     miss: dict[Name, Probability] = Field(default_factory=dict)
     met: dict[Name, StrictBool | None] = Field(default_factory=dict)
+    values: dict[Name, Quantiles] = Field(default_factory=dict)
 
     def by_carrier(self) -> dict[str, Est]:
         """What each carrier answers."""

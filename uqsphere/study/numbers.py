@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from uqsphere.quantities import INPUTS, format_value
+from uqsphere.study.axis import SHARE_WORTH_A_WORD
 from uqsphere.study.columns import open_observations, unit_factor
 from uqsphere.study.document import EmpiricalTable
 from uqsphere.study.faults import Findings, Misplaced, Place, Raw, one_of, shown, suggestion
@@ -19,8 +20,6 @@ from uqsphere.uq.law import Law, make_law
 
 #: parameters of a law that are values of the quantity itself
 _WHERE: Final = ("mean", "mode", "lower", "upper")
-#: More than this share of a law outside what has a meaning is worth a warning.
-_SHARE_WORTH_A_WORD: Final = 1e-6
 #: standard deviation over mean of a positive number that is worth a warning, and that is refused
 _WIDE: Final = 3.0
 _TOO_WIDE: Final = 1000.0
@@ -245,7 +244,7 @@ def _inside(law: Law, place: Place, quantity: Quantity, findings: Findings) -> b
                 return False
         return True
     share = _share_outside(law, quantity)
-    if share > _SHARE_WORTH_A_WORD:
+    if share > SHARE_WORTH_A_WORD:
         # A strength below nothing is exceeded by anything; a scene of such numbers cannot be computed at all.
         effect = "these samples count as failed evaluations: " if quantity.name in INPUTS else ""
         findings.warn(

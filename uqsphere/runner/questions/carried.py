@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from uqsphere.mechanics.carried import CARRIERS, carried_parameters
 from uqsphere.results.entries import CarriedEntry
 from uqsphere.runner.evaluate import OutOfBudget, Work, evaluate_sample
 from uqsphere.runner.limits import LimitAnswer, judge_limits
-from uqsphere.runner.questions.curves import curves_along
+from uqsphere.runner.questions.curves import CurveFound, curves_along
 from uqsphere.runner.questions.distributions import Sampled
 from uqsphere.runner.questions.margins import decisive
 from uqsphere.runner.schedule import CARRIED
 from uqsphere.study import Limit
-from uqsphere.uq.estimate import Estimate, absent
+from uqsphere.uq.estimate import absent
 
 #: share of the budget for the curves of one carrier: with the sample and the margins less than half of it
 CURVES: Final = 0.05
@@ -47,8 +47,8 @@ def find_carried(work: Work, sampled: Sampled) -> dict[str, CarriedEntry]:
         carrier: judge_limits(asked, sample, [limit.quantity for limit in carried])
         for carrier, carried in demands.items()
     }
-    values = {carrier: _values(asked, carried, carrier) for carrier, carried in demands.items()}
-    return {limit.name: _entry(work, limit, answers, values) for limit in limits}
+    curves = {carrier: _curves(asked, carried, carrier) for carrier, carried in demands.items()}
+    return {limit.name: _entry(work, limit, answers, curves) for limit in limits}
 
 
 def _carried(limit: Limit, carrier: str) -> Limit:
@@ -59,35 +59,38 @@ def _carried(limit: Limit, carrier: str) -> Limit:
     return replace(limit, quantity=f"{base}.{limit.name}@{carrier}", criterion=base, parameters=parameters)
 
 
-def _values(work: Work, limits: Sequence[Limit], carrier: str) -> dict[str, Estimate]:
-    """The value of the free scalar at each limit's target; empty where nothing is solved for."""
+def _curves(work: Work, limits: Sequence[Limit], carrier: str) -> dict[str, CurveFound | str]:
+    """The curve of each limit along the free scalar; empty where nothing is solved for."""
     margins = work.study.margins
     if margins is None or not margins.axis.moves_rows:
         return {}
     most = int(CURVES * work.study.analysis.budget.evaluations)
     try:
-        found = curves_along(work, limits, most=most, tag=f"-carried-{carrier}", called=f" by {carrier}")
+        return curves_along(work, limits, most=most, tag=f"-carried-{carrier}", called=f" by {carrier}")
     except OutOfBudget:
         return {}
-    answers = {}
-    for limit in limits:
-        curve = found[limit.name]
-        p = decisive(work, limit)
-        answers[limit.name] = absent(curve, "none", 0) if isinstance(curve, str) else curve.value_at(p)
-    return answers
 
 
 def _entry(
     work: Work,
     limit: Limit,
     answers: Mapping[str, Mapping[str, LimitAnswer]],
-    values: Mapping[str, Mapping[str, Estimate]],
+    curves: Mapping[str, Mapping[str, CurveFound | str]],
 ) -> CarriedEntry:
     """The entry of results.json: the free number where one is solved for, else the probability of missing the aim."""
     margins = work.study.margins
     miss = {carrier: answers[carrier][limit.name].miss for carrier in CARRIERS}
-    solved = all(limit.name in values[carrier] for carrier in CARRIERS)
-    told = {carrier: values[carrier][limit.name] for carrier in CARRIERS} if solved else miss
+    told, values = miss, dict[str, dict[str, Any]]()
+    solved = margins is not None and all(limit.name in curves[carrier] for carrier in CARRIERS)
+    if solved:
+        p, told = decisive(work, limit), {}
+        for carrier in CARRIERS:
+            found = curves[carrier][limit.name]
+            if isinstance(found, str):
+                told[carrier] = absent(found, "none", 0)
+                continue
+            told[carrier] = found.value_at(p)
+            values[carrier] = {f"{at:.15g}": estimate.as_dict() for at, estimate in found.values.items()}
     known = {carrier: one.value for carrier, one in told.items() if one.value is not None}
     return CarriedEntry.model_validate({
         "solve": margins.axis.path if solved and margins is not None else "",
@@ -96,4 +99,5 @@ def _entry(
         "highest": max(known, key=lambda carrier: known[carrier], default=""),
         "miss": {carrier: one.as_dict() for carrier, one in miss.items()},
         "met": {carrier: answers[carrier][limit.name].met for carrier in CARRIERS},
+        **({"values": values} if values else {}),
     })  # fmt: skip
