@@ -1,0 +1,206 @@
+"""The same strength, at the same probability of fracture, as a striker's speed, a closing speed, a drop and a blow.
+
+    python -m reports.same_strength              # the tables as Markdown; some two minutes
+
+Three shipped strengths are carried from their tests to free impact on a thick plate of steel (210 GPa), square on, as a
+service of the study they come from: by the criterion itself (equal local stress), by energy and by centre tension.  The
+last columns are those of a drop weight on a rigid anvil that is far heavier than the sphere: at equal force it takes
+twice the energy of free impact, (R15).  The second table has what faces that yield do to the speed for a force, (R23).
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+import uqsphere
+from uqsphere.arrays import Array
+from uqsphere.mechanics import contact
+from uqsphere.mechanics.impact import light_sphere_constant
+from uqsphere.mechanics.rigs import GRAVITY
+from uqsphere.model import scene_of, solve_scene
+from uqsphere.results import Results
+from uqsphere.study import Study, shipped_studies
+from uqsphere.study.axis import with_number
+from uqsphere.study.services import as_toml
+
+#: the plate that every sphere strikes
+PLATE: Final = {"kind": "thick", "E": "210 GPa", "nu": 0.3, "density": "7850 kg/m3"}
+#: accuracies at which the figures of the tables stand, in minutes rather than hours
+_ROUGH: Final = {"mean": 0.5, "quantile": 0.5, "sobol": 0.5, "probability": 0.5, "curve": 0.01}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A shipped study and a limit of it, and the probabilities of its rows; `striker`: whether bars are solved for."""
+
+    study: str
+    limit: str
+    about: str
+    probabilities: tuple[float, ...]
+    striker: bool = True
+
+
+CASES: Final = (
+    Case(study="limestone_margin", limit="whole", about="limestone 20 mm, core tension by tests",
+         probabilities=(0.001, 0.01, 0.5, 0.95)),
+    Case(study="granite", limit="crushing", about="granite 20 mm, p_max", probabilities=(0.002, 0.01, 0.5)),
+    Case(study="limestone_ball_slow", limit="crushing", about="limestone 16 mm, p_max 2.5 GPa",
+         probabilities=(0.01, 0.5, 0.99), striker=False),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One probability of one case: speeds [m/s], the force at the closing speed [N], the energy of a weight [J, J/kg]."""
+
+    case: Case
+    probability: float
+    striker: float | None
+    local: float
+    energy: float
+    centre: float
+    force: float
+    weight: float
+    specific: float
+
+    def text(self) -> str:
+        """A row of the table."""
+        striker = "–" if self.striker is None else f"{self.striker:.3g}"
+        drop = f"{self.local:.3g} ({self.local**2 / (2.0 * GRAVITY):.3g} m)"
+        cells = (self.case.about, f"{100.0 * self.probability:g} %", striker, drop, f"{self.energy:.3g}",
+                 f"{self.centre:.3g}", f"{1e-3 * self.force:.3g} kN", f"{self.weight:.3g} J, {self.specific:.3g} J/kg")  # fmt: skip
+        return f"| {' | '.join(cells)} |"
+
+
+def with_service(case: Case, folder: Path, evaluations: int) -> Path:
+    """The shipped study with the limit asked of a free impact as well, for so many evaluations; where it stands."""
+    source = shipped_studies()[case.study]
+    for data in source.parent.glob("*.csv"):
+        (folder / data.name).write_bytes(data.read_bytes())
+    with source.open("rb") as file:
+        content = tomllib.load(file)
+    own = content["limits"][case.limit]
+    asked = {"for_probability": list(case.probabilities)}
+    content["limits"] = {"struck": {**own, "in": "plate"}, **({case.limit: own} if case.striker else {})}
+    tied = content.get("dependence", [])
+    old = f"limits.{case.limit}.strength"
+    both = [{**tie, "of": [new if name == old else name for name in tie["of"]]}
+            for tie in tied for new in ("limits.struck.strength", *([old] if case.striker else []))]  # fmt: skip
+    content["service"] = {
+        "plate": {"kind": "impact", "speed": "5 m/s", "target": PLATE, "solve": "speed", "between": ["0.2 m/s", "90 m/s"]}
+    }
+    if case.striker:
+        content["margins"] = {"solve": "striker.speed", "between": ["0.05 m/s", "20 m/s"], **asked}
+    else:
+        for table in ("bars", "striker", "pulse"):
+            del content[table]
+        content["rig"] = {"kind": "none"}
+        content["limits"]["struck"]["platens"] = {key: PLATE[key] for key in ("E", "nu")}
+        content["margins"] = asked
+    content["analysis"] = {"accuracy": _ROUGH, "quantities": ["P_max"], "methods": ["pce"], "ways": "given",
+                           "budget": {"evaluations": evaluations, "time": "10 min"}}  # fmt: skip
+    path = folder / f"{case.study}.toml"
+    path.write_text(as_toml({**content, "dependence": both}), encoding="utf-8")
+    return path
+
+
+def rows_of(case: Case, evaluations: int = 400_000) -> list[Row]:
+    """The rows of a case, from a run of its study."""
+    with tempfile.TemporaryDirectory() as place:
+        study = uqsphere.load_study(with_service(case, Path(place), evaluations))
+        results = uqsphere.run(study, out=Path(place) / "run").results
+    plate, service = study.services["plate"], results.services["plate"]
+    carried = service.limits["struck"].carried.values
+    rows = []
+    for p in case.probabilities:
+        key = f"{p:.15g}"
+        local = service.margins["struck"].values[key].number
+        force, weight, specific = _at_means(plate, local)
+        rows.append(
+            Row(case=case, probability=p, striker=_striker(results, case, key), local=local,
+                energy=carried["energy"][key].number, centre=carried["centre"][key].number,
+                force=force, weight=weight, specific=specific)  # fmt: skip
+        )
+    return rows
+
+
+def _striker(results: Results, case: Case, key: str) -> float | None:
+    return results.margins[case.limit].values[key].number if case.striker else None
+
+
+def _at_means(study: Study, speed: float) -> tuple[float, float, float]:
+    """Peak force of the mean sphere at a closing speed, and the energy of a weight on a rigid anvil that has it."""
+    scene = scene_of(study, {"rig.speed": np.array([speed])})
+    answers = solve_scene(scene, "full", tolerance=1e-9, threads=1, quantities=("P_max",))
+    force, scales = float(answers.values["P_max"][0]), scene.scales
+    beta = light_sphere_constant(scales.hertz_constant, scales.hertz_constant)
+    approach = contact.approach_at_force(force, beta)
+    energy = float(contact.contact_energy(approach, beta)[0])
+    return force, energy, energy / float(scales.mass[0])
+
+
+# --- faces that yield ---------------------------------------------------------------------------------------
+
+
+def speeds_for_forces(study: Study, forces: Array) -> Array:
+    """Closing speeds (n,) [m/s] at which the mean sphere has peak forces [N], by bisection of the scenes themselves."""
+    low, high = np.full(forces.shape, np.log(1e-2)), np.full(forces.shape, np.log(290.0))
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        scene = scene_of(study, {"rig.speed": np.exp(middle)})
+        found = solve_scene(scene, "full", tolerance=1e-9, threads=1, quantities=("P_max",)).values["P_max"]
+        low, high = np.where(found < forces, middle, low), np.where(found < forces, high, middle)
+    return np.asarray(np.exp(0.5 * (low + high)))
+
+
+def yielding(study: Study, numbers: Mapping[str, float]) -> Study:
+    """A study of free impact whose faces yield, with more numbers (SI) by their paths."""
+    moved = replace(study, options={**study.options, "contact.law": "plastic"})
+    for path, value in numbers.items():
+        moved = with_number(moved, path, value)
+    return moved
+
+
+def yielding_rows(forces: Sequence[float]) -> list[tuple[float, ...]]:
+    """Force [N]; closing speed by Hertz; with a target of 834 MPa; with a limestone pole of onset 0.75, hardness 1.5 GPa."""
+    with tempfile.TemporaryDirectory() as place:
+        study = uqsphere.load_study(with_service(CASES[0], Path(place), 1)).services["plate"]
+    steel = yielding(study, {"target.yield_strength": 834e6})
+    rock = yielding(study, {"sphere.onset_pressure": 0.75e9, "sphere.hardness": 1.5e9})
+    wanted = np.array(forces)
+    columns = [wanted, *(speeds_for_forces(one, wanted) for one in (study, steel, rock))]
+    return [tuple(row) for row in np.stack(columns, axis=1).tolist()]
+
+
+def tables() -> tuple[list[Row], list[tuple[float, ...]]]:
+    """Rows of both tables."""
+    rows = [row for case in CASES for row in rows_of(case)]
+    limestone = [row.force for row in rows if row.case is CASES[0]]
+    return rows, yielding_rows(limestone)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print both tables."""
+    rows, yields = tables()
+    header = ("strength", "p(break)", "striker, m/s", "equal local stress, m/s (drop)", "equal energy", "centre", "force",
+              "drop weight")  # fmt: skip
+    print(f"| {' | '.join(header)} |\n|{'---|' * len(header)}")
+    print("\n".join(row.text() for row in rows))
+    print("\n| force | elastic, m/s | steel of 834 MPa | limestone crushes, 0.75/1.5 GPa |\n|---|---|---|---|")
+    for force, elastic, *others in yields:
+        cells = (f"{speed:.3g} ({100.0 * (speed / elastic - 1.0):+.0f} %)" for speed in others)
+        print(f"| {1e-3 * force:.3g} kN | {elastic:.3g} | {' | '.join(cells)} |")
+    return 0
+
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
