@@ -151,6 +151,16 @@ def _known(values: Iterable[float | None]) -> list[float]:
     return [float(value) for value in values if value is not None]
 
 
+def _of_courses(courses: Mapping[str, Any] | None) -> dict[str, list[float]]:
+    """The largest pressure, tension and force of the hardest scene, where forces were followed."""
+    if courses is None:
+        return {}
+    hardest = courses["hardest"]
+    contact, force = hardest.get("contact"), max(max(hardest["force_a"]), max(hardest["force_b"]))
+    pressed = {} if contact is None else {"p_max": [contact["pressure"]], "core_tension": [0.05 * contact["pressure"]]}
+    return {**pressed, "P_max": [force]}
+
+
 def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[str, str]:
     """The unit of every quantity and input by name.
 
@@ -186,11 +196,7 @@ def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[s
             second.setdefault(name, []).extend(_known(e.value for e in estimates))
         for key, name in _NUMBERS.items():
             second.setdefault(name, []).extend(_known([results.model.numbers.get(key)]))
-    if courses is not None:
-        contact = courses["hardest"].get("contact")
-        if contact is not None:
-            second.setdefault("p_max", []).append(contact["pressure"])
-            second.setdefault("core_tension", []).append(0.05 * contact["pressure"])
-        second.setdefault("P_max", []).append(max(map(max, (courses["hardest"][f] for f in ("force_a", "force_b")))))
+    for name, values in _of_courses(courses).items():
+        second.setdefault(name, []).extend(values)
     groups = {**{name: values for name, values in second.items() if values}, **first}
     return {name: unit_that_reads(name, values) for name, values in groups.items() if lookup(name).display}

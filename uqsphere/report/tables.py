@@ -209,66 +209,15 @@ def _paper_number(value: float | None, name: str, unit: str) -> str:
     return ABSENT if value is None else value_text(value, name or _LIKE.get(unit, ""), 5)
 
 
-def _half(estimate: Est) -> float | None:
-    if estimate.value is None or estimate.low is None or estimate.high is None:
-        return None
-    return 0.5 * float(estimate.high - estimate.low)
-
-
-def accuracy_table(contents: Contents) -> Table:
+def accuracy_table(contents: Contents) -> Table | None:
     """Half-widths asked and reached and what the rest would take, one row per question."""
     told = contents.results.accuracy.questions
-    if told:
-        return Table(
-            caption="Half-widths of the 95 % intervals, asked and reached",
-            rows=tuple(_question_row(row) for row in told),
-            header=("question", "asked", "reached", "", "it would take"),
-        )
-    asked = contents.resolved.analysis.accuracy
-    rows: list[tuple[str, ...]] = []
-
-    def add(question: str, reached: float | None, allowed: float) -> None:
-        # rounding must not turn a miss into a hit
-        verdict = ABSENT if reached is None else ("reached" if reached <= allowed else "not reached")
-        text = ABSENT if reached is None else number_text(told_apart(reached, allowed))
-        rows.append((question, f"{allowed:g}", text, verdict))
-
-    for name, entry in contents.results.quantities.items():
-        sd = entry.sd.value
-        widths = [w for w in map(_half, entry.quantiles.values()) if w is not None]
-        mean = _half(entry.mean)
-        add(
-            f"mean of {symbol(name)}, over its standard deviation",
-            mean / sd if sd and mean is not None else None,
-            asked.mean,
-        )
-        add(
-            f"worst quantile of {symbol(name)}, over its standard deviation",
-            max(widths) / sd if sd and widths else None,
-            asked.quantile,
-        )
-    for name, indices in contents.results.sensitivity.items():
-        tied = indices.kucherenko
-        found = [indices.first, indices.total, indices.shapley, tied.first, tied.total]
-        widths = [w for table in found for w in map(_half, table.values()) if w is not None]
-        kind = "Shapley effect or index" if indices.shapley else "Sobol’ index"
-        add(f"worst {kind} of {symbol(name)}", max(widths, default=None), asked.sobol)
-    for name, limit in contents.results.limits.items():
-        width, value = _half(limit.miss), limit.miss.value
-        add(
-            f"probability of missing {limit_name(name)}, over itself",
-            width / value if width is not None and value else None,
-            asked.probability,
-        )
-    for name, margin in contents.results.margins.items():
-        band = margin.band
-        if band:
-            question = f"band of the curve of {limit_name(name)}, over the smaller side of its probability"
-            add(question, band.half_width, band.asked)
+    if not told:
+        return None
     return Table(
         caption="Half-widths of the 95 % intervals, asked and reached",
-        rows=tuple(rows),
-        header=("question", "asked", "reached", ""),
+        rows=tuple(_question_row(row) for row in told),
+        header=("question", "asked", "reached", "", "it would take"),
     )
 
 

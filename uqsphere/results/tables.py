@@ -111,18 +111,16 @@ def _margin_tables(results: Results) -> Tables:
         [name, entry.quantity, entry.unit, p, *_row(e)] for name, entry in over.items() for p, e in entry.values.items()
     ]
     curves: list[Row] = [[name, *point] for name, entry in margins.items() for point in entry.curve]
-    families = [(name, entry, entry.family) for name, entry in margins.items() if entry.family]
-    members = [(name, entry, family.path, member) for name, entry, family in families for member in family.members]
-    if members:
+    family: tuple[str, ...] = ()
+    if any(entry.family for entry in margins.values()):
+        family = ("family", "family_value")
         # the curves of the study itself have no value of a family
         values, curves = ([[*row, "", ""] for row in rows] for rows in (values, curves))
-        values += [
-            [name, entry.solve, entry.unit, p, *_row(e), path, member.value]
-            for name, entry, path, member in members
-            for p, e in member.values.items()
-        ]
-        curves += [[name, *point, path, member.value] for name, _, path, member in members for point in member.curve]
-    family = ("family", "family_value") if members else ()
+        for name, entry in margins.items():
+            for member in entry.family.members:
+                of = [entry.family.path, member.value]
+                values += [[name, entry.solve, entry.unit, p, *_row(e), *of] for p, e in member.values.items()]
+                curves += [[name, *point, *of] for point in member.curve]
     curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
     found: Tables = {
         "margins": (("limit", "solve", "unit", "exceedance", *_ESTIMATE, *family), values),
@@ -134,21 +132,34 @@ def _margin_tables(results: Results) -> Tables:
     return found
 
 
-def tables(results: Results) -> dict[str, str]:
-    """CSV tables by file name."""
-    index_rows = [
+def _index_rows(results: Results) -> list[Row]:
+    return [
         [quantity, order, name, *_row(estimate)]
         for quantity, entry in results.sensitivity.items()
         for order, table in entry.orders()
         for name, estimate in table.items()
     ]
+
+
+def _analysis_rows(results: Results) -> list[Row]:
+    return [
+        [analysis, quantity, of, statistic, *_row(estimate)]
+        for analysis, entry in results.analyses.items()
+        for quantity, table in entry.values.items()
+        for of, columns in table.items()
+        for statistic, estimate in columns.items()
+    ]
+
+
+def tables(results: Results) -> dict[str, str]:
+    """CSV tables by file name."""
     inputs = [[n, e.dist, e.mean, e.sd, e.unit] for n, e in results.inputs.items()]
     checks = [[c.check, c.share, c.worst, c.text] for c in results.validity]
     speed = [[r.method, r.quantity, r.evaluations, r.error, r.error_kind] for r in results.speed_error]
     found: Tables = {
         "inputs": (("input", "distribution", "mean", "sd", "unit"), inputs),
         "quantities": (("quantity", "unit", "statistic", *_ESTIMATE), _quantity_rows(results)),
-        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), index_rows),
+        "sensitivity": (("quantity", "order", "input", *_ESTIMATE), _index_rows(results)),
         "drivers": (("of", "statistic", "input", *_ESTIMATE, "tests"), _driver_rows(results)),
         "limits": (("limit", "statistic", *_ESTIMATE), _limit_rows(results)),
         **_margin_tables(results),
@@ -158,14 +169,7 @@ def tables(results: Results) -> dict[str, str]:
     if results.fracture:
         found["fracture"] = (("statistic", "of", "unit", *_ESTIMATE), _fracture_rows(results.fracture))
     if results.analyses:
-        rows = [
-            [analysis, quantity, of, statistic, *_row(estimate)]
-            for analysis, entry in results.analyses.items()
-            for quantity, table in entry.values.items()
-            for of, columns in table.items()
-            for statistic, estimate in columns.items()
-        ]
-        found["analyses"] = (("analysis", "quantity", "of", "statistic", *_ESTIMATE), rows)
+        found["analyses"] = (("analysis", "quantity", "of", "statistic", *_ESTIMATE), _analysis_rows(results))
     if results.paper:
         found["paper"] = (
             ("quantity", "unit", "as_printed", "corrected", "full", "note"),

@@ -121,6 +121,12 @@ def price(work: Work) -> Priced:
     undecided = study.black_box and study.random and "auto" in study.analysis.methods
     if not undecided or study.analysis.cost is not None or budget.evaluations < SURROGATE.first:
         return Priced(way=way, cost=study.analysis.cost)
+    cost, design = _cost(work)
+    return Priced(way=choose_way(study, cost, work.seconds), cost=cost, design=design)
+
+
+def _cost(work: Work) -> tuple[float, Sample]:
+    """Seconds of an evaluation, of the first runs or as an earlier run has timed them, and those runs."""
     kept = work.store.load(COST) if work.store is not None else None
     design, first = _timed(work, None, FEW)
     if kept is not None and kept.shape == (1,) and kept[0] >= 0.0:
@@ -137,8 +143,7 @@ def price(work: Work) -> Priced:
             cost = _timed(replace(work, store=None, spare=True), None, FEW)[1] or 0.0
         if work.store is not None:
             work.store.save(COST, np.array([cost]))
-    way = choose_way(study, cost, work.seconds)
-    return Priced(way=way, cost=cost, design=design)
+    return cost, design
 
 
 # --- the question -----------------------------------------------------------------------------------
@@ -495,11 +500,13 @@ def _refused(quantity: str, one: Response | None) -> Missed:
 
 def keep_answers(work: Work, sampled: Sampled, one: Expensive) -> Sampled:
     """Sampled distributions and limits, with those of surrogates where sampling fell short and they did less."""
-    descriptions, limits, usable = dict(sampled.descriptions), dict(sampled.limits), one.question.usable
-    for name, described in one.question.found.descriptions.items():
-        lacks = _lack(work, {name: descriptions[name]}, {})
-        if name in usable and 1.0 < lacks > _lack(work, {name: described}, {}):
-            descriptions[name] = described
+    limits, usable = dict(sampled.limits), one.question.usable
+    descriptions = dict(sampled.descriptions) | {
+        name: described
+        for name, described in one.question.found.descriptions.items()
+        if name in usable
+        and 1.0 < _lack(work, {name: sampled.descriptions[name]}, {}) > _lack(work, {name: described}, {})
+    }
     for name, limit in one.question.found.limits.items():
         lacks = _lack(work, {}, {name: limits[name]})
         if limit.quantity in usable and 1.0 < lacks > _lack(work, {}, {name: limit}):

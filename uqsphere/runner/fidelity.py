@@ -250,12 +250,7 @@ def first_look(work: Work) -> Pilot:
     candidates = tuple(look.candidate(fidelity, same, row_cost(full), scatter) for fidelity in tried)
     taken = _choose(candidates, bound) if asked == "auto" else None
     chosen = taken.fidelity if taken else ("full" if asked == "auto" else asked)
-    measured: Mapping[str, float | None] = {}
-    if chosen != "full":
-        measured = _measured(taken, candidates)
-    elif count > 1:
-        closer = look.solve(few, "full", max(1e-12, 0.01 * study.model.tolerance), work.quantities)
-        measured = _summary(differences(same, closer, work.quantities, scatter), work.quantities)
+    measured = _measured(taken, candidates) if chosen != "full" else look.own_error(same, scatter) if count > 1 else {}
     return Pilot(
         chosen=chosen,
         why=_why(asked, chosen, taken, measured, candidates, bound),
@@ -299,6 +294,12 @@ class _Look:
         """A cheaper fidelity beside the full model, a row of which has such a cost, on the same rows."""
         cheap = self.solve(self.few, fidelity, self.work.study.model.tolerance, self.work.quantities)
         return _candidate(fidelity, cheap, full, self.few, self.work, scatter, row_cost(cheap) / cost)
+
+    def own_error(self, full: Answers, scatter: Array) -> Mapping[str, float | None]:
+        """What the full model is off by at its tolerance, by quantity: beside one a hundred times closer."""
+        tolerance = max(1e-12, 0.01 * self.work.study.model.tolerance)
+        closer = self.solve(self.few, "full", tolerance, self.work.quantities)
+        return _summary(differences(full, closer, self.work.quantities, scatter), self.work.quantities)
 
 
 def _first(answers: Answers, count: int) -> Answers:

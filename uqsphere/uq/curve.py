@@ -12,7 +12,7 @@ docs/theory.md derives the interval.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
@@ -137,28 +137,28 @@ def _bases(dimension: int, values: int, most: int) -> list[Degrees]:
     """Terms (T, 1 + d) to be tried, degree of the scalar first: from the constant on, while rows and values allow."""
     found, sizes = [np.zeros((1, 1 + dimension), dtype=np.int64)], {1}
     for total in range(1, HIGHEST + 1):
-        power = min(2 * total + 1, values - 1)
-        alone = {(a, *([0] * dimension)) for a in range(power + 1)}
-        one = {
-            (a, *(b if k == i else 0 for k in range(dimension)))
-            for i in range(dimension)
-            for b in range(1, total + 1)
-            for a in range(min(total, values - 1) + 1)
-            if b == 1 or a == 0
-        }
-        found_now = [alone | one]
+        tried = [_sparse_terms(dimension, values, total)]
         if math.comb(total + 1 + dimension, total) <= min(most, MOST_TERMS):
-            full = {
-                tuple(combination.count(k) for k in range(1 + dimension))
-                for degree in range(total + 1)
-                for combination in combinations_with_replacement(range(1 + dimension), degree)
-            }
-            found_now.append(alone | one | {term for term in full if term[0] < values})
-        for terms in found_now:
+            tried.append(tried[0] | {term for term in _all_terms(1 + dimension, total) if term[0] < values})
+        for terms in tried:
             if len(terms) <= min(most, MOST_TERMS) and len(terms) not in sizes:
                 sizes.add(len(terms))
                 found.append(np.array(sorted(terms), dtype=np.int64))
     return sorted(found, key=len)
+
+
+def _sparse_terms(dimension: int, values: int, total: int) -> set[tuple[int, ...]]:
+    """The scalar alone to twice the degree, and every input alone or once with the scalar."""
+    alone = {(a, *([0] * dimension)) for a in range(min(2 * total + 1, values - 1) + 1)}
+    powers = [(a, 1) for a in range(min(total, values - 1) + 1)] + [(0, b) for b in range(2, total + 1)]
+    return alone | {(a, *(b if k == i else 0 for k in range(dimension))) for i in range(dimension) for a, b in powers}
+
+
+def _all_terms(size: int, total: int) -> Iterator[tuple[int, ...]]:
+    """Degrees of all products of `size` variables up to a total degree."""
+    for degree in range(total + 1):
+        for combination in combinations_with_replacement(range(size), degree):
+            yield tuple(combination.count(k) for k in range(size))
 
 
 def _chebyshev(u: Array, count: int) -> Array:

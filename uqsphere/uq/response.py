@@ -606,11 +606,15 @@ def _parts(fit: Chaos, asked: Sequence[Subset], number: int, points: Array) -> _
     return _Parts(numerators=np.asarray(numerators), deviation=deviation, mean=mean, rows=np.asarray(parts.T))
 
 
+def _parts_of(asked: Sequence[Subset]) -> list[tuple[int, ...]]:
+    """Every subset that is asked for and each of its inputs alone."""
+    return sorted({part for subset in asked for part in (subset.members, *((j,) for j in subset.members))})
+
+
 def _sampled(fit: Chaos, asked: Sequence[Subset], number: int) -> Array:
     """Shares (m,) of an expansion that was transformed or split, sampled on one design."""
     inputs = set(active_inputs(fit))
-    subsets = sorted({part for subset in asked for part in (subset.members, *((j,) for j in subset.members))})
-    known = [subset for subset in subsets if set(subset) & inputs]
+    known = [subset for subset in _parts_of(asked) if set(subset) & inputs]
     found = dict(zip(known, law_shares(fit, [list(subset) for subset in known], number), strict=True))
 
     def share(members: tuple[int, ...], column: int) -> float:
@@ -646,7 +650,7 @@ def _drawn_shares(response: Response, fold: int, asked: Sequence[Subset], seed: 
     """What drawing the response of a fold in along each of d inputs moves shares by, (d, m), at the same points."""
     fit = response.fits[fold]
     one, other = (points[:POINTS] for points in law_points(fit.germs, _number(seed, fold)))
-    subsets = sorted({part for subset in asked for part in (subset.members, *((j,) for j in subset.members))})
+    subsets = _parts_of(asked)
     where = [one, other]
     for subset in subsets:
         mixed = one.copy()

@@ -132,6 +132,16 @@ def _chain(d: int) -> list[int]:
 # --- from outputs to estimates --------------------------------------------------------------------------
 
 
+def _check(design: SubsetDesign, outputs: Array, orders: Orders | None) -> None:
+    """Raises ValueError for what does not fit the design, or is not finite."""
+    if outputs.ndim != 3 or outputs.shape[2] != design.rows or outputs.shape[1] < 2:
+        raise ValueError(f"outputs must have shape (R, N, {design.rows}), N >= 2; found {outputs.shape}")
+    if not np.isfinite(outputs).all():
+        raise ValueError(f"{int((~np.isfinite(outputs)).sum())} outputs are not finite: drop those rows first")
+    if not design.exact and (orders is None or orders.shape != (*outputs.shape[:2], design.inputs)):
+        raise ValueError("a design of random orders needs the order at every base point")
+
+
 def shapley_estimates(design: SubsetDesign, outputs: Array, orders: Orders | None = None) -> dict[str, list[Estimate]]:
     """{"shapley", "first", "total"} of every input from outputs (R, N, rows) of R independent randomisations.
 
@@ -141,11 +151,8 @@ def shapley_estimates(design: SubsetDesign, outputs: Array, orders: Orders | Non
     not finite or shapes that do not fit.
     """
     outputs = np.asarray(outputs, dtype=float)
+    _check(design, outputs, orders)
     d = design.inputs
-    if outputs.ndim != 3 or outputs.shape[2] != design.rows or outputs.shape[1] < 2:
-        raise ValueError(f"outputs must have shape (R, N, {design.rows}), N >= 2; found {outputs.shape}")
-    if not np.isfinite(outputs).all():
-        raise ValueError(f"{int((~np.isfinite(outputs)).sum())} outputs are not finite: drop those rows first")
     method = "pairs of runs, all subsets" if design.exact else "pairs of runs, random orders"
     base = outputs[:, :, 0]
     if np.any(np.ptp(base, axis=1) <= 1e-14 * np.abs(base).max(axis=1)):
@@ -160,12 +167,11 @@ def shapley_estimates(design: SubsetDesign, outputs: Array, orders: Orders | Non
     replicates = outputs.shape[0]
     closed[()] = (0.0, np.zeros(replicates))
     closed[tuple(range(d))] = (1.0, np.zeros(replicates))
-    if design.exact:
-        shapley = [_aggregate(closed, d, i) for i in range(d)]
-    else:
-        if orders is None or orders.shape != (*outputs.shape[:2], d):
-            raise ValueError("a design of random orders needs the order at every base point")
-        shapley = _walk(design, outputs, orders)
+    shapley = (
+        [_aggregate(closed, d, i) for i in range(d)]
+        if design.exact or orders is None
+        else _walk(design, outputs, orders)
+    )
     first = [closed[(i,)] for i in range(d)]
     rest = [closed[tuple(j for j in range(d) if j != i)] for i in range(d)]
 

@@ -123,10 +123,11 @@ def tolerance_limits(
         return _finite(float(falling[n - order])) if order else None
 
     low, high = smallest(both), largest(both)
+    limits = [smallest(one), largest(one), *([low, high] if both else [])]
     reason = None
     if not one:
         reason = f"{n} runs are too few: {least_runs(coverage, confidence)} are the fewest"
-    elif largest(one) is None or smallest(one) is None or (both and (low is None or high is None)):
+    elif None in limits:
         reason = "runs without an answer, or beyond the record, take the place of a limit"
     return ToleranceLimits(
         coverage=coverage,

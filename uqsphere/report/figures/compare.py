@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pydantic import Field
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit
 from uqsphere.report.contents import Contents
 from uqsphere.report.figures.canvas import (
@@ -161,16 +162,22 @@ def moved_finding(rows: Sequence[Change]) -> str:
     return f"Most of all moved {most.name}: {most.statistic}, by {more} %."
 
 
+def _scattered(contents: Contents, quantity: str) -> Array | None:
+    """The values of a quantity that are known; None where they are few, or do not scatter."""
+    samples = contents.samples.get(quantity)
+    if samples is None or not np.ptp(samples.values) > 0.0:
+        return None
+    known = np.asarray(samples.values[~samples.censored])
+    return known if len(known) >= 20 else None
+
+
 def density_picture(before: Contents, after: Contents, quantity: str) -> Picture | None:
     """Both laws of a quantity on one axis; None where there is nothing to draw."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    both = [contents.samples.get(quantity) for contents in (before, after)]
-    if any(s is None or len(s.values) < 20 or not np.ptp(s.values) > 0.0 for s in both):
-        return None
-    values = [np.asarray(s.values[~s.censored]) for s in both if s is not None]
-    if any(len(v) < 20 for v in values):
+    values = [values for contents in (before, after) if (values := _scattered(contents, quantity)) is not None]
+    if len(values) < 2:
         return None
     joined = np.concatenate(values)
     low, high = np.quantile(joined, [0.0005, 0.9995])

@@ -126,6 +126,20 @@ def error_series(contents: Contents) -> list[Series]:
     return list(found.values())
 
 
+def _course(axes: Axes, series: Series, column: int, method: int, linestyle: Any, width: float) -> None:
+    """One error over what it took."""
+    points = [p for p in series.points if p[column] > 0.0]
+    axes.plot(
+        [p[column] for p in points],
+        [p[2] for p in points],
+        color=_COLOURS[method % len(_COLOURS)],
+        marker=MARKS[method % len(MARKS)],
+        markersize=4.5,
+        linestyle=linestyle,
+        linewidth=width,
+    )
+
+
 def _drawing(contents: Contents, column: int, name: str, title: str, label: str, finding: str) -> Picture | None:
     series = [s for s in error_series(contents) if any(p[column] > 0.0 for p in s.points)]
     if not series:
@@ -142,17 +156,7 @@ def _drawing(contents: Contents, column: int, name: str, title: str, label: str,
         ends = [s.points[-1] for s in further]
         axes.plot([p[column] for p in ends], [p[2] for p in ends], linestyle="", **_FURTHER_MARK)
         for k, s in enumerate(pursued):
-            where = methods.index(s.method)
-            points = [p for p in s.points if p[column] > 0.0]
-            axes.plot(
-                [p[column] for p in points],
-                [p[2] for p in points],
-                color=_COLOURS[where % len(_COLOURS)],
-                marker=MARKS[where % len(MARKS)],
-                markersize=4.5,
-                linestyle=_STYLES[k % len(_STYLES)],
-                linewidth=1.2 if s in labelled else 0.6,
-            )
+            _course(axes, s, column, methods.index(s.method), _STYLES[k % len(_STYLES)], 1.2 if s in labelled else 0.6)
         axes.axhline(1.0, color=INK, linewidth=1.0, linestyle=(0, (6, 3)))
         _limits(axes, series, column)
         _end_labels(axes, labelled, column)
@@ -287,6 +291,17 @@ def _method_legend(axes: Axes, methods: list[str], further: bool, below: int) ->
     legend_above(axes, 2, handles)
 
 
+def _late_text(late: list[QuestionRow]) -> str:
+    """What is farthest from the accuracy asked, and what has no answer."""
+    known, text = [row for row in late if row.reached is not None], ""
+    if known:
+        worst = max(known, key=_excess)
+        text = f"; farthest from it, {question_name(worst)} has {_times(_excess(worst))} times the error that was asked"
+    if len(known) < len(late):
+        text += f"; no answer: {_named([row for row in late if row.reached is None])}"
+    return text
+
+
 def progress_finding(contents: Contents) -> str:
     """How many of the accuracies asked for the answers have, in words; courses may be those of other answers."""
     rows = [row for row in contents.results.accuracy.questions or () if row.met is not None]
@@ -299,14 +314,7 @@ def progress_finding(contents: Contents) -> str:
     )
     text = f"{len(rows) - len(late)} of {len(rows)} accuracies of {of} were reached"
     text += "; margins are not among them" if contents.results.margins and not curves else ""
-    known = [row for row in late if row.reached is not None]
-    if known:
-        worst = max(known, key=_excess)
-        text += (
-            f"; farthest from it, {question_name(worst)} has {_times(_excess(worst))} times the error that was asked"
-        )
-    if len(known) < len(late):
-        text += f"; no answer: {_named([row for row in late if row.reached is None])}"
+    text += _late_text(late)
     further = [s for s in error_series(contents) if s.kind in FURTHER]
     if further:
         below = sum(s.points[-1][2] <= 1.0 for s in further)

@@ -327,18 +327,8 @@ def fracture_finding(contents: Contents) -> str:
         ranked = sorted(governed.items(), key=lambda item: -item[1].number)
         named = [f"{limit_name(n)} in {plain_percent(e.number)}" for n, e in ranked]
         parts.append(f"Of the spheres that break, the strength reached first is {listed(named)}.")
-    states = found.states()
     if found.time:
-        time, force, energy = (rounded(states[key].median, _STATE[key][1], 3) for key in ("time", "force", "energy"))
-        differ = found.imbalance.median.value
-        apart = "" if differ is None else f"; the two forces then differ by {plain_percent(float(f'{differ:.2g}'))}"
-        whole = union.value
-        whom, weakest = "The spheres that break", ""
-        if 0.0 < whole < 0.5:
-            count = float(f"{1.0 / whole:.2g}")
-            whom = f"The spheres that break as planned, one in {thousands(round(count))} and the weakest of all,"
-            weakest = ", which is no property of all spheres"
-        parts.append(f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}{apart}.")
+        parts.append(_state_finding(found, union.number))
     if found.t10:
         ends = [rounded(found.t10.quantiles[p], "t10", 3) for p in ("0.05", "0.5", "0.95")]
         parts.append(
@@ -347,16 +337,36 @@ def fracture_finding(contents: Contents) -> str:
         )
     if not found.time and found.reason:
         parts.append(f"When it breaks is not known: {found.reason}.")
+    return " ".join([*parts, *_left_out(contents, found)])
+
+
+def _state_finding(found: FractureEntry, whole: float) -> str:
+    """When the spheres that break do so, and in which state; `whole` is the share that breaks."""
+    states = found.states()
+    time, force, energy = (rounded(states[key].median, _STATE[key][1], 3) for key in ("time", "force", "energy"))
+    differ = found.imbalance.median.value
+    apart = "" if differ is None else f"; the two forces then differ by {plain_percent(float(f'{differ:.2g}'))}"
+    whom, weakest = "The spheres that break", ""
+    if 0.0 < whole < 0.5:
+        count = float(f"{1.0 / whole:.2g}")
+        whom = f"The spheres that break as planned, one in {thousands(round(count))} and the weakest of all,"
+        weakest = ", which is no property of all spheres"
+    return f"{whom} do so in the median at {time}, at {force} and {energy} in the contacts{weakest}{apart}."
+
+
+def _left_out(contents: Contents, found: FractureEntry) -> list[str]:
+    """Which limits are not counted, and why."""
     again = [n for n in found.left_out if breaks(contents.results, n)]
-    other = [n for n in found.left_out if n not in again]
+    other = [limit_name(n) for n in found.left_out if n not in again]
+    parts = []
     if again:
         parts.append(
             f"The limit {listed([limit_name(n) for n in again])} means the same event with another aim, and is not "
             "counted a second time."
         )
     if other:
-        parts.append(f"Limits that mean no fracture are left out: {listed([limit_name(n) for n in other])}.")
-    return " ".join(parts)
+        parts.append(f"Limits that mean no fracture are left out: {listed(other)}.")
+    return parts
 
 
 def fracture_table(contents: Contents) -> Table | None:

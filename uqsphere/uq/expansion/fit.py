@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import Final
@@ -111,16 +111,20 @@ class _Candidate:
     reported: float
 
 
+def _unit(largest: float) -> float:
+    """What outputs are divided by: a power of two loses no figures, and squares stay finite."""
+    return 2.0 ** math.frexp(largest)[1] if 0.0 < largest < 2.0**1000 else max(largest, 1e-300)
+
+
 def _fitted(
     contest: Contest | None, points: Array, outputs: Array, germs: tuple[GermLike, ...], plain: bool, law: Array,
     most: float,
 ) -> Chaos:  # fmt: skip
-    # A power of two loses no figures, and squares of what is divided by it stay finite.
     largest = float(np.abs(outputs).max())
-    unit = 2.0 ** math.frexp(largest)[1] if 0.0 < largest < 2.0**1000 else max(largest, 1e-300)
+    unit = _unit(largest)
     scaled = outputs / unit
     centre, scale = float(scaled.mean()), float(scaled.std())
-    if contest is None or scale <= 1e-14 * abs(centre) or largest == 0.0:
+    if contest is None or scale <= 1e-14 * abs(centre):
         error = 1.0 if contest is None else 0.0
         return _constant(centre * unit, germs, error, outputs.size)
     leaders = compete(contest, scaled, plain=plain)
@@ -139,12 +143,20 @@ def _fitted(
                 break
     if leaders and error <= most < best.cross_validation_error:
         lower = (_whole(found, contest, scaled, unit, germs, law) for found in lowered(contest, leaders[0], scaled))
-        calm = [one for one in chain(tried, candidates, lower) if one.reported <= most]
-        if calm:
-            # the least of their errors is a lucky one: what they report of where no sample lies is hardly known
-            simpler = max(calm, key=lambda one: one.reported)
-            best = replace(simpler.chaos, cross_validation_error=simpler.reported)
+        return _calmest(chain(tried, candidates, lower), most) or best
     return best
+
+
+def _calmest(candidates: Iterable[_Candidate], most: float) -> Chaos | None:
+    """Of those that report no more than `most` the one that reports most; None where there is none.
+
+    The least of their errors is a lucky one: what they report of where no sample lies is hardly known.
+    """
+    calm = [one for one in candidates if one.reported <= most]
+    if not calm:
+        return None
+    simpler = max(calm, key=lambda one: one.reported)
+    return replace(simpler.chaos, cross_validation_error=simpler.reported)
 
 
 def _candidates(

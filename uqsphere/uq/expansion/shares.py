@@ -223,6 +223,21 @@ def error_with_tails(fits: Sequence[Chaos], error: float) -> float:
     return max(error, float(np.mean([fit.cross_validation_error for fit in fits])))
 
 
+def _why_none(fits: Sequence[Chaos], unexplained: float) -> str:
+    """Why there are no indices; empty where there are."""
+    if any(fit.constant for fit in fits):
+        return "the output does not vary with the inputs, or the expansion is a constant"
+    if not math.isfinite(unexplained) or unexplained >= 1.0:
+        return "the expansion explains nothing of the variance"
+    return ""
+
+
+def _sampling_error(fit: Chaos) -> float:
+    """Three standard deviations of the shares of one expansion over the designs that they are sampled by."""
+    again = np.array([_shares(fit, replicate) for replicate in range(1, 5)])
+    return 3.0 * float(again.std(axis=0, ddof=1).max())
+
+
 def chaos_indices(
     fits: Sequence[Chaos], error: float | None = None, evaluations: int | None = None
 ) -> dict[str, list[Estimate]]:
@@ -242,12 +257,7 @@ def chaos_indices(
     count = sum(fit.samples for fit in fits) if evaluations is None else evaluations
     dimension = len(fits[0].germs)
     unexplained = float(np.mean([fit.cross_validation_error for fit in fits])) if error is None else error
-    reason = ""
-    if any(fit.constant for fit in fits):
-        reason = "the output does not vary with the inputs, or the expansion is a constant"
-    elif not math.isfinite(unexplained) or unexplained >= 1.0:
-        reason = "the expansion explains nothing of the variance"
-    if reason:
+    if reason := _why_none(fits, unexplained):
         nothing = [absent(reason, METHOD, count)] * dimension
         return {"first": nothing, "total": list(nothing)}
     if error is None:
@@ -257,16 +267,11 @@ def chaos_indices(
     noise = 2.0 * math.sqrt(unexplained / (sum(fit.samples for fit in fits) if bounded else fits[0].samples))
     # Every fit is sampled by a design of its own, so that the spread holds the error of the sampling too.
     shares = np.array([_shares(fit, replicate) for replicate, fit in enumerate(fits)])  # (R, 2, d)
-    sampled = 0.0
-    if len(fits) == 1 and not fits[0].plain:
-        again = np.array([_shares(fits[0], replicate) for replicate in range(1, 5)])
-        sampled = 3.0 * float(again.std(axis=0, ddof=1).max())
-    answer = {}
-    for row, name in enumerate(("first", "total")):
-        answer[name] = [
-            _index(shares[:, row, j], unexplained, sampled, count, noise, bounded) for j in range(dimension)
-        ]
-    return answer
+    sampled = _sampling_error(fits[0]) if len(fits) == 1 and not fits[0].plain else 0.0
+    return {
+        name: [_index(column, unexplained, sampled, count, noise, bounded) for column in shares[:, row].T]
+        for row, name in enumerate(("first", "total"))
+    }
 
 
 def _index(

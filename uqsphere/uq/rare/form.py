@@ -74,6 +74,22 @@ class FormAnswer:
         return any(point.converged for point in self.points)
 
 
+def _search_rounds(
+    evaluator: Evaluator, first: Array, scale: float, sign: float, found: list[DesignPoint], *, rounds: int, most: float
+) -> None:
+    """Add what each round finds, up to `most` evaluations in all; a round that finds nothing new is the last."""
+    for turn in range(rounds):
+        begin = first if turn == 0 else _around(found, evaluator.size)
+        bulges = [point.point for point in found if point.converged]
+        if turn and not bulges:
+            return
+        searched = _search(evaluator, begin, scale, sign, bulges, most - evaluator.count)
+        fresh = [p for p in searched if _new(p, found)]
+        found += _distinct(fresh)
+        if turn and not any(p.converged for p in fresh):
+            return
+
+
 def find_design_points(
     evaluator: Evaluator, *, seed: int, starts: Array | None = None, rounds: int = 2, most: float = math.inf
 ) -> FormAnswer:
@@ -100,19 +116,10 @@ def find_design_points(
             return FormAnswer(points=(), probability=None, evaluations=evaluator.count - begun, text=text)
         sign = -1.0 if origin < 0.0 else 1.0
         if evaluator.size > MANY:
-            # every start is dear: the others are only tried where the origin leads nowhere
-            found = _search(evaluator, first[:1], scale, sign, [], most)
+            # every start is expensive: the others are only tried where the origin leads nowhere
+            found += _search(evaluator, first[:1], scale, sign, [], most)
             rounds = 0 if any(point.converged for point in found) else 1
-        for turn in range(rounds):
-            begin = first if turn == 0 else _around(found, evaluator.size)
-            bulges = [point.point for point in found if point.converged]
-            if turn and not bulges:
-                break
-            allowed = most - (evaluator.count - begun)
-            fresh = [p for p in _search(evaluator, begin, scale, sign, bulges, allowed) if _new(p, found)]
-            found += _distinct(fresh)
-            if turn and not any(p.converged for p in fresh):
-                break
+        _search_rounds(evaluator, first, scale, sign, found, rounds=rounds, most=begun + most)
     except Spent:
         text = "the budget ended the search for design points"
     kept = sorted((p for p in found if p.converged), key=lambda p: abs(p.beta))
