@@ -66,6 +66,17 @@ def _combine_own(kind, x1, x2, d1, d2, law, lane):
 
 
 @compiled(**INNER)
+def mean_force(kind, mode, x1, x2, d1, d2):
+    """Mean of both forces and its derivative, both forces x^(3/2) or, if linear, x."""
+    x1, d1 = (x1, d1) if x1 > 0.0 else (0.0, 0.0)
+    x2, d2 = (x2, d2) if x2 > 0.0 else (0.0, 0.0)
+    if mode == 1:
+        return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
+    root1, root2 = math.sqrt(x1), math.sqrt(x2)
+    return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
+
+
+@compiled(**INNER)
 def combine(kind, mode, x1, x2, d1, d2):
     """Value and derivative of a searched function from the approaches and their derivatives, both forces x^(3/2)."""
     if kind == tracked.FACE_A:
@@ -79,21 +90,19 @@ def combine(kind, mode, x1, x2, d1, d2):
     if mode == 1:
         if kind == tracked.DIFFERENCE:
             return x1 - x2, d1 - d2
-        if kind == tracked.MEAN:
-            return 0.5 * (x1 + x2), 0.5 * (d1 + d2)
         return 0.5 * (x1 * x1 + x2 * x2), x1 * d1 + x2 * d2
     root1, root2 = math.sqrt(x1), math.sqrt(x2)
     if kind == tracked.DIFFERENCE:
         return x1 * root1 - x2 * root2, 1.5 * (root1 * d1 - root2 * d2)
-    if kind == tracked.MEAN:
-        return 0.5 * (x1 * root1 + x2 * root2), 0.75 * (root1 * d1 + root2 * d2)
     return 0.4 * (x1 * x1 * root1 + x2 * x2 * root2), x1 * root1 * d1 + x2 * root2 * d2
 
 
 @compiled(**INNER)
 def _combined(kind, mode, x1, x2, d1, d2, own, law, lane):
     """The same, whether faces have laws of their own or not."""
-    if kind > tracked.FACE_B and (own or kind == tracked.SHARE):
+    if kind > tracked.FACE_B and (own or kind > tracked.ENERGY):
+        if kind == tracked.MEAN and not own:
+            return mean_force(kind, mode, x1, x2, d1, d2)
         return _combine_own(kind, x1, x2, d1, d2, law, lane)
     return combine(kind, mode, x1, x2, d1, d2)
 
@@ -208,34 +217,43 @@ def _survey(piece, end, grid):
             grid[face, 0, i], grid[face, 1, i] = both(piece, face, end * i / tracked.POINTS)
 
 
-@compiled(**INNER)
-def _largest(kind, mode, piece, end, grid, known, own, law, lane):
-    """Largest value of a searched function in [0, end] and its theta, or `known` and -1 if that is larger.
+def _largest_of(face_alone):
+    """The search for a largest value, of an approach or of a function of both faces.
 
-    Of the difference of the forces the size counts, of an approach no gap.
+    Gives the largest value in [0, end] and its theta, or `known` and -1 if that is larger.  Of the difference of the
+    forces the size counts, of an approach no gap.
     """
-    apart()
-    width, place, signed = end / tracked.POINTS, -1.0, kind == tracked.DIFFERENCE
-    left, left_slope = _combined(kind, mode, grid[0, 0, 0], grid[1, 0, 0], grid[0, 1, 0], grid[1, 1, 0], own, law, lane)
-    if (abs(left) if signed else left) > known:
-        known, place = abs(left), 0.0
-    for i in range(1, tracked.POINTS + 1):
-        right, right_slope = _combined(
-            kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], own, law, lane
-        )
-        if (abs(right) if signed else right) > known:
-            known, place = abs(right), i * width
-        sign = 1.0 if left + right >= 0.0 else -1.0
-        top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
-        if top > max(known, max(abs(left), abs(right))):
-            peak = _extremum(
-                kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, _BROAD, own, law, lane
-            )
-            at_peak, _ = _measure(kind, mode, piece, peak, own, law, lane)
-            if (abs(at_peak) if signed else at_peak) > known:
-                known, place = abs(at_peak), peak
-        left, left_slope = right, right_slope
-    return known, place
+
+    @compiled(**INNER)
+    def largest(kind, mode, piece, end, grid, known, own, law, lane):
+        apart()
+        width, place, signed = end / tracked.POINTS, -1.0, kind == tracked.DIFFERENCE
+        left, left_slope = 0.0, 0.0
+        for i in range(tracked.POINTS + 1):
+            if face_alone:
+                right, right_slope = grid[kind, 0, i], grid[kind, 1, i]
+            else:
+                right, right_slope = _combined(
+                    kind, mode, grid[0, 0, i], grid[1, 0, i], grid[0, 1, i], grid[1, 1, i], own, law, lane
+                )
+            if (abs(right) if signed else right) > known:
+                known, place = abs(right), i * width
+            sign = 1.0 if left + right >= 0.0 else -1.0
+            top = highest_between(sign * left, sign * left_slope * width, sign * right, sign * right_slope * width)
+            if i > 0 and top > max(known, max(abs(left), abs(right))):
+                peak = _extremum(
+                    kind, mode, piece, (i - 1) * width, i * width, left_slope, right_slope, _BROAD, own, law, lane
+                )
+                at_peak, _ = _measure(kind, mode, piece, peak, own, law, lane)
+                if (abs(at_peak) if signed else at_peak) > known:
+                    known, place = abs(at_peak), peak
+            left, left_slope = right, right_slope
+        return known, place
+
+    return largest
+
+
+_largest_approach, _largest_of_both = _largest_of(True), _largest_of(False)
 
 
 @compiled(**INNER)
@@ -434,13 +452,11 @@ def after_step(
         for face in range(2):
             # faces that are alike share the largest approach so far
             least = track[tracked.FACE_A + face, lane] if yielding else known
-            found, places[face] = _largest(face, mode, piece, ends, grid, least, own, law, lane)
-            track[tracked.FACE_A + face, lane], known = found, max(known, found)
-        if not yielding:
-            track[tracked.FACE_A, lane] = track[tracked.FACE_B, lane] = known
+            found, places[face] = _largest_approach(face, mode, piece, ends, grid, least, own, law, lane)
+            track[tracked.FACE_A + (face if yielding else 0), lane], known = found, max(known, found)
     for kind in range(tracked.DIFFERENCE, tracked.KINDS):
         if flags & (1 << kind):
-            track[kind, lane] = _largest(kind, mode, piece, ends, grid, track[kind, lane], own, law, lane)[0]
+            track[kind, lane], _ = _largest_of_both(kind, mode, piece, ends, grid, track[kind, lane], own, law, lane)
     for face in range(2):
         if grid[face, 0, tracked.POINTS] > max(50.0 * tiny, 2.0 * hover):
             track[tracked.TOUCHED_A + face, lane] = 1.0
@@ -518,7 +534,6 @@ _bound = elementwise(PAIR, 6, _bounds)
 _refine = elementwise(PAIR, 1, _closer)
 _crown = elementwise(LANES, 2, _crowned)
 _sign = elementwise(LANES, 2, _signs)
-_copy = elementwise(LANES, 1, lambda a: a)
 #: functions of both faces whose largest values are searched for
 _SEARCHED = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
 
@@ -548,8 +563,11 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
     higher = False
     for j in range(LANES):
         flags[j] = tracked.SOMETHING | 1 << tracked.FACE_A if room[10, j] > 0.0 else 0
-        known[0, j], known[0, LANES + j] = track[tracked.FACE_A, j], track[tracked.FACE_B, j]
-        higher |= live[j] >= 0 and (room[1, j] > known[0, j] or room[1, LANES + j] > known[0, LANES + j])
+        known[0, j] = track[tracked.FACE_A, j]
+        higher |= live[j] >= 0 and crest[j] > known[0, j]
+        if yielding:
+            known[0, LANES + j] = track[tracked.FACE_B, j]
+            higher |= live[j] >= 0 and room[1, LANES + j] > known[0, LANES + j]
     if higher:
         for k in range(3):
             for c in range(0, PAIR, LANES):
@@ -557,15 +575,12 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
             if k < 2:
                 _refine(place, place, slope, bend, bent, width)
         for c in range(0, PAIR, LANES):
-            if c > 0 and not yielding:
-                _copy(row(known, 0, LANES), row(known, 0, 0))
-            _crown(row(known, 0, c), doubt, row(known, 0, c), row(room, 0, c), row(room, 1, c), row(room, 2, c),
-                   row(room, 7, c), row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
+            face = row(known, 0, c if yielding else 0)
+            _crown(face, doubt, face, row(room, 0, c), row(room, 1, c), row(room, 2, c), row(room, 7, c),
+                   row(room, 8, c), row(room, 9, c), row(room, 4, c))  # fmt: skip
             for j in range(LANES):
                 if room[10, LANES + j] > 0.0:
                     flags[j] |= 1 << tracked.FACE_A
-        if not yielding:
-            _copy(row(known, 0, 0), row(known, 0, LANES))
     if wanted & _SEARCHED:
         _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law)
 
@@ -574,15 +589,29 @@ def look(mode, wanted, x, at, rate, track, theta, low, near, live, flags, known,
 def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
     """Flags of the steps in which a function of both faces may be the largest so far."""
     apart()
-    for kind in range(tracked.DIFFERENCE, tracked.KINDS):
-        if wanted & (1 << (kind - 1)) == 0:
-            continue
+    if wanted & tracked.WANT_DIFFERENCE:
+        _look_for_difference(mode, at, rate, track, theta, flags, yielding, law)
+    if wanted & tracked.WANT_ENERGY:
+        _look_for_energy(mode, at, rate, track, theta, flags, yielding, law)
+    if wanted & tracked.WANT_SHARE:
+        for j in range(LANES):
+            _look_at_own(tracked.SHARE, at, rate, track, theta, flags, law, j)
+    if wanted & tracked.WANT_MEAN:
+        _look_for_mean(mode, at, rate, track, theta, flags, yielding, law)
+
+
+def _look_for(kind, plain):
+    """The function that does so for one function of both faces: as a constant its number costs no time."""
+
+    @compiled(**INNER)
+    def look_for(mode, at, rate, track, theta, flags, yielding, law):
+        apart()
         for i in range(tracked.POINTS):
             for j in range(LANES):
                 k = LANES + j
                 width = theta[j] / tracked.POINTS
-                left, left_slope = combine(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
-                right, right_slope = combine(
+                left, left_slope = plain(kind, mode, at[i, j], at[i, k], width * rate[i, j], width * rate[i, k])
+                right, right_slope = plain(
                     kind, mode, at[i + 1, j], at[i + 1, k], width * rate[i + 1, j], width * rate[i + 1, k]
                 )
                 above = highest_between(left, left_slope, right, right_slope)
@@ -590,9 +619,11 @@ def _look_further(mode, wanted, at, rate, track, theta, flags, yielding, law):
                 if max(above, below) > track[kind, j]:
                     flags[j] |= 1 << kind
         for j in range(LANES):
-            if yielding and (kind == tracked.SHARE or of_its_own(law, j)):
+            if yielding and of_its_own(law, j):
                 flags[j] &= ~(1 << kind)
                 _look_at_own(kind, at, rate, track, theta, flags, law, j)
+
+    return look_for
 
 
 @compiled(**INNER)
@@ -608,6 +639,10 @@ def _look_at_own(kind, at, rate, track, theta, flags, law, j):
         if i > 0 and max(above, below) > track[kind, j]:
             flags[j] |= 1 << kind
         left, left_slope = right, right_slope
+
+
+_look_for_difference, _look_for_energy = _look_for(tracked.DIFFERENCE, combine), _look_for(tracked.ENERGY, combine)
+_look_for_mean = _look_for(tracked.MEAN, mean_force)
 
 
 @compiled(**INNER)
@@ -709,6 +744,9 @@ def _finish_faces(track, lane, out, yielding, law):
         out[tracked.ANSWER_FIRSTS + face] = track[tracked.X_FIRST + face, lane]
         if yielding:
             out[tracked.ANSWER_OTHERS + face] = track[tracked.OTHER + face, lane]
+        else:  # of faces that are alike the larger is followed
+            out[tracked.ANSWER_FACES + face] = track[tracked.FACE_A, lane]
+            out[tracked.ANSWER_FIRSTS + face] = track[tracked.X_FIRST, lane]
     out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = track[tracked.UNLOADINGS, lane], 0.0
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
     out[tracked.ANSWER_X_FIRST] = max(track[tracked.X_FIRST, lane], track[tracked.X_FIRST + 1, lane])

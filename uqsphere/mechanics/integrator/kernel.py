@@ -365,10 +365,13 @@ def march(
                 )  # fmt: skip
             # a step that is cut where a face begins to yield has not reached what `look` saw
             if flags[j] & (1 << tracked.FACE_A) == 0 and why < 4:
-                for face in range(2):
-                    track[tracked.FACE_A + face, j] = known[0, face * LANES + j]
+                track[tracked.FACE_A, j] = known[0, j]
+                if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
+                    track[tracked.X_FIRST, j] = known[0, j]
+                if yielding:
+                    track[tracked.FACE_B, j] = known[0, LANES + j]
                     if before < min(trips[0, j], trips[1, j]) * (1.0 - 1e-12):
-                        track[tracked.X_FIRST + face, j] = known[0, face * LANES + j]
+                        track[tracked.X_FIRST + 1, j] = known[0, LANES + j]
             if yielding:
                 for face in range(2):
                     if law[tracked.SPRING, face * LANES + j] == 0.0:  # on virgin loading it is at its deepest
@@ -394,11 +397,10 @@ def march(
                             path[j, n, face, k] = x[k, m]
             for bar in range(2):
                 if before + trips[bar, j] < end[j]:
+                    gives = rig[tracked.RIG_GIVES, bar * LANES + j]
                     for k in range(TERMS):
                         m = bar * LANES + j
-                        wave[(bar * lanes + j) * capacity + n, k] = (
-                            0.5 * push[k, m] - rig[tracked.RIG_GIVES, m] * force[k, m]
-                        )
+                        wave[(bar * lanes + j) * capacity + n, k] = 0.5 * push[k, m] - gives * force[k, m]
             if keeping and n < kept_start.shape[0]:
                 power = 1.0
                 kept_start[n], kept_length[n] = before, ending * h[j]

@@ -292,13 +292,19 @@ def root_error(root, theta, place, at, law, found, value, slope):
 
 
 @compiled(**INNER)
+def _own_forces(law, j, x1, x2):
+    """Forces of faces with laws of their own."""
+    apart()
+    return face_force(law, j, x1)[0], face_force(law, LANES + j, x2)[0]
+
+
+@compiled(**INNER)
 def _slopes(mode, inverse_mu, push_a, push_b, state, yielding, law, rig, j):
     """Right-hand side of theory (9) and (R3) for one lane: of x_1, x_2, u, U_A, -U_B."""
-    apart()
     x1, x2, u, w1, w2 = state
     pressed_a, pressed_b = max(x1, 0.0), max(x2, 0.0)
     if yielding:
-        force_a, force_b = face_force(law, j, x1)[0], face_force(law, LANES + j, x2)[0]
+        force_a, force_b = _own_forces(law, j, x1, x2)
     elif mode == 1:
         force_a, force_b = pressed_a, pressed_b
     else:
