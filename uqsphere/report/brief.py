@@ -19,6 +19,7 @@ from uqsphere.report.figures.canvas import shorten
 from uqsphere.report.phrases import plain_percent, short_input, unit_text
 from uqsphere.results import NO_RIG, LimitEntry, Results
 from uqsphere.results.margins import MarginEntry
+from uqsphere.results.verdicts import JudgedEntry
 from uqsphere.study.axis import limit_of, strength_name
 
 #: words of the brief for where a sphere breaks, by `uqsphere.units.Quantity.place`, and how its curve is drawn
@@ -29,8 +30,13 @@ PLACES: Final = {
     "below": "Shear below contact",
     "": "Energy",
 }
-#: what a strength that is carried from a test to a machine is held equal by
-CARRIERS: Final = {"force": "equal force", "energy": "equal energy", "centre": "equal centre tension"}
+#: where the ways of breaking that are judged by default break
+_PLACE_OF_WAY: Final = {
+    "contact pressure": "contact",
+    "ring crack": "rim",
+    "core tension": "core",
+    "fracture energy": "",
+}
 #: numbers that are solved for, and drivers, in as few words as tell them
 _AXES: Final = {"striker.speed": "striker speed", "rig.speed": "speed", "rig.drop_height": "drop",
                 "hammer.drop_height": "drop", "striker.specific_energy": "striker energy"}  # fmt: skip
@@ -96,6 +102,7 @@ class Answer:
     modes: tuple[Mode, ...]
     axis: Axis | None
     service: str = ""
+    carried: tuple[float, ...] = ()
     tests: tuple[tuple[float, float], ...] = ()
     left_whole: int = 0
     made_up: bool = False
@@ -177,7 +184,8 @@ def share_span(values: Sequence[float], target: float | None) -> tuple[str, str]
         return share(high if high < 1e-3 else low)[:-2], "%"
     if low > 0.0 and high <= _SAME * low:
         return share(values[0], target)[:-2], "%"
-    return f"{share(low)[:-2].removeprefix('under ') if low >= 1e-3 else '0'}–{share(high)[:-2]}", "%"
+    ends = ["0" if low < 1e-3 else share(low)[:-2], "100" if high > 0.999 else share(high)[:-2]]
+    return "–".join(ends), "%"
 
 
 # --- from the results -----------------------------------------------------------------------------------------
@@ -307,12 +315,21 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     margins = results.margins
     modes = [_mode(contents, name, limit, margins.get(name)) for name, limit in group.items()]
     modes = _told_apart(modes)
-    modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
+    carried = tuple(value for limit in group.values() for value in _carried(limit))
     first = next(iter(group.values()))
+    judged = next((v for v in results.verdicts if v.aim == first.aim), None)
+    modes += [_assumed(way) for way in judged.judged if way.assumed] if judged is not None else []
+    if judged is not None:
+        modes += [
+            Mode(limit=n, name=n, place="", miss=None, reason=f"not judged: {why}")
+            for n, why in judged.not_judged.items()
+        ]
+    modes.sort(key=lambda mode: -(mode.miss if mode.miss is not None else -1.0))
     target, survive = first.target, first.aim == "survive"
     axis = _axis(contents, next((margins[n] for n in group if n in margins), None))
     misses = [m.miss for m in modes if m.miss is not None]
-    solved = [v * axis.factor for m in modes for v in (m.at_target, m.sure) if v is not None] if axis else []
+    found = [*(v for m in modes for v in (m.at_target, m.sure)), *carried]
+    solved = [v * axis.factor for v in found if v is not None] if axis else []
     what = "Share broken" if survive else "Share left whole"
     at = f" at the planned {given(axis)}" if axis and axis.planned else ""
     allowed = f"Target: at most {plain_percent(target)}." if target is not None else "No target was set."
@@ -325,7 +342,7 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
             axis.unit,
         )
         planned = f"Planned: {given(axis)}. " if axis.planned else ""
-        best = next((m.at_target for m in modes if m.at_target is not None), None)
+        best = next((m.at_target for m in modes if m.at_target is not None and not m.assumed), None)
         note = planned + (f"Best estimate {two(best * axis.factor)} {axis.unit}." if best is not None else "")
     else:
         question = what + at + (f", {service}" if service else "")
@@ -339,9 +356,26 @@ def _limit_answer(contents: Contents, group: dict[str, LimitEntry], service: str
     answer = Answer(
         question=question, big=big, unit=unit, note=note, second=second, verdict=verdict, reasons=reasons,
         vetoed=verdict == "not established" and all(limit.met for limit in group.values()),
-        target=target, aim=first.aim, modes=tuple(modes), axis=axis, service=service,
+        target=target, aim=first.aim, modes=tuple(modes), axis=axis, service=service, carried=carried,
     )  # fmt: skip
     return _with_tests(contents, answer)
+
+
+def _carried(limit: LimitEntry) -> list[float]:
+    """What is solved for with the same strength carried from its test by force, energy and tension at the centre."""
+    if not limit.carried or not limit.carried.solve:
+        return []
+    return [float(e.value) for e in limit.carried.by_carrier().values() if e.value is not None]
+
+
+def _assumed(way: JudgedEntry) -> Mode:
+    """A way of breaking whose strength is the library's."""
+    low, high = way.range or (None, None)
+    return Mode(
+        limit="", name=f"{way.name[:1].upper()}{way.name[1:]}, assumed", place=_PLACE_OF_WAY.get(way.name, "rim"),
+        miss=way.miss.value, low=low, high=high, broken=way.miss.value, at_target=way.answer, assumed=True,
+        curve=tuple((float(x), float(p)) for x, p in way.curve),
+    )  # fmt: skip
 
 
 def _told_apart(modes: list[Mode]) -> list[Mode]:
@@ -356,20 +390,12 @@ _ORDER: Final = ("not met", "not established", "undecided", "met")
 
 def _judged(group: dict[str, LimitEntry]) -> tuple[str, tuple[str, ...]]:
     """The verdict of limits with one aim and its reasons: the worst of theirs."""
-    words = {name: _verdict(limit) for name, limit in group.items() if limit.target is not None}
+    words = {name: limit.word for name, limit in group.items() if limit.target is not None}
     if not words:
         return "", ()
     worst = min(words.values(), key=_ORDER.index)
-    reasons = [text for name, word in words.items() if word == worst for text in _reasons(group[name])]
-    return worst, tuple(dict.fromkeys(reasons))[:3]
-
-
-def _verdict(limit: LimitEntry) -> str:
-    return limit.word
-
-
-def _reasons(limit: LimitEntry) -> list[str]:
-    return []
+    reasons = [reason.text for name, word in words.items() if word == worst for reason in group[name].reasons]
+    return worst, tuple(f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(reasons))[:3]
 
 
 def _with_tests(contents: Contents, answer: Answer) -> Answer:

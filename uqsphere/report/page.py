@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from uqsphere.errors import UsageError
 from uqsphere.quantities import reading_units
 from uqsphere.report.blocks import Block, Chapter, Table
-from uqsphere.report.brief import make_brief, share
+from uqsphere.report.brief import make_brief, share, two
 from uqsphere.report.chapters import build_chapters
 from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
@@ -362,6 +362,7 @@ def _brief_parts(contents: Contents) -> dict[str, Any]:
         for mode in answer.modes
     ]
     return {
+        "two": two,
         "brief": brief,
         "curves": [[Markup(drawing) for drawing in one] for one in curve_drawings(brief.answers)],
         "modes": modes,

@@ -26,7 +26,8 @@ Word = Literal["met", "not met", "undecided", "not established"]
 class JudgedEntry(Entry):
     """A way to break by itself: the probability that it misses the aim, and the free scalar at the target's.
 
-    `assumed`: its strength is the library's, of `source`; `range` are the probabilities over the strength's 95 %.
+    `assumed`: its strength is the library's, of `source`; `range` are the probabilities over the strength's 95 %, and
+    `curve` holds values of the free scalar with the probability that the strength is exceeded there.
     """
 
     name: StrictStr
@@ -37,6 +38,7 @@ class JudgedEntry(Entry):
     answer: Number | None = None
     source: StrictStr = ""
     seen: StrictBool | None = None
+    curve: tuple[tuple[Number, Share], ...] = ()
 
 
 class VerdictEntry(Entry):

@@ -71,6 +71,10 @@ class Evidence:
         together = AnyLimit.of(self.work, tuple(limits))
         return together.at(self.work, self.sample if sample is None else sample, aim=aim).any
 
+    def curve(self, limit: Limit) -> list[tuple[float, float]]:
+        """Values of the free scalar, and the probability there that a limit is exceeded."""
+        return [(value, float(self.chances([limit], "survive", rows).mean())) for value, rows in self.along.items()]
+
     def value_at(self, limits: Sequence[Limit], aim: str, wanted: float) -> float | None:
         """The free scalar at which the aim is missed by any of some limits with a probability; None where nowhere."""
         if not self.along:
@@ -511,6 +515,7 @@ def _judged(case: _Case, limit: Limit, way: Way | None = None) -> JudgedEntry:
     return JudgedEntry(
         name=way.called, quantity=limit.quantity, assumed=True, miss=Est.model_validate(found.as_dict()),
         range=(min(ends), max(ends)), answer=_root(case, [limit]), source=way.source, seen=way.seen,
+        curve=tuple(case.evidence.curve(limit)),
     )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ class Sheet:
 #: the three drawings of a curve
 SHEETS: Final = (
     Sheet(name="wide", width=644, height=330, type=12),
-    Sheet(name="paper", width=644, height=300, type=13),
+    Sheet(name="paper", width=644, height=250, type=13),
     Sheet(name="narrow", width=368, height=300, type=14),
 )
 
@@ -153,7 +153,7 @@ class _Paper:
 
 
 def _solved(answer: Answer) -> list[float]:
-    return [v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None]
+    return [*(v for mode in answer.modes for v in (mode.at_target, mode.sure) if v is not None), *answer.carried]
 
 
 def _nice(low: float, high: float, factor: float, most: int) -> Iterator[float]:
