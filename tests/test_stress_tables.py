@@ -52,6 +52,34 @@ def test_tables_of_the_weakest_link(name: str, integrals: object) -> None:
         assert np.abs(found / wanted - 1.0).max() < 2.0 * STATED, (ratio, nu)
 
 
+@pytest.mark.parametrize(("name", "integrals"), [("volume", volume_integrals), ("surface", surface_integrals)])
+def test_tables_of_one_force_alone(name: str, integrals: object) -> None:
+    moduli = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 50.0])
+    for ratio, nu in random_points(4, 0.4)[4:]:
+        wanted = integrals(hoop_field(ratio, nodes=18, growth=1.45, one_sided=True), nu, moduli)  # type: ignore[operator]
+        found = tables.ratio(f"{name}_one", np.full(7, ratio), nu, moduli)
+        error = np.abs(found / wanted - 1.0)
+        assert error[0] < 2e-5
+        assert error[1:6].max() < 2e-6
+        assert error[6] < 1e-4
+
+
+def test_fields_of_one_force_are_those_of_the_theory() -> None:
+    """Rounded values of an independent calculation: R_1 on the axis (R20), H^(1/m) of the volume (R21)."""
+    for nu, wanted in {
+        0.2: (1.0012, 1.0052, 1.0010, 0.9675, 0.9092, 0.7629),
+        0.25: (1.0018, 1.0074, 0.9992, 0.9557, 0.8898, 0.7399),
+        0.3: (1.0030, 1.0106, 0.9944, 0.9393, 0.8671, 0.7163),
+    }.items():
+        ratio = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
+        found = tables.ratio("core_one", ratio, nu) / tables.core_ratio(ratio, nu)[0]
+        assert found == pytest.approx(wanted, abs=6e-5)
+    moduli = np.array([3.0, 5.0, 8.0, 12.0, 20.0])
+    for ratio, wanted in {0.1: (0.616, 0.745, 0.879, 0.932, 0.961), 0.2: (0.577, 0.630, 0.693, 0.753, 0.813)}.items():
+        one, two = (tables.ratio(name, np.full(5, ratio), 0.25, moduli) for name in ("volume_one", "volume"))
+        assert one / two == pytest.approx(wanted, abs=6e-4)
+
+
 def test_one_modulus_for_all_rows_is_the_same_as_a_column() -> None:
     ratio = np.array([0.01, 0.1, 0.29])
     one, many = (tables.ratio("volume", ratio, 0.2, m) for m in (7.0, np.full(3, 7.0)))

@@ -20,9 +20,9 @@ from typing import Any, Final
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
-from uqsphere.mechanics.outputs import Answers, answers_from
+from uqsphere.mechanics.outputs import Answers, answers_from, merged_answers
 from uqsphere.mechanics.partners import Partner
-from uqsphere.mechanics.rigs import MOST_YIELDING
+from uqsphere.mechanics.rigs import MOST_YIELDING, RIGS
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face
 
@@ -55,9 +55,15 @@ def _table() -> Mapping[str, np.polynomial.Chebyshev]:
     return dict(zip(_COLUMNS, series, strict=True))
 
 
-def _elastic(lam: Array) -> dict[str, Array]:
-    """`_COLUMNS` at lam; where nothing gives way one number for all rows, NaN above 3."""
-    inside = np.where(lam <= MOST_YIELDING, lam, np.nan) if np.any(lam) else np.zeros(1)
+@cache
+def _on_thick() -> Mapping[str, Array]:
+    """`_COLUMNS` where nothing gives way: one number each for all rows."""
+    return {name: np.asarray(series(np.zeros(1))) for name, series in _table().items()}
+
+
+def _elastic(lam: Array) -> Mapping[str, Array]:
+    """`_COLUMNS` at lam, NaN above 3."""
+    inside = np.where(lam <= MOST_YIELDING, lam, np.nan)
     return {name: np.asarray(series(inside)) for name, series in _table().items()}
 
 
@@ -121,17 +127,23 @@ def light_sphere_constant(behind: Any, ahead: Any) -> Array:
 # --- scenes -------------------------------------------------------------------------------------------
 
 
+#: rows that are answered together, so that their columns stay in the cache
+_BLOCK: Final = 8192
+
+
 def closed_form_rows(scene: Scene) -> Flags:
     """Rows that `solve_closed` answers, (n,): one contact, nothing back before the bodies part; platens all."""
-    behind, ahead = scene.partners
-    if scene.rig == "platens":
+    kind = RIGS[scene.rig].kind(1, scene.options)
+    bare = RIGS[scene.rig].contacts == 1 and kind in ("thick", "mass") and scene.horizon is None
+    if scene.rig == "platens" or bare:
         return np.ones(len(scene), dtype=bool)
+    behind, ahead = scene.partners
     if behind is not None or ahead is None or scene.horizon is not None:
         return np.zeros(len(scene), dtype=bool)
-    if _path_of(ahead, scene) is not None and ahead.kind not in ("thick", "mass"):
+    if _path_of(ahead, scene) is not None:
         # a face that yields and a partner that carries waves off have no closed form together
         return np.zeros(len(scene), dtype=bool)
-    if ahead.kind != "bar":
+    if ahead.kind != "bar" or not np.any(ahead.reflection):
         return np.ones(len(scene), dtype=bool)
     with np.errstate(all="ignore"):
         duration = scene.scales.time * _elastic(scene.scales.force / (scene.scales.speed * ahead.impedance))["duration"]
@@ -144,6 +156,9 @@ def solve_closed(scene: Scene, quantities: Collection[str] | None = None) -> Ans
     An elastic blow by (R10) to (R13), one on a face that yields by the balance of energy (R23), platens by statics.
     Rows outside `closed_form_rows` are not looked for: ask there first.
     """
+    if len(scene) > _BLOCK:
+        rows, blocks = np.arange(len(scene)), [slice(k, k + _BLOCK) for k in range(0, len(scene), _BLOCK)]
+        return merged_answers(*((rows[block], solve_closed(scene.at(block), quantities)) for block in blocks))
     with np.errstate(all="ignore"):
         if scene.rig == "platens":
             tracked = _pressed(scene)
@@ -165,7 +180,7 @@ def _blown(scene: Scene, ahead: Partner) -> dict[str, Array]:
     """An elastic blow in scaled variables, (R13); of a free partner by the motion about the common centre of mass."""
     waves = ahead.kind in ("bar", "plate")
     lam = scene.scales.force / (scene.scales.speed * ahead.impedance) if waves else np.zeros(1)
-    at = _elastic(lam)
+    at = _elastic(lam) if waves else _on_thick()
     x = np.cbrt(np.square(at["force"]))
     found = {
         "x_max": x, "x_b": x, "stored": 0.4 * at["force"] * x, "contact": at["duration"], "parting": at["duration"],

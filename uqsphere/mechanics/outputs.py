@@ -7,8 +7,9 @@ that criterion in `uqsphere.mechanics.criteria`.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -21,7 +22,7 @@ from uqsphere.mechanics.carried import CARRIED, in_the_test, needs_of
 from uqsphere.mechanics.criteria import CRITERIA, Criterion, Demands, demand, product_fineness
 from uqsphere.mechanics.integrator.tracked import NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import RIGS, loss_to_waves
-from uqsphere.mechanics.scene import Scene, answered
+from uqsphere.mechanics.scene import Scales, Scene, answered
 from uqsphere.units import Quantity
 
 _Kind = TypeVar("_Kind", bound=np.generic)
@@ -145,17 +146,24 @@ OUTPUTS.update(
 
 
 class Columns(Mapping[str, Any]):
-    """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`, computed when read."""
+    """Columns of n rows by name, (n,) each: what is known, and every quantity of `OUTPUTS`, computed when read.
+
+    What is known may be a function without arguments, which is called when its column is read for the first time.
+    """
 
     def __init__(self, known: Mapping[str, Any]) -> None:
         self._known = dict(known)
 
     def __getitem__(self, name: str) -> Values:
-        if name not in self._known:
-            formula = OUTPUTS[name].formula
-            assert formula is not None
+        found = self._known.get(name)
+        if found is None or callable(found):
             with np.errstate(all="ignore"):
-                self._known[name] = formula(self)
+                if found is not None:
+                    self._known[name] = found()
+                else:
+                    formula = OUTPUTS[name].formula
+                    assert formula is not None
+                    self._known[name] = formula(self)
         return self._known[name]
 
     def __contains__(self, name: object) -> bool:
@@ -228,33 +236,34 @@ def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
 # --- faces that are not alike ---------------------------------------------------------------------------
 
 
-def _side(scene: Scene, pole: int, x: Array) -> dict[str, Array]:
+def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
     """What the face at a pole has taken at its largest approach, x alpha_c: force, pressures, circle, dent, work.
 
     `p_field` is the Hertz pressure of the same force on the same circle: the stress inside follows from that.
     """
     partner, scales = scene.partners[pole], scene.scales
     assert partner is not None
+    modulus, radius, beta = partner.modulus, partner.effective_radius, partner.hertz_constant
     approach = scales.approach * x
     force = scales.force * x**1.5
     if partner is not scene.struck:
-        force = force * (partner.hertz_constant / scales.hertz_constant)
+        force = force * (beta / scales.hertz_constant)
     if (face := partner.face) is None:
-        pressure = contact.pressure_at_force(force, partner.modulus, partner.effective_radius)
-        none = np.zeros(len(scene))
+        elastic = Columns({"p": lambda: contact.pressure_at_force(force, modulus, radius)})
         return {
-            "P_max": force, "alpha_max": approach, "p_max": pressure, "p_hertz": pressure, "p_field": pressure,
-            "p_mean": 2.0 / 3.0 * pressure, "a_max": contact.contact_radius(approach, partner.effective_radius),
-            "dent_left": none, "dissipated": none, "stored": contact.contact_energy(approach, partner.hertz_constant),
-            "elastic": contact.contact_energy(approach, partner.hertz_constant),
+            "P_max": force, "alpha_max": approach, "a_max": lambda: contact.contact_radius(approach, radius),
+            "p_mean": lambda: 2.0 / 3.0 * elastic["p"],
+            **dict.fromkeys(("p_max", "p_hertz", "p_field"), lambda: elastic["p"]),
+            **dict.fromkeys(("dent_left", "dissipated"), lambda: np.zeros(len(scene))),
+            **dict.fromkeys(("stored", "elastic"), lambda: contact.contact_energy(approach, beta)),
         }  # fmt: skip
-    path = scene.contact_dynamics == "path"
+    path = scene.contact_dynamics == "path" or scene.rig == "platens"
     state = face.pressed(approach / face.onset_approach if path else face.depth_at(force))
     return {
         "P_max": state.force, "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean,
-        "p_hertz": contact.pressure_at_force(state.force, partner.modulus, partner.effective_radius),
+        "p_hertz": contact.pressure_at_force(state.force, modulus, radius),
         "p_field": 1.5 * state.mean, "a_max": state.radius, "dent_left": state.dent, "dissipated": state.plastic,
-        "stored": state.stored, "elastic": contact.contact_energy(approach, partner.hertz_constant),
+        "stored": state.stored, "elastic": contact.contact_energy(approach, beta),
     }  # fmt: skip
 
 
@@ -267,58 +276,66 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     rig, one_contact = RIGS[scene.rig], scene.partners[0] is None
     if rig.name == "bars" and scene.struck.face is None:
         return {}
-    sides, firsts = [], []
+    sides, firsts, force = [], [], scene.scales.force
     for pole, name in enumerate("ab"):
         if scene.partners[pole] is None:
             continue
         side = _side(scene, pole, tracked[f"x_{name}"])
         if rig.name != "bars":
-            other = "force_b_at_a" if name == "a" else "force_a_at_b"
-            side["balance"] = (
-                0.0 * side["P_max"] if one_contact else scene.scales.force * tracked[other] / side["P_max"]
-            )
-        sides.append(side)
+            other = 0.0 if one_contact else force * tracked["force_b_at_a" if name == "a" else "force_a_at_b"]
+            pressed = side["P_max"]
+            side["balance"] = np.zeros(1) if one_contact else np.where(pressed > 0.0, other / pressed, 0.0)
+        sides.append(Columns(side))
         if f"x_first_{name}" in tracked:
-            firsts.append(_side(scene, pole, tracked[f"x_first_{name}"])["p_max"])
+            firsts.append(Columns(_side(scene, pole, tracked[f"x_first_{name}"])))
     found: dict[str, Any] = {"sides": sides}
     for column in ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left"):
-        found[column] = np.maximum.reduce([side[column] for side in sides])
-    found["dissipated"] = sum(side["dissipated"] for side in sides)
+        found[column] = partial(_largest, sides, column)
+    found["dissipated"] = lambda: sum(side["dissipated"] for side in sides)
     if not one_contact and "difference" in tracked:
-        found["force_imbalance"] = scene.scales.force * tracked["difference"] / found["P_max"]
+        found["force_imbalance"] = lambda: force * tracked["difference"] / _largest(sides, "P_max")
     if firsts:
-        found["first_peak"] = np.maximum.reduce(firsts)
+        found["first_peak"] = partial(_largest, firsts, "p_max")
     if one_contact:
-        found["mean_force_max"] = 0.5 * found["P_max"]
+        found["mean_force_max"] = lambda: 0.5 * sides[0]["P_max"]
     if rig.name != "bars":
-        mean = found.get("mean_force_max")
-        found["force_at_centre"] = scene.scales.force * tracked["mean_force"] if mean is None else mean
+        found["force_at_centre"] = found.get("mean_force_max") or (lambda: force * tracked["mean_force"])
     return found | _energies(scene, tracked, sides)
 
 
-def _energies(scene: Scene, tracked: Mapping[str, Array], sides: list[dict[str, Array]]) -> dict[str, Array]:
+def _largest(sides: Sequence[Columns], column: str) -> Array:
+    return np.asarray(np.maximum.reduce([side[column] for side in sides]))
+
+
+def _energies(scene: Scene, tracked: Mapping[str, Array], sides: Sequence[Columns]) -> dict[str, Any]:
     """Energy in both contacts, and the sphere's share of it: chi of what is stored, all where the sphere yields."""
     there = [partner for partner in scene.partners if partner is not None]
     unit = scene.scales.force * scene.scales.approach
     static = scene.contact_dynamics == "elastic" and scene.struck.face is not None
-    if not static and "stored" not in tracked:
-        return {}
-    energy = sum(side["stored"] for side in sides)
-    if "stored" in tracked:
+
+    def energy() -> Values:
+        if not static:
+            return unit * tracked["stored"]
         # the faces are not at their largest together: of what they would hold by Hertz this is what they held
-        held = unit * tracked["stored"]
-        energy = held * (energy / sum(side["elastic"] for side in sides)) if static else held
-    own: Values
-    if len(sides) == 1 or scene.rig == "bars":
-        own = there[0].share * energy
-    elif static or "stored_sphere" not in tracked:
-        own = sum(partner.share * side["stored"] for partner, side in zip(there, sides, strict=True))
-    else:
-        own = unit * tracked["stored_sphere"]
-    crushed = sum(
-        np.where(partner.sphere_yields, side["dissipated"], 0.0) for partner, side in zip(there, sides, strict=True)
-    )
-    return {"energy": np.asarray(energy), "energy_sphere": np.asarray(own + crushed)}
+        at_most, elastic = (sum(side[name] for side in sides) for name in ("stored", "elastic"))
+        return unit * tracked["stored"] * (at_most / elastic) if "stored" in tracked else at_most
+
+    def of_sphere() -> Values:
+        if len(sides) == 1 or scene.rig == "bars":
+            own = there[0].share * energy()
+        elif static or "stored_sphere" not in tracked:
+            own = sum(partner.share * side["stored"] for partner, side in zip(there, sides, strict=True))
+        else:
+            own = unit * tracked["stored_sphere"]
+        if all(partner.face is None for partner in there):
+            return own
+        crushed = (
+            np.where(partner.sphere_yields, side["dissipated"], 0.0)
+            for partner, side in zip(there, sides, strict=True)
+        )  # fmt: skip
+        return own + sum(crushed)
+
+    return {"energy": energy, "energy_sphere": of_sphere}
 
 
 def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
@@ -327,18 +344,27 @@ def _of_blow(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Array]:
         return {}
     scales, (behind, ahead) = scene.scales, scene.partners
     # P_c alpha_c = m V_c², (R5)
-    found = {"offered": 0.5 * scales.force * scales.approach}
+    offered = partial(_half, scales)
+    found: dict[str, Any] = {"offered": offered}
     if "end_speed" in tracked:
         back = tracked["end_speed"] if behind is None else tracked["end_speed_a"]
-        found["leaving"] = -back
-        found["parting_speed"] = tracked["end_speed_b"] - back if behind is None else -back
-    carried = 0.0 * scales.force
-    for partner, name in ((behind, "a"), (ahead, "b")):
-        if partner is not None and partner.kind in ("bar", "plate") and f"carried_{name}" in tracked:
-            carried = carried + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
-    if (loss := loss_to_waves(scene)) is not None:
-        carried = carried + loss * found["offered"]
+        found["leaving"] = lambda: -back
+        found["parting_speed"] = lambda: tracked["end_speed_b"] - back if behind is None else -back
+
+    def carried() -> Values:
+        total = 0.0 * scales.force
+        for partner, name in ((behind, "a"), (ahead, "b")):
+            if partner is not None and partner.kind in ("bar", "plate") and f"carried_{name}" in tracked:
+                total = total + scales.force**2 * scales.time / partner.impedance * tracked[f"carried_{name}"]
+        loss = loss_to_waves(scene)
+        return total if loss is None else total + loss * offered()
+
     return found | {"carried_off": carried}
+
+
+def _half(scales: Scales) -> Array:
+    """Kinetic energy of the blow [J]."""
+    return 0.5 * scales.force * scales.approach
 
 
 def _lacking(scene: Scene) -> dict[str, str]:
@@ -360,7 +386,7 @@ def _lacking(scene: Scene) -> dict[str, str]:
         )
         if not {"platens.speed", "platens.loading_rate"} & scene.columns.keys():
             found["rise"] = 'how fast the platens press is not given: add speed = "1 mm/min" or loading_rate'
-    if rig.name != "bars" and not np.any(scene.reflections):
+    if rig.name != "bars" and not any(one is not None and np.any(one.reflection) for one in scene.partners):
         found["x_first"] = "no wave comes back to the sphere"
     if all(one is None or one.face is None for one in scene.partners):
         why = 'both bodies are elastic: add a table [contact] with law = "plastic"'
@@ -498,10 +524,12 @@ def answers_from(
 
 def merged_answers(*parts: tuple[Places, Answers]) -> Answers:
     """Answers of one batch from those of some of its rows each; together they are all of them."""
-    order, found = np.argsort(np.concatenate([rows for rows, _ in parts])), [part for _, part in parts]
+    places, found = np.concatenate([rows for rows, _ in parts]), [part for _, part in parts]
+    order = None if np.all(places[1:] > places[:-1]) else np.argsort(places)
 
     def put(columns: Iterable[npt.NDArray[_Kind]]) -> npt.NDArray[_Kind]:
-        return np.concatenate(list(columns))[order]
+        whole = np.concatenate(list(columns))
+        return whole if order is None else whole[order]
 
     others: dict[str, Array] = {}
     if any(part.others for part in found):

@@ -77,7 +77,10 @@ def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -
 def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) -> Partner:
     """The partner whose numbers stand in a table of the scene; not finite where a row has no meaning."""
     c = scene.columns
-    face_E, face_nu = (scene.column(f"{table}.insert_{key}", scene.column(f"{table}.{key}")) for key in ("E", "nu"))
+    face_E, face_nu = (
+        c[f"{table}.insert_{key}"] if f"{table}.insert_{key}" in c else scene.column(f"{table}.{key}")
+        for key in ("E", "nu")
+    )
     with np.errstate(all="ignore"):
         modulus = contact.reduced_modulus(
             c["sphere.E"], c["sphere.nu"], face_E, face_nu, rigid_bars=scene.rigid_contact
@@ -91,11 +94,16 @@ def partner_of(scene: Scene, table: str, kind: str, speed: Array | None = None) 
             hertz_constant=contact.hertz_constant(modulus, radius),
             share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
             impedance=_impedance(scene, table, kind),
-            mass=_mass(scene, table) if kind == "mass" else np.full(len(scene), np.inf),
-            speed=np.zeros(len(scene)) if speed is None else speed,
+            mass=_mass(scene, table) if kind == "mass" else _everywhere(np.inf, scene),
+            speed=_everywhere(0.0, scene) if speed is None else speed,
             **_law(scene, table, face_nu, modulus, radius),
             **_echo(scene, table, kind),
         )
+
+
+def _everywhere(value: float, scene: Scene) -> Array:
+    """One number in every row, (n,), without room of its own."""
+    return np.broadcast_to(np.float64(value), (len(scene),))
 
 
 def _face_radius(scene: Scene, table: str) -> Array:
@@ -109,12 +117,12 @@ def _face_radius(scene: Scene, table: str) -> Array:
 
 
 def _impedance(scene: Scene, table: str, kind: str) -> Array:
+    if kind not in ("bar", "plate"):
+        return _everywhere(np.inf, scene)
     E, nu, density = (scene.column(f"{table}.{key}") for key in ("E", "nu", "density"))
     if kind == "bar":
         return np.asarray(bars.impedance(E, density, scene.column(f"{table}.diameter")))
-    if kind == "plate":
-        return plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
-    return np.full(len(scene), np.inf)
+    return plate_impedance(E, nu, density, scene.column(f"{table}.thickness"))
 
 
 def _mass(scene: Scene, table: str) -> Array:
@@ -130,7 +138,7 @@ def _mass(scene: Scene, table: str) -> Array:
 def _echo(scene: Scene, table: str, kind: str) -> dict[str, Array]:
     """Round trip and reflection of a bar of a rig; those of the two bars of `bars` are columns of their own."""
     if kind != "bar" or table == "bars" or f"{table}.length" not in scene.columns:
-        return {"round_trip": np.full(len(scene), np.inf), "reflection": np.zeros(len(scene))}
+        return {"round_trip": _everywhere(np.inf, scene), "reflection": _everywhere(0.0, scene)}
     E, density, length = (scene.column(f"{table}.{key}") for key in ("E", "density", "length"))
     # a far end that nobody names is free, as that of a rod that stands on nothing
     reflection = scene.column(f"{table}.end", bars.END_COEFFICIENTS["free"])
@@ -165,7 +173,7 @@ class _Law(TypedDict):
 
 def _law(scene: Scene, table: str, nu: Array, modulus: Array, radius: Array) -> _Law:
     """The law of a face that yields: that of its softer body, row by row, but for what [contact] gives."""
-    elastic = _Law(face=None, sphere_yields=np.zeros(len(scene), dtype=bool))
+    elastic = _Law(face=None, sphere_yields=np.broadcast_to(np.False_, (len(scene),)))
     if scene.contact_law != "plastic":
         return elastic
     body, sphere = body_of(scene, table, nu), sphere_body(scene)

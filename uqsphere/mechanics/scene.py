@@ -394,7 +394,7 @@ class Scene:
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
-    def at(self, rows: Places) -> Scene:
+    def at(self, rows: Places | slice) -> Scene:
         """The scene of some of its rows."""
         return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
@@ -588,8 +588,9 @@ class Scene:
             for partner in self.partners:
                 if partner is not None and partner.face is not None:
                     codes[~partner.face.valid] = 1
-            brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
-            codes[brief.any(axis=1)] = 1
+            if any(one is not None and one.kind == "bar" for one in self.partners):
+                brief = (self.round_trips < _SHORTEST * scales.time[:, None]) & (self.reflections != 0.0)
+                codes[brief.any(axis=1)] = 1
             if self.rig != "bars":
                 codes[outside(self)] = 1
                 if RIGS[self.rig].blow:

@@ -58,7 +58,7 @@ _FOUND: Final = {
     "plate_edge": "the bending wave is back from the plate’s edge",
     "gravity": "weights are not small beside the force",
     "drag": "the air slows the fall",
-    "oblique": "the blow is oblique",
+    "oblique": "the path is far from square to the surface",
     "wave_loss": "a thick target carries energy off as waves",
     "one_dimensional_rod": "the force rises faster than one-dimensional waves in the rod carry",
     "one_sided_field": "the forces at the poles differ where the contact is large",

@@ -79,6 +79,9 @@ class HoopField:
         self._caps = Load(contact_ratio=(a, a), pressure=(1.0, 0.0)) if one_sided else Load.balanced(a)
         p = load_coefficients(self._caps, terms)
         self._mean = float(p[0])
+        #: around the pole that nothing presses the hoop stress is compressive; what two sums that are cut off leave of
+        #: each other there may be a tension above that of a small contact anywhere on the surface
+        self._far_pole = angle < min(5.0 * a, 0.8)
         self._parts = [_Degrees(p, 2, self.radius, angle)]
         if one_sided:
             self._parts.append(_Degrees(p, 1, self.radius, angle))
@@ -86,7 +89,7 @@ class HoopField:
     def hoop(self, nu: float) -> Array:
         """sigma_phi/p_0 on the grid, (radii, angles); of a one-sided blow on both hemispheres, (2, radii, angles)."""
         even, *odd = [part.inside(nu) for part in self._parts]
-        return np.stack([even + odd[0], even - odd[0]]) - self._mean if odd else even - self._mean
+        return np.stack([even + odd[0], even - odd[0]]) - self._mean if odd else np.asarray(even - self._mean)
 
     def surface_hoop(self, nu: float) -> Array:
         """sigma_phi/p_0 at r = 1, (angles,) or (2, angles), with the closed parts of `surface_stress`."""
@@ -97,6 +100,8 @@ class HoopField:
             cross = (1.0 - 2.0 * nu) * cross_in_closed_form(angle, self._caps, self._mean)
             pressure = pressure_on_surface(angle, self._caps)
             found.append(np.asarray(rest + (2.0 * nu - 1.0) * self._mean - 2.0 * nu * pressure + cross))
+        if odd:
+            found[1] = np.where(self._far_pole, np.minimum(found[1], 0.0), found[1])
         return np.stack(found) if odd else found[0]
 
 
