@@ -415,7 +415,7 @@ def test_the_command_writes_the_start_of_a_study(tmp_path: Path, capsys: pytest.
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out" / "analysis.json").read_text())
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "file").write_text("x")
+    (tmp_path / "mine" / "inputs.toml").write_text("x")
     assert main([*arguments, "--out", str(tmp_path / "mine")]) == 5
 
 

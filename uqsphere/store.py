@@ -16,7 +16,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 import uqsphere
 from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, load_document, read_whole, refuse_links
+from uqsphere.files import LARGEST_ARRAY, Json, chunk_of, digest_of, load_document, read_whole, refuse_links
 
 #: name of a stored chunk: its key and the first 16 digits of the checksum of its content
 CHUNK_NAME = re.compile(r"(?P<key>[a-z0-9.-]+)_(?P<digest>[0-9a-f]{16})\.npy")
@@ -37,6 +37,8 @@ _HALF = re.compile(r"\.(?:[\w.-]+\.(?:npy|json|csv|toml|svg|html|pdf)|SHA256SUMS
 #: what a formula begins with, wide forms included
 _FORMULA = "=+-@\t\r\n＝＋－＠"
 _MARK = "study.resolved.json"
+#: list of the files that commands have written into a folder of the user's
+_WRITTEN = ".uqsphere-files"
 #: a stored array: numbers, or rows of plain numbers with names
 Stored = npt.NDArray[Any]
 #: says why a study cannot extend the one that a folder holds, from what both mean; empty if it can
@@ -110,6 +112,46 @@ def _sync_folder(folder: Path) -> None:
 def write_json(path: Path, content: Json) -> None:
     """Write JSON with sorted layout kept as given, one trailing newline, and no NaN or infinity."""
     write_atomically(path, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def write_outputs(folder: Path, files: Mapping[str, bytes | str]) -> list[Path]:
+    """Write what a command was asked for into a folder of the user's; the paths written.
+
+    A file that is there already is replaced where it is as an earlier command wrote it, which a list of checksums in
+    the folder tells: what somebody else wrote, or has changed since, is not lost.
+
+    Raises
+    ------
+    FolderError
+        Where a link or such a file is in the way; nothing is written then.
+    AccessError
+        When the system refuses.
+    """
+    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
+    digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    if folder.is_symlink():
+        raise FolderError(f"{folder} is a link: name the folder itself with --out")
+    known = _written(folder)
+    for name, digest in digests.items():
+        path = folder / name
+        if path.is_symlink() or (path.exists() and digest_of(path) not in (digest, known.get(name))):
+            raise FolderError(
+                f"{path} is there already, and is not what a command of uqsphere wrote: remove it, or choose another "
+                "place with --out"
+            )
+    for name, data in contents.items():
+        write_atomically(folder / name, data)
+    listed = sorted((known | digests).items())
+    write_atomically(folder / _WRITTEN, "".join(f"{digest}  {name}\n" for name, digest in listed))
+    return [folder / name for name in contents]
+
+
+def _written(folder: Path) -> dict[str, str]:
+    """Checksums of the files that commands have written into a folder, by name."""
+    if not (folder / _WRITTEN).exists() and not (folder / _WRITTEN).is_symlink():
+        return {}
+    lines = read_whole(folder / _WRITTEN).decode("utf-8", "replace").splitlines()
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -23,6 +23,7 @@ from uqsphere.bench.measure import (
 )
 from uqsphere.bench.scenes import bench_scenes
 from uqsphere.errors import FolderError
+from uqsphere.store import write_outputs
 
 if TYPE_CHECKING:
     from uqsphere.report.figures.canvas import Picture
@@ -71,12 +72,11 @@ def run_bench(folder: Path, *, quick: bool, notice: Callable[[str], None]) -> di
         "entries": [asdict(entry) for entry in entries], "ratios": ratios(entries), "cost": cost, "limits": limits,
     }  # fmt: skip
     text = bench_text(content, entries)
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
     with style():
-        for picture in (speed_error_figure(entries), cost_figure(cost)):
-            (folder / "figures" / f"{picture.name}.svg").write_text(render(picture), encoding="utf-8")
-    (folder / "bench.md").write_text(text + "\n", encoding="utf-8")
-    (folder / "bench.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        pictures = [speed_error_figure(entries), cost_figure(cost)]
+        write_outputs(folder / "figures", {f"{picture.name}.svg": render(picture) for picture in pictures})
+    document = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    write_outputs(folder, {"bench.md": text + "\n", "bench.json": document})
     return {**content, "text": text}
 
 

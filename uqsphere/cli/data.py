@@ -6,7 +6,6 @@ import argparse
 import json
 
 from uqsphere.console import print_document, screen_width, table
-from uqsphere.errors import FolderError
 from uqsphere.quantities import INPUTS, OUTPUTS, format_value
 from uqsphere.units import UNITS
 
@@ -25,12 +24,10 @@ def command_analyse(chosen: argparse.Namespace) -> int:
     known = None if chosen.laws is None else known_laws(chosen.laws, data.inputs)
     found = analyse_data(data, known=known)
     if chosen.out is not None:
-        if chosen.out.exists() and any(chosen.out.iterdir()) and not (chosen.out / "analysis.json").is_file():
-            raise FolderError(f"{chosen.out} is not empty and holds no analysis: choose another with --out")
-        chosen.out.mkdir(parents=True, exist_ok=True)
+        from uqsphere.store import write_outputs
+
         text = json.dumps(found, indent=1, allow_nan=False) + "\n"
-        (chosen.out / "analysis.json").write_text(text, encoding="utf-8")
-        (chosen.out / "inputs.toml").write_text(study_text(found), encoding="utf-8")
+        write_outputs(chosen.out, {"analysis.json": text, "inputs.toml": study_text(found)})
     if chosen.json:
         print_document(found)
     else:

@@ -208,7 +208,7 @@ def _text(found: Plan) -> str:
 
 def _write(folder: Path, found: Plan, title: str) -> list[str]:
     from uqsphere.planning.pictures import plan_figure
-    from uqsphere.store import csv_text, write_atomically
+    from uqsphere.store import csv_text, write_outputs
 
     windows = [
         [chart.length, *("" if value is None else value for value in _window(window).values())]
@@ -219,9 +219,7 @@ def _write(folder: Path, found: Plan, title: str) -> list[str]:
     files = {"plan.csv": csv_text(*_points(found)), "windows.csv": csv_text(head, windows)}
     for k in range(len(found.charts)):
         files[f"plan{'' if len(found.charts) == 1 else f'-{k + 1}'}.svg"] = plan_figure(found, k, title)
-    for name, text in files.items():
-        write_atomically(folder / name, text)
-    return [str(folder / name) for name in files]
+    return [str(path) for path in write_outputs(folder, files)]
 
 
 def _points(found: Plan) -> tuple[list[str], list[list[float | str]]]:

@@ -116,12 +116,9 @@ class _Said:
 
 
 def _write(folder: Path, files: Mapping[str, str | bytes]) -> list[str]:
-    from uqsphere.store import write_atomically
+    from uqsphere.store import write_outputs
 
-    for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / name, content)
-    return [str(folder / name) for name in files]
+    return [str(path) for path in write_outputs(folder, files)]
 
 
 def _read(chosen: argparse.Namespace, path: Path, study: Study | None) -> Record:

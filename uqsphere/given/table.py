@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import math
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, TextIO, TypeAlias
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.errors import UsageError
+from uqsphere.files import open_given
 
 #: bytes of a file, and columns that are looked at
 _LARGEST: Final = 256 * 1024 * 1024
@@ -40,9 +42,10 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
     Raises
     ------
     AccessError
-        When the file cannot be read.
+        When the file cannot be read, or is a pipe or a device.
     UsageError
-        For columns that are missing, named twice or hold what is no finite number, with the line.
+        For a file of more than 256 MiB, and columns that are missing, named twice or hold what is no finite number,
+        with the line.
     """
     names = [*inputs, *outputs]
     if not inputs or not outputs:
@@ -51,18 +54,15 @@ def read_data(path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Data
         raise UsageError(f"a column is named twice among {', '.join(names)}")
     if len(names) > _MOST_COLUMNS:
         raise UsageError(f"found {len(names)} columns, at most {_MOST_COLUMNS} are analysed at a time")
-    header, rows = _lines(path)
-    places = [_place(path, header, name) for name in names]
-    cells = [[_number(row[k] if k < len(row) else "") for k in places] for _, row in rows]
-    values = np.array(cells).reshape(len(rows), len(names))
-    odd = np.argwhere(~np.isfinite(values))
-    if odd.size:
-        at, column = odd[0]
-        line, row = rows[at]
-        cell = row[places[column]] if places[column] < len(row) else ""
-        raise UsageError(f"{path}:{line}: column {names[column]!r}: found {cell[:40]!r}, where a finite number is due")
-    if len(rows) < 5:
-        found = "1 row" if len(rows) == 1 else f"{len(rows)} rows"
+    with open_given(path, _LARGEST) as stream, io.TextIOWrapper(stream, "utf-8-sig", newline="") as text:
+        try:
+            values = _columns(path, text, names)
+        except UnicodeDecodeError as error:
+            raise UsageError(f"{path} is not UTF-8 text") from error
+        except csv.Error as error:
+            raise UsageError(f"{path} is no CSV: {error}") from error
+    if len(values) < 5:
+        found = "1 row" if len(values) == 1 else f"{len(values)} rows"
         raise UsageError(f"{path}: found {found}, at least 5 are needed")
     d = len(inputs)
     return Data(inputs=tuple(inputs), outputs=tuple(outputs), x=values[:, :d], y=values[:, d:])
@@ -77,36 +77,34 @@ def _place(path: Path, header: Sequence[str], name: str) -> int:
     return header.index(name)
 
 
+def _columns(path: Path, text: TextIO, names: Sequence[str]) -> Array:
+    """Columns (n, d + q) of a table; of what it holds besides nothing is kept."""
+    reader = csv.reader(text, strict=True)
+    rows = ([cell.strip() for cell in row] for row in reader if any(map(str.strip, row)))
+    header = next(rows, None)
+    if header is None:
+        raise UsageError(f"{path} is empty")
+    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and mark in header[0]:
+            raise UsageError(f"{path} is divided by {called}: commas between columns and points in numbers are due")
+    places = [_place(path, header, name) for name in names]
+    values = array("d")
+    for row in rows:
+        for name, k in zip(names, places, strict=True):
+            cell = row[k] if k < len(row) else ""
+            value = _number(cell)
+            if not math.isfinite(value):
+                found = f"column {name!r}: found {cell[:40]!r}, where a finite number is due"
+                raise UsageError(f"{path}:{reader.line_num}: {found}")
+            values.append(value)
+    return np.array(values).reshape(-1, len(names))
+
+
 def _number(cell: str) -> float:
     try:
         return float(cell)
     except ValueError:
         return math.nan
-
-
-def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    if path.is_dir():
-        raise UsageError(f"{path}: this is a folder; give the table inside it")
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise UsageError(f"{path} is larger than {_LARGEST // 1024**2} MiB: thin it out first")
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise AccessError(f"{path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not UTF-8 text") from error
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-        rows = [(reader.line_num, [c.strip() for c in row]) for row in reader if any(c.strip() for c in row)]
-    except csv.Error as error:
-        raise UsageError(f"{path} is no CSV: {error}") from error
-    if not rows:
-        raise UsageError(f"{path} is empty")
-    header = rows[0][1]
-    for mark, called in ((";", "semicolons"), ("\t", "tabs")):
-        if len(header) == 1 and mark in header[0]:
-            raise UsageError(f"{path} is divided by {called}: commas between columns and points in numbers are due")
-    return header, rows[1:]
 
 
 def _is_number(cell: str) -> bool:

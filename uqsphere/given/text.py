@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
 from uqsphere.console import screen_width, table, wrap, writable
+from uqsphere.errors import told
 from uqsphere.given.table import Document
 from uqsphere.quantities import format_estimate
+from uqsphere.study.limits import valid_name
+from uqsphere.study.resolve import RESERVED
 
 #: inputs from which on a table of all pairs, or of all fits, would say nothing to anybody
 _MANY: Final = 30
+#: a unit behind a name; characters of a name that is made; the largest rank correlation that is written
+_UNIT: Final = re.compile(r"\s*[\[(][^\])]*[\])]\s*$")
+_LONGEST: Final = 40
+_STRONGEST: Final = 0.9999
 #: what is called by which name
 _ORDERS: Final = {"shapley": "Shapley effect", "first": "first", "total": "total"}
 
@@ -167,36 +175,50 @@ def _said(found: Document, name: str) -> str:
 
 
 def study_text(found: Document) -> str:
-    """The inputs as a black-box study would have them, to go on with."""
-    lines = [
-        "# laws fitted to given data; a study with these inputs runs with --model FILE.py:FUNCTION",
-        "",
-        "[inputs]",
-    ]
-    for name, entry in found["inputs"].items():
+    """The inputs as a black-box study would have them, to go on with; names that a study cannot have are changed."""
+    called = _study_names([*found["inputs"], *found["outputs"]])
+    lines = ["# laws fitted to given data; a study with these inputs runs with --model FILE.py:FUNCTION"]
+    lines += [f"# {name} stands for the column {told(column, 80)}" for column, name in called.items() if name != column]
+    lines += ["", "[inputs]"]
+    given = set()
+    for column, entry in found["inputs"].items():
+        name = called[column]
         if entry.get("fixed") is not None:
-            lines.append(f"{_key(name)} = {entry['fixed']!r}")
+            lines.append(f"{name} = {entry['fixed']!r}")
             continue
         if entry["chosen"] in (None, "kde", "empirical"):
-            lines.append(f"# {name}: {entry['reason']}; give it as an empirical law with its own CSV")
+            lines.append(f"# {name}: {told(entry['reason'])}; give it as an empirical law with its own CSV")
             continue
+        given.add(column)
         keys = ", ".join(f"{key} = {value!r}" for key, value in entry["parameters"].items())
-        lines.append(f'{_key(name)} = {{ dist = "{entry["chosen"]}", {keys} }}')
+        lines.append(f'{name} = {{ dist = "{entry["chosen"]}", {keys} }}')
     for pair in found["dependence"]:
-        if pair["dependent"]:
-            names = ", ".join(_quoted(name) for name in pair["of"])
-            lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {pair['spearman']['value']:.4f}"]
+        if pair["dependent"] and given.issuperset(pair["of"]):
+            names = ", ".join(f'"{called[column]}"' for column in pair["of"])
+            # a study refuses inputs that give each other
+            rank = min(max(pair["spearman"]["value"], -_STRONGEST), _STRONGEST)
+            lines += ["", "[[dependence]]", f"of = [{names}]", f"spearman = {rank:.4f}"]
             if pair.get("copula") not in (None, "gaussian"):
                 lines.append(f'copula = "{pair["copula"]}"')
-    lines += ["", "[outputs]", f"names = [{', '.join(_quoted(name) for name in found['outputs'])}]"]
-    return "\n".join(lines) + "\n"
+    names = ", ".join(f'"{called[column]}"' for column in found["outputs"])
+    return "\n".join([*lines, "", "[outputs]", f"names = [{names}]", ""])
 
 
-def _quoted(name: str) -> str:
-    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+def _study_names(columns: Sequence[str]) -> dict[str, str]:
+    """Names that a study takes, each once, for columns: their own where they are such, else without unit and signs.
 
-
-def _key(name: str) -> str:
-    bare = name.replace("-", "_")
-    return name if bare.isascii() and bare.replace("_", "a").isalnum() else _quoted(name)
+    >>> _study_names(["E [GPa]", "b", "E", "%"])
+    {'b': 'b', 'E': 'E', 'E [GPa]': 'E_2', '%': 'column'}
+    """
+    called = {column: column for column in columns if valid_name(column) and column not in RESERVED}
+    for column in columns:
+        if column in called:
+            continue
+        name = "".join(c if valid_name(f"a{c}") else "_" for c in _UNIT.sub("", column)[:_LONGEST])
+        stem = name if name.strip("_-") and valid_name(name) and name not in RESERVED else "column"
+        name, number = stem, 1
+        while name in called.values():
+            number += 1
+            name = f"{stem}_{number}"
+        called[column] = name
+    return called

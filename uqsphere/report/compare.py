@@ -23,7 +23,6 @@ from typing import Any, Final
 from pydantic import Field
 
 from uqsphere.console import plain, screen_width, table, wrap, writable
-from uqsphere.errors import FolderError
 from uqsphere.quantities import display_unit, lookup, reading_units, unit_that_reads
 from uqsphere.report.assumptions import instead_text
 from uqsphere.report.blocks import Block, Table
@@ -56,7 +55,7 @@ from uqsphere.report.phrases import (
 )
 from uqsphere.results import Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
-from uqsphere.store import write_atomically
+from uqsphere.store import write_outputs
 
 _LEVEL: Final = 0.05
 _SCORE: Final = 1.959963984540054
@@ -520,11 +519,9 @@ def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
     Raises
     ------
     FolderError
-        When one of the folders is damaged, or `out` is a link.
+        When one of the folders is damaged, or another's file or a link stands where the page is to be.
     """
     page = out if out.suffix.lower() in (".html", ".htm") else out / "compare.html"
-    if page.is_symlink():
-        raise FolderError(f"{page} is a link: name another file")
     for name, own in found.services.items():
         beside = page.with_name(f"{page.stem}-{name}.html")
         write_page(before / "services" / name, after / "services" / name, own, beside)
@@ -549,8 +546,8 @@ def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
         if name in contents[1].results.margins
         for picture in (fragility_picture(*contents, name),)
     ]  # fmt: skip
-    write_atomically(page, _page(found, {"laws": laws, "indices": indices, "margins": margins}))
-    return page
+    text = _page(found, {"laws": laws, "indices": indices, "margins": margins})
+    return write_outputs(page.parent, {page.name: text})[0]
 
 
 #: what a table of a section is about

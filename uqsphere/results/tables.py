@@ -153,6 +153,11 @@ def _analysis_rows(results: Results) -> list[Row]:
 
 def tables(results: Results) -> dict[str, str]:
     """CSV tables by file name."""
+    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in table_cells(results).items()}
+
+
+def table_cells(results: Results) -> Tables:
+    """Header and rows of every table by its name; what is not known is an empty text."""
     inputs = [[n, e.dist, e.mean, e.sd, e.unit] for n, e in results.inputs.items()]
     checks = [[c.check, c.share, c.worst, c.text] for c in results.validity]
     speed = [[r.method, r.quantity, r.evaluations, r.error, r.error_kind] for r in results.speed_error]
@@ -175,4 +180,4 @@ def tables(results: Results) -> dict[str, str]:
             ("quantity", "unit", "as_printed", "corrected", "full", "note"),
             [[p.quantity, p.unit, p.as_printed, p.corrected, p.full, p.note] for p in results.paper],
         )
-    return {f"{name}.csv": csv_text(header, rows) for name, (header, rows) in found.items()}
+    return found

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from uqsphere.errors import FolderError, UqsphereError
-from uqsphere.files import FOLDERS, is_device_name, read_whole
+from uqsphere.files import FOLDERS, LARGEST_ARRAY, is_device_name, read_given, read_whole
 from uqsphere.store import write_atomically
 from uqsphere.study import Study
 
@@ -73,7 +73,7 @@ def keep_data(study: Study, folder: Path) -> None:
         if _leads_out(folder, name):
             raise FolderError(f"{folder / name} lies behind a link: it could lead out of {folder}")
         if source.resolve().is_file() and source.resolve() != (folder / name).resolve():
-            write_atomically(folder / name, source.read_bytes())
+            write_atomically(folder / name, read_given(source, LARGEST_ARRAY))
 
 
 def kept_data(text: str, folder: Path) -> dict[str, bytes]:

@@ -7,10 +7,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uqsphere.errors import FolderError, UsageError
+from uqsphere.errors import AccessError, FolderError, UsageError
+from uqsphere.files import LARGEST_ARRAY, read_whole
 from uqsphere.results import NO_RIG
-from uqsphere.results.tables import tables
-from uqsphere.store import plain_cell, write_atomically
+from uqsphere.results.tables import table_cells
+from uqsphere.store import plain_cell, write_outputs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,10 +31,11 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
 
     path = folder / "tables" / f"{name}.csv"
     try:
-        return pd.read_csv(path)
-    except FileNotFoundError as error:
+        # a name may be NA or null: a cell that is empty, and no other, holds nothing
+        return pd.read_csv(io.BytesIO(read_whole(path, LARGEST_ARRAY)), keep_default_na=False, na_values=[""])
+    except AccessError as error:
         raise FolderError(f"{folder} has no tables/{path.name}: it is damaged; run the study again") from error
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise FolderError(f"{path} is damaged: {error}") from error
 
 
@@ -41,13 +43,19 @@ def _frames(run: Run) -> dict[str, pd.DataFrame]:
     """Samples, and the tables as results.json has them: what stands in tables/ may have been changed since."""
     import pandas as pd
 
-    found = sorted(tables(run.results).items())
-    for name, _ in found:
-        if not (run.folder / "tables" / name).is_file():
-            raise FolderError(f"{run.folder} has no tables/{name}: it is damaged; run the study again")
-    frames = {name.removesuffix(".csv"): pd.read_csv(io.StringIO(text)) for name, text in found}
+    frames = {}
+    for name, (header, rows) in sorted(table_cells(run.results).items()):
+        if not (run.folder / "tables" / f"{name}.csv").is_file():
+            raise FolderError(f"{run.folder} has no tables/{name}.csv: it is damaged; run the study again")
+        frames[name] = pd.DataFrame([[_cell(value) for value in row] for row in rows], columns=list(header))
     own = {} if run.results.rig == NO_RIG else {"samples": run.samples()}
     return {**own, **frames}
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, str):
+        return plain_cell(value) or None
+    return value
 
 
 def _content(frame: pd.DataFrame, form: str) -> bytes:
@@ -73,11 +81,7 @@ def export_run(run: Run, form: str, folder: Path) -> list[Path]:
     """
     if form not in ("csv", "json", "parquet"):
         raise UsageError(f"unknown format {form!r} (allowed: csv, json, parquet)")
-    written = []
-    for name, frame in _frames(run).items():
-        path = folder / f"{name}.{form}"
-        write_atomically(path, _content(frame, form))
-        written.append(path)
+    written = write_outputs(folder, {f"{name}.{form}": _content(frame, form) for name, frame in _frames(run).items()})
     for name, service in run.services.items():
         written += export_run(service, form, folder / "services" / name)
     return written

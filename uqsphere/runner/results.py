@@ -11,6 +11,7 @@ from importlib import metadata
 from typing import Any, Final
 
 import uqsphere
+from uqsphere.files import read_whole
 from uqsphere.quantities import lookup
 from uqsphere.results import NO_RIG, AnalysisEntry, FractureEntry, PlanEntry, Results, SpeedRow, ToleranceEntry
 from uqsphere.results.entries import CarriedEntry, CheckEntry, Manifest, PricesEntry
@@ -306,7 +307,7 @@ def write_results(store: Store, results: Results, manifest: Manifest) -> None:
     write_json(store.folder / "manifest.json", manifest.document())
     write_json(store.folder / "results.json", results.document())
     fixed = ["manifest.json", "results.json", "study.resolved.json", "study.toml"]
-    data = named_files((store.folder / "study.toml").read_text("utf-8", "replace"))
+    data = named_files(read_whole(store.folder / "study.toml").decode("utf-8", "replace"))
     others = ("samples.json", "samples.npy", "courses.json", "tables/courses.csv", *data)
     fixed += [name for name in others if (store.folder / name).is_file()]
     write_sums(store.folder, [*(f"tables/{name}" for name in found), *fixed])

@@ -34,7 +34,7 @@ from uqsphere.report.figures.canvas import (
 )
 from uqsphere.report.figures.scene import draw_field, field_rows, stress_figure
 from uqsphere.report.phrases import number_text
-from uqsphere.store import csv_text, write_atomically
+from uqsphere.store import csv_text, write_outputs
 from uqsphere.study import Study
 
 if TYPE_CHECKING:
@@ -673,9 +673,7 @@ def _write(found: History, study: Study, folder: Path) -> list[Path]:
     nu = float(scene.columns["sphere.nu"][found.motion.row])
     if not outside(ratio, nu):
         contents["stress.svg"] = stress_figure(ratio, nu, pressure)
-    for name, text in contents.items():
-        write_atomically(folder / name, text)
-    return [folder / name for name in contents]
+    return write_outputs(folder, contents)
 
 
 def _bar_pictures(found: History) -> dict[str, str]:
