@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 from pathlib import Path
 
 import pytest
 
 from reports.same_strength import CASES, rows_of, yielding_rows
-from uqsphere import load_study
-from uqsphere.errors import StudyError
+from uqsphere import load_study, run
+from uqsphere.cli import main
+from uqsphere.cli.verify import verify_folder
+from uqsphere.errors import FolderError, StudyError
+from uqsphere.mechanics.rigs import GRAVITY
+from uqsphere.report import build_report
+from uqsphere.report.compare import compare_folders, comparison_text
+from uqsphere.report.terminal import summary_of
+from uqsphere.runner.export import export_run
+from uqsphere.runner.finished import Run, open_run
 from uqsphere.study import Study
 
 SPHERE = """
@@ -285,6 +295,99 @@ length = "0.5 m"
     study = loaded(text, tmp_path)
     assert list(study.parts) == ["", "chute", "rotor"]
     assert study.services["rotor"].limits[0].platens == (200e9, 0.29)
+
+
+# --- a run ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A small run of two services."""
+    place = tmp_path_factory.mktemp("services")
+    small = (
+        "analysis.accuracy={mean=0.5, quantile=0.9, sobol=0.9, probability=0.9}", 'analysis.methods=["pce"]',
+        "analysis.budget.evaluations=40_000", 'analysis.ways="given"',
+    )  # fmt: skip
+    found = run(loaded(SERVICES, place, *small), out=place / "r")
+    build_report(found.folder)
+    return found
+
+
+def test_results_are_nested_and_each_service_has_a_folder(ran: Run) -> None:
+    assert ran.results.rig == "none"
+    assert ran.results.limits == {}
+    assert list(ran.results.parts) == ["chute", "rotor"]
+    for name, own in open_run(ran.folder).services.items():
+        assert own.results == ran.results.services[name]
+        assert (own.folder / "report.html").is_file()
+        assert own.results.rig == "impact"
+
+
+def test_three_carriers_are_answered_and_the_range_is_named(ran: Run) -> None:
+    chute, rotor = (ran.results.services[name].limits[name].carried for name in ("chute", "rotor"))
+    assert (chute.solve, rotor.solve) == ("rig.drop_height", "")
+    values = {carrier: entry.number for carrier, entry in chute.by_carrier().items()}
+    assert values["force"] < values["energy"] < values["centre"]
+    assert (chute.lowest, chute.highest, chute.safe("survive"), chute.safe("break")) == (
+        "force", "centre", "force", "centre")  # fmt: skip
+    # the pull of the earth makes v² of h, but for drag; P goes with v^1.2 but for what a plate gives way
+    assert (values["centre"] / values["force"]) ** 0.6 == pytest.approx(2.0, rel=0.08)
+    # without anything to solve for: the probability of missing the aim, of which the largest is the safe end
+    assert rotor.miss["centre"].number >= rotor.miss["force"].number
+    assert rotor.safe("break") == rotor.highest == "centre"
+
+
+def test_the_answer_in_metres_is_a_speed_as_well(ran: Run) -> None:
+    entry = ran.results.services["chute"].margins["chute"]
+    height, speed = entry.value.number, entry.also["rig.speed"].number
+    assert speed**2 == pytest.approx(2.0 * GRAVITY * height, rel=0.1)
+    assert speed**2 < 2.0 * GRAVITY * height
+    square = speed * math.sin(math.pi / 3.0)
+    assert entry.also["specific_impact_energy"].number == pytest.approx(0.5 * square**2, rel=1e-9)
+
+
+def test_terminal_page_export_and_comparison_walk_services(ran: Run, tmp_path: Path) -> None:
+    text = summary_of(ran.results, 100)
+    assert all(word in text for word in ("by force", "by energy", "by centre", "the safe end, to survive"))
+    page = (ran.folder / "report.html").read_text("utf-8")
+    assert all(f'id="service-{name}"' in page for name in ("chute", "rotor"))
+    assert "A rock is no sphere" in page
+    written = export_run(ran, "json", tmp_path)
+    assert tmp_path / "services" / "rotor" / "samples.json" in written
+    found = compare_folders(ran.folder, ran.folder)
+    assert found.services["chute"].identical
+    assert "service rotor: Both runs have the same answers" in comparison_text(found)
+
+
+def test_verify_repeats_every_service_and_finds_its_damage(ran: Run, tmp_path: Path) -> None:
+    found = verify_folder(ran.folder, chunks=1)
+    assert [own.results for own in (found, *found.services.values())] == ["the same"] * 3
+    assert found.verdict == "whole"
+    copy = tmp_path / "copy"
+    shutil.copytree(ran.folder, copy)
+    chunk = next((copy / "services" / "rotor" / "evaluations").glob("*.npy"))
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
+    assert verify_folder(copy, chunks=0).verdict == "damaged"
+
+
+def test_a_service_behind_a_link_is_refused(ran: Run, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(ran.folder, copy)
+    shutil.rmtree(copy / "services" / "rotor")
+    (copy / "services" / "rotor").symlink_to(ran.folder / "services" / "rotor")
+    with pytest.raises(FolderError, match="could lead out"):
+        open_run(copy)
+
+
+def test_check_tells_of_every_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loaded(SERVICES, tmp_path)
+    assert main(["check", str(tmp_path / "study.toml")]) == 0
+    told = capsys.readouterr().out
+    assert "service chute" in told
+    assert "rig: impact; target: plate" in told
+    assert main(["check", str(tmp_path / "study.toml"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["services"]["rotor"]["plan"]["evaluations"] > 0
 
 
 # --- the same strength by every machine ------------------------------------------------------------------

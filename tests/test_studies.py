@@ -30,8 +30,11 @@ CASES: dict[str, tuple[tuple[str, ...], tuple[float, float]]] = {
     "gauge_records": (ROUGH, (2.2e9, 2.5e9)),
     "limestone_margin": (ROUGH, (1.3e7, 1.6e7)),
     "granite_10mm_test": (ROUGH, (1.0e4, 1.3e4)),
+    "limestone_chute_rotor": ((), (2.1e7, 2.2e7)),
 }
 
+#: studies whose limits are to be exceeded
+MEANT = ("glass_bead_small_bar", "granite_10mm_test")
 #: their pages have the chapters of another's: drawing is most of the time
 TWINS = ("granite", "limestone_three_ways")
 
@@ -43,7 +46,8 @@ def small_run(name: str, folder: Path) -> dict[str, Any]:
     run = uqsphere.run(study, out=folder, model=model)
     if name not in TWINS:
         assert build_report(run.folder).stat().st_size < 3_000_000
-    return run.results.document()
+    # where services alone are run, the first of them
+    return next(iter(run.results.parts.values())).document()
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +119,7 @@ def test_the_paper_stands_beside_the_corrected_model(
 def test_the_bead_is_meant_to_break(study_results: tuple[str, dict[str, Any]]) -> None:
     name, found = study_results
     for own, limit in found["limits"].items():
-        meant = name in ("glass_bead_small_bar", "granite_10mm_test") or own == "crushed"
+        meant = name in MEANT or own == "crushed"
         assert limit["aim"] == ("break" if meant else "survive")
         if limit["aim"] == "break":
             assert limit["miss"]["value"] == pytest.approx(1.0 - limit["exceedance"]["value"], rel=1e-9)

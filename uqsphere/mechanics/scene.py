@@ -112,7 +112,7 @@ def _moving(table: str, symbol: str, meaning: str) -> tuple[Quantity, ...]:
         Quantity(name=f"{table}.speed", symbol=symbol, dimension="speed", display="m/s", lower=1e-3, upper=300.0,
                  closed=True, plausible=(1e-2, 150.0), meaning=meaning),
         Quantity(name=f"{table}.drop_height", symbol="h_drop", dimension="length", display="m", lower=1e-6, upper=1e3,
-                 closed=True, plausible=(1e-3, 100.0), meaning="height of the fall, in place of the speed"),
+                 closed=True, plausible=(1e-3, 100.0), meaning="height of the fall"),
     )  # fmt: skip
 
 

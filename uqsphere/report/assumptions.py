@@ -365,11 +365,13 @@ def reach_note(contents: Contents) -> str:
         entry.solve == "striker.speed" for entry in contents.results.margins.values()
     )
     radius = _span(contents, "sphere.radius")
+    where, other = ("in this machine", " or machine")
+    if contents.results.rig == "bars":
+        where, other = ("between these bars, with this pulse", ", bar or pulse")
     if radius:
         text += (
-            f" The answers hold for a sphere of radius {radius}, between these bars, with this pulse: another size, "
+            f" The answers hold for a sphere of radius {radius}, {where}: another size{other} needs a run of its own."
         )
-        text += "bar or pulse needs a run of its own."
     if _size_free(contents):
         text += " The strength does not change with the size of the sphere in this study."
     return text.strip()

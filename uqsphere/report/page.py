@@ -21,9 +21,9 @@ from uqsphere.report.contents import Contents, read_contents, units_of
 from uqsphere.report.figures.brief import curve_drawings, mode_dots
 from uqsphere.report.figures.canvas import APOSTROPHE, Picture, inline, render, shorten
 from uqsphere.report.margins import margin_verdicts
-from uqsphere.report.services import service_chapters, service_verdicts
+from uqsphere.report.services import all_cautions, service_chapters, service_verdicts
 from uqsphere.report.tables import commands, repeat_rows
-from uqsphere.report.verdict import cautions, glances, verdicts
+from uqsphere.report.verdict import glances, verdicts
 from uqsphere.results import NO_RIG
 from uqsphere.results.entries import Manifest
 from uqsphere.runner.sums import write_sums
@@ -324,7 +324,7 @@ def _page(contents: Contents, chapters: Sequence[Chapter], figures_drawn: dict[s
         "numbers_of": _numbers_of,
         "verdicts": [*service_verdicts(contents), *margin_verdicts(contents), *verdicts(contents)],
         "glances": glances(contents),
-        "cautions": cautions(contents),
+        "cautions": all_cautions(contents),
         "chapters": chapters,
         "appendix": appendix,
         "numbers": numbers,

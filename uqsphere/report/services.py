@@ -14,6 +14,7 @@ from uqsphere.report.margins import margin_verdicts
 from uqsphere.report.phrases import input_name, limit_name
 from uqsphere.report.tables import checks_table, limits_table, margins_table
 from uqsphere.report.verdict import cautions, verdicts
+from uqsphere.results import NO_RIG
 
 
 def carried_block(contents: Contents) -> Block:
@@ -53,12 +54,23 @@ def service_verdicts(contents: Contents) -> list[Verdict]:
     for name, own in contents.services.items():
         with _read_as_its_own(own):
             for verdict in (*margin_verdicts(own), *verdicts(own)):
-                found.append(replace(verdict, heading=f"{shorten(name, 40)}: {verdict.heading}"))
+                own_name = verdict.heading.startswith(f"{name}:")
+                heading = verdict.heading if own_name else f"{shorten(name, 40)}: {verdict.heading}"
+                found.append(replace(verdict, heading=heading))
+    return found
+
+
+def all_cautions(contents: Contents) -> list[str]:
+    """What weakens the answers of the study and of its services."""
+    found = [] if contents.results.rig == NO_RIG else cautions(contents)
+    for name, own in contents.services.items():
+        with _read_as_its_own(own):
+            found += [f"{shorten(name, 40)}: {text}" for text in cautions(own)]
     return found
 
 
 def service_chapters(contents: Contents) -> list[Chapter]:
-    """A chapter for every service: its answers, what weakens them, and where its own page is."""
+    """A chapter for every service: its answers, its checks, and where its own page is."""
     chapters = []
     for name, own in contents.services.items():
         with _read_as_its_own(own):
@@ -69,7 +81,6 @@ def service_chapters(contents: Contents) -> list[Chapter]:
                     for limit in own.results.margins
                 ),
                 carried_block(own),
-                Block(heading=f"Before you rely on {name}", remarks=tuple(cautions(own))),
                 Block(heading=f"Validity in {name}", table=checks_table(own), kind="checks notes"),
             )
         chapters.append(

@@ -220,6 +220,16 @@ def _carried(results: Results, width: int) -> list[str]:
     return [table(("carried from the tests", "value (95 % interval)", ""), rows, width), ""] if rows else []
 
 
+def _also(results: Results, width: int) -> list[str]:
+    """The answers of inverse questions in other numbers: a drop as a speed, and what the blow offers."""
+    texts = []
+    for name, entry in results.margins.items():
+        other = [f"{plain(path)} {_estimate(number, path)}" for path, number in entry.also.items()]
+        if other:
+            texts.append(wrap(f"the answer for {plain(name)} in other numbers: {'; '.join(other)}", width))
+    return [*texts, ""] if texts else []
+
+
 def _first_reason(texts: list[str]) -> str:
     return next((text for text in texts if text), "")
 
@@ -341,7 +351,12 @@ def summary_of(results: Results, width: int | None = None) -> str:
 def _parts(results: Results, width: int) -> list[str]:
     answers = [wrap(claim.text, width) for claim in claims(results) if claim.topic == "answer"]
     parts = [wrap(results.study.title, width, ""), "", *answers, *([""] if answers else [])]
-    parts += [*_verdicts(results, width), *_carried(results, width), *_governing(results, width)]
+    parts += [
+        *_verdicts(results, width),
+        *_also(results, width),
+        *_carried(results, width),
+        *_governing(results, width),
+    ]
     broken = _fracture_rows(results.fracture)
     if broken:
         parts += [table(("fracture", "value (95 % interval)"), broken, width), ""]

@@ -33,8 +33,8 @@ _OWN: Final = {"thickness": "plate", "width": "plate", "mass": "mass", "diameter
 _ELASTIC: Final = {"E": '"210 GPa"', "nu": "0.3"}
 #: what every answer of a machine leaves out
 NO_SPHERE: Final = (
-    "a rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
-    "the same mass; a ratio that was measured enters as limits.NAME.model_factor"
+    "A rock is no sphere: corners and edges break at less, flat lumps at other forces and energies than a sphere of "
+    "the same mass; a ratio that was measured enters as limits.NAME.model_factor."
 )
 #: table whose speed or drop height starts a rig
 _STARTS: Final = {"impact": "rig", "sphere_on_sphere": "rig", "drop_weight": "hammer", "load_cell": "hammer"}
