@@ -70,7 +70,7 @@ def test_the_readme_has_its_two_commands_and_a_figure() -> None:
     text = README.read_text(encoding="utf-8")
     blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     assert len(blocks) == 2
-    assert "uqsphere run studies/granite.toml" in blocks[0]
+    assert "uqsphere run studies/granite_three_ways.toml" in blocks[0]
     assert "pytest" in blocks[1]
     for picture in re.findall(r"!\[.+?\]\((.+?)\)", text):
         assert (ROOT / picture).is_file()
