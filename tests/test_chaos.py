@@ -88,9 +88,10 @@ def test_polynomials_are_orthonormal(germ: str) -> None:
 def test_chaospy_leaves_logging_and_randomness_as_they_were() -> None:
     code = (
         "import logging, sys, numpy as np; before = np.random.get_state()[1].copy()\n"
-        "from uqsphere.uq.expansion import orthonormal_values\n"
-        "assert 'chaospy' not in sys.modules\n"
+        "from uqsphere.uq.expansion import law_germ, orthonormal_values\n"
         "orthonormal_values('normal', np.zeros(2), 3)\n"
+        "assert 'chaospy' not in sys.modules\n"
+        "law_germ('x', quantile=np.sqrt, density=lambda x: 2.0 * x, lower=0.0, upper=1.0, degree=3)\n"
         "assert 'chaospy' in sys.modules\n"
         "root = logging.getLogger()\n"
         "assert root.level == logging.WARNING and not root.handlers, (root.level, root.handlers)\n"
@@ -361,3 +362,13 @@ def test_a_kink_is_found_and_taken_in_two_pieces() -> None:
     assert len(chaos.pieces) == 2
     assert validation_error(chaos, held, kinked(held)) < 1e-6
     assert validation_error(plain, held, kinked(held)) > 1e-3
+
+
+@pytest.mark.parametrize(("germ", "law"), [("normal", "Normal"), ("uniform", "Uniform")])
+def test_recurrences_are_those_of_chaospy(germ: str, law: str) -> None:
+    import chaospy
+
+    from uqsphere.uq.expansion.germs import _recurrence
+
+    theirs = getattr(chaospy, law)(*((0.0, 1.0) if germ == "normal" else (-1.0, 1.0))).ttr(np.arange(16))
+    assert np.array_equal(_recurrence(germ, 15), np.asarray(theirs, dtype=float).reshape(2, 16))

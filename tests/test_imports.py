@@ -113,3 +113,34 @@ def test_a_heavy_import_at_the_top_is_found() -> None:
     assert is_heavy(next(iter(imports_at_top(ast.parse("import numba")))))
     assert any(is_heavy(name) for name in imports_at_top(ast.parse("from scipy import stats")))
     assert not any(is_heavy(name) for name in imports_at_top(ast.parse("def f():\n    import numba")))
+
+
+def test_runs_need_no_chaospy(tmp_path: Path) -> None:
+    """Its dependency numpoly comes as source: without a compiler it is not there."""
+    code = f"""
+import sys
+sys.modules["chaospy"] = sys.modules["numpoly"] = None
+import numpy as np, uqsphere
+from uqsphere.errors import UsageError
+study = uqsphere.load_study({str(STUDIES / "ishigami.toml")!r}, ("analysis.budget.evaluations=9000",))
+box = lambda rows: {{"y": np.sin(rows["x1"]) + rows["x2"] * rows["x3"]}}
+assert uqsphere.run(study, out={str(tmp_path / "r")!r}, model=box).results.sensitivity
+from uqsphere.uq.expansion import law_germ
+try:
+    law_germ("x", quantile=np.sqrt, density=lambda x: 2.0 * x, lower=0.0, upper=1.0)
+except UsageError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
+    assert "needs chaospy" in done.stdout
+
+
+def test_doctor_says_what_a_system_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    from uqsphere.cli.doctor import examine
+
+    monkeypatch.setattr("uqsphere.runner.results.versions", lambda: {"numpy": "2.0", "chaospy": "missing"})
+    for name, said in (("linux", "apt install gcc"), ("darwin", "xcode-select"), ("win32", "winget"), ("aix", "one")):
+        monkeypatch.setattr(sys, "platform", name)
+        (entry,) = [entry for entry in examine()["checks"] if entry["check"] == "packages"]
+        assert not entry["ok"]
+        assert said in entry["text"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,12 @@ from typing import Final
 from uqsphere.console import print_document, screen_width, table
 from uqsphere.files import Json
 
+#: a compiler and Python's headers, by the name of the system; numpoly, which chaospy needs, is built from source
+COMPILER: Final = {
+    "linux": "apt install gcc python3-dev, dnf install gcc python3-devel or apk add gcc musl-dev python3-dev",
+    "darwin": "xcode-select --install",
+    "win32": "winget install Microsoft.VisualStudio.2022.BuildTools, with the workload for C++",
+}
 #: free bytes below which a run is likely to end on a full disk
 _LEAST_ROOM: Final = 1 << 30
 
@@ -37,10 +44,14 @@ def examine() -> Json:
 
     found = versions()
     missing = [name for name, version in found.items() if version == "missing"]
+    lacking = f"missing: {', '.join(missing)}"
+    if "chaospy" in missing:
+        how = COMPILER.get(sys.platform, "install one, with the headers of Python")
+        lacking += f"; chaospy needs a C compiler: {how}; then pip install chaospy. Every run works without it"
     folder = cache_folder()
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     checks = [
-        _entry("packages", not missing, f"missing: {', '.join(missing)}" if missing else "all there"),
+        _entry("packages", not missing, lacking if missing else "all there"),
         _entry("processors", True, f"{processors}"),
         _entry("cache of compiled code", True,
                str(folder) if folder else "none that is private and writable, so every process compiles"),

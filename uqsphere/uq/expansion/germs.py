@@ -1,4 +1,4 @@
-"""Germs, their orthonormal polynomials, and products of these: the file that loads chaospy.
+"""Germs, their orthonormal polynomials, and products of these: the file that loads chaospy, for laws of one's own.
 
 A germ is the standardised random number that an input is expanded in: Hermite polynomials of a standard normal
 score, Legendre polynomials of 2Φ(z) - 1 for laws with bounded support, or the polynomials of any law of one's own,
@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
 
-#: germs known by name: each follows the distribution of chaospy of that name
+#: germs known by name: a standard normal, and a uniform number from -1 to 1
 GERMS = ("normal", "uniform")
 
 HIGHEST_DEGREE = 15
@@ -72,13 +73,12 @@ def _quiet_chaospy() -> Iterator[None]:
 
 @lru_cache(maxsize=8)
 def _recurrence(germ: str, degree: int) -> Array:
-    """Coefficients (2, degree + 1) of the monic three-term recurrence of a germ known by name."""
-    with _quiet_chaospy():
-        import chaospy
+    """Coefficients (2, degree + 1) of the monic three-term recurrence of a germ known by name.
 
-        laws = {"normal": chaospy.Normal(0.0, 1.0), "uniform": chaospy.Uniform(-1.0, 1.0)}
-        coefficients = np.asarray(laws[germ].ttr(np.arange(degree + 1)), dtype=np.float64)
-    return coefficients.reshape(2, degree + 1)
+    a = 0; b_k = k of Hermite's polynomials and k² / (4 k² - 1) of Legendre's (Gautschi 2004, table 1.1).
+    """
+    k = np.arange(degree + 1.0)
+    return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
 
 
 def law_germ(
@@ -94,7 +94,7 @@ def law_germ(
 
     `quantile` and `density` take and give arrays (n,); a law without bounds is cut where nothing is left of it.
     Raises ValueError for bounds that are not finite and ordered, and for a density whose integral over them is
-    not 1 within 1e-4.
+    not 1 within 1e-4, and UsageError where chaospy is not installed.
 
     >>> import numpy as np
     >>> ramp = law_germ("ramp", quantile=np.sqrt, density=lambda x: 2.0 * x, lower=0.0, upper=1.0, degree=3)
@@ -109,7 +109,10 @@ def law_germ(
     if not abs(mass - 1.0) < 1e-4:
         raise ValueError(f"the density of {name!r} integrates to {mass:.6g} over its bounds, not to 1")
     with _quiet_chaospy():
-        import chaospy
+        try:
+            import chaospy
+        except ImportError as error:
+            raise UsageError("a germ of one's own needs chaospy: uqsphere doctor says how to install it") from error
 
         # On [-1, 1]: the powers of values far from zero would lose all figures.
         law = chaospy.UserDistribution(
