@@ -19,8 +19,8 @@ from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.fracture import first_fractures
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.outputs import PATHS, path_of
 from uqsphere.mechanics.outputs import Path as LoadingPath
-from uqsphere.mechanics.outputs import path_of
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_at_fracture
 from uqsphere.report import build_report
@@ -433,3 +433,25 @@ def test_a_study_without_the_key_keeps_its_hash(tmp_path: Path, small_text: str)
     assert "fracture" not in plain.resolved()["limits"]["crushing"]
     path.write_text(small_text.replace('quantity = "p_max"\n', 'quantity = "p_max"\nfracture = false\n'), "utf-8")
     assert uqsphere.load_study(path).hash != plain.hash
+
+
+def test_where_faces_yield_the_path_is_that_of_the_law():
+    """At the moment found the force is that of the level: by the law, or by Hertz's third power."""
+    numbers = {
+        "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0, "bars.E": 205e9,
+        "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04, "bars.yield_strength": 1e9,
+        "striker.speed": 0.5, "striker.length": 0.8,
+    }  # fmt: skip
+    one = Scene(columns={k: np.array([v]) for k, v in numbers.items()}, infinite=True, contact_law="plastic")
+    answers = solve(one, tolerance=1e-9, threads=1, quantities=("P_max", "p_max", "energy")).values
+    top, whole = answers["P_max"], one.faces.pressed(one.faces.depth_at(answers["P_max"]))
+    for share in (0.5, 0.97):
+        paths = [PATHS[name] for name in ("P_max", "p_hertz", "p_max", "energy")]
+        single = [first_fractures(one, np.array([[share]]), [path], tolerance=1e-9) for path in paths]
+        force, hertz, true, energy = single
+        assert force.force[0] == pytest.approx(share * top[0], rel=1e-5)
+        assert hertz.force[0] == pytest.approx(share**3 * top[0], rel=1e-5)
+        pressed = one.faces.pressed(one.faces.depth_at(true.force))
+        assert pressed.centre[0] == pytest.approx(share * whole.centre[0], rel=1e-5)
+        assert energy.energy[0] == pytest.approx(share * answers["energy"][0], rel=1e-5)
+        assert true.time[0] < hertz.time[0] < force.time[0]

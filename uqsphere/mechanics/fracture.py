@@ -1,14 +1,15 @@
 """When a sphere breaks: the first moment at which a criterion's course over the loading reaches its strength.
 
 Nearly every criterion is a rising function of the largest contact force so far, the others of the energy stored so
-far.  A strength is therefore a level of force or energy, and the fracture the first time at which the motion comes
-to it.  What the record of the quantities of interest holds is held here too: the loading ends with the first loss of
-contact.  Criteria that grow their strength with the rate take the one rate of the sample, that of the whole record.
+far; where faces yield too, for below its largest approach a face presses less than it did there.  A strength is
+therefore a level of force or energy, and the fracture the first time at which the motion comes to it.  What the record
+of the quantities of interest holds is held here too: the loading ends with the first loss of contact.  Criteria that
+grow their strength with the rate take the one rate of the sample, that of the whole record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -18,7 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
-from uqsphere.mechanics.outputs import Columns, Path, columns_of
+from uqsphere.mechanics.outputs import Columns, Path, columns_of, pressed_to
 from uqsphere.mechanics.scene import Scene
 
 #: parts of a step of the integrator that are looked at before a crossing is refined, as many as its series has powers;
@@ -63,7 +64,9 @@ class _Course:
     """One row's motion in scaled variables: start and length (m,), approaches (m, 2, 17), and its nodes.
 
     `times` (16 m,) of the nodes, which divide every step into 16 parts, `force` and `energy` (16 m,) the largest
-    approach and the largest energy so far.
+    drive and the largest energy so far.  What drives is the approach, whose 3/2 power is the force of Hertz, or the
+    force itself where faces have laws of their own: `forces` (m, 2, 17), and `deepest` (16 m, 2) the largest
+    approaches so far.
     """
 
     start: Array
@@ -72,6 +75,8 @@ class _Course:
     times: Array
     force: Array
     energy: Array
+    forces: Array | None = None
+    deepest: Array | None = None
 
     def along(self, over: str) -> Array:
         return self.force if over == "force" else self.energy
@@ -90,29 +95,58 @@ def _stored(approach: Array) -> Array:
     return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
 
 
+def _held(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Array:
+    """Energy of both contacts where faces have laws of their own: (2/5) q (x - x_r), (C10), (...) of rows (...)."""
+    total = np.zeros(push.shape[:-1])
+    unit = scene.scales.approach[rows]
+    for pole, partner in enumerate(scene.partners):
+        if partner is None:
+            continue
+        above = approach[..., pole]
+        if partner.face is not None:
+            face = partner.face.at(rows)
+            with np.errstate(all="ignore"):
+                largest = deepest[..., pole] * unit / face.onset_approach
+                dent = np.where(largest > 1.0, (largest - face.recovery(largest)) * face.onset_approach / unit, 0.0)
+            above = above - dent
+        total = total + 0.4 * push[..., pole] * np.maximum(above, 0.0)
+    return total
+
+
+def _nodes(states: Array) -> Array:
+    """Values of (m, 2, 17) coefficients at the nodes, (16 m, 2)."""
+    return np.maximum(states @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
+
+
 def _course(motion: Motion) -> _Course:
     """The course of one motion, which ends where contact is lost or no larger force or energy can come."""
     # contact may be lost inside the last step
     inside = motion.start < motion.end
     start, states = motion.start[inside], motion.states[inside, :2]
     length = np.minimum(motion.length[inside], motion.end - start)
-    states = states * (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
-    approach = np.maximum(states @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
+    cut = (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
+    approach = _nodes(states * cut)
+    times = (start[:, None] + length[:, None] * _SHARES).ravel()
+    if motion.forces is None:
+        return _Course(
+            start=start, length=length, states=states * cut, times=times,
+            force=np.maximum.accumulate(approach.max(axis=1)), energy=np.maximum.accumulate(_stored(approach)),
+        )  # fmt: skip
+    forces = motion.forces[inside] * cut
+    push, deepest = _nodes(forces), np.maximum.accumulate(approach, axis=0)
+    held = _held(motion.scene, np.full(len(push), motion.row), push, approach, deepest)
     return _Course(
-        start=start,
-        length=length,
-        states=states,
-        times=(start[:, None] + length[:, None] * _SHARES).ravel(),
-        force=np.maximum.accumulate(approach.max(axis=1)),
-        energy=np.maximum.accumulate(_stored(approach)),
-    )
+        start=start, length=length, states=states * cut, times=times, forces=forces, deepest=deepest,
+        force=np.maximum.accumulate(push.max(axis=1)), energy=np.maximum.accumulate(held),
+    )  # fmt: skip
 
 
 def _demands(scene: Scene, rows: Places, path: Path, value: Array) -> Array:
     """The demand at a force [N] or a stored energy [J] of each row."""
     if path.criterion is None:
-        return value
-    columns = Columns({**columns_of(scene, rows), "energy" if path.over == "energy" else "P_max": value})
+        return value**path.power
+    pressed = {"energy": value} if path.over == "energy" else {"P_max": value, **pressed_to(scene, rows, value)}
+    columns = Columns({**columns_of(scene, rows), **pressed})
     return demand(CRITERIA[path.criterion], columns, path.parameters)
 
 
@@ -121,7 +155,7 @@ def _levels(scene: Scene, rows: Places, path: Path, top: Array, share: Array) ->
     wanted = share * _demands(scene, rows, path, top)
     low, high = np.zeros(len(rows)), np.ones(len(rows))
     if path.criterion is None:
-        return np.asarray(share)
+        return np.asarray(share if path.power == 1.0 else share ** (1.0 / path.power))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         below = _demands(scene, rows, path, middle * top) < wanted
@@ -216,37 +250,65 @@ def _cross(scene: Scene, rows: Places, courses: Sequence[_Course], path: Path, s
         for c, e in zip(courses, scene.first_echo[rows] / unit, strict=True)
     ]
     tops = np.array([c.along(path.over)[max(end - 1, 0)] for c, end in zip(courses, last, strict=True)])
-    to_si = scales.force[rows] * (tops**1.5 if path.over == "force" else scales.approach[rows] * tops)
+    # the force over its drive: that of Hertz goes with the 3/2 power of the approach
+    power = 1.5 if courses[0].forces is None else 1.0
+    to_si = scales.force[rows] * (tops**power if path.over == "force" else scales.approach[rows] * tops)
     at_level = _levels(scene, rows, path, to_si, np.clip(shares, 0.0, 1.0))
-    levels = tops * (at_level ** (2.0 / 3.0) if path.over == "force" else at_level)
+    levels = tops * (at_level ** (1.0 / power) if path.over == "force" else at_level)
     at = np.array(
         [
             min(int(np.searchsorted(c.along(path.over), level)), len(c.times) - 1)
             for c, level in zip(courses, levels, strict=True)
         ]
     )
-    step = at // _PARTS
-    states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
+    moment = _moment(scene, rows, courses, at)
     high = _SHARES[at % _PARTS]
     low = high - 1.0 / _PARTS
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        approach = _values(states, middle)
-        below = (approach.max(axis=1) if path.over == "force" else _stored(approach)) < levels
+        drive, energy = moment(middle)
+        below = (drive.max(axis=1) if path.over == "force" else energy) < levels
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    approach = _values(states, high)
+    drive, energy = moment(high)
+    step = at // _PARTS
     begin = np.array([c.start[k] for c, k in zip(courses, step, strict=True)])
     length = np.array([c.length[k] for c, k in zip(courses, step, strict=True)])
     before = np.array([c.force[k - 1] if k else 0.0 for c, k in zip(courses, at, strict=True)])
-    push = approach**1.5
-    largest = np.maximum(before**1.5, push.max(axis=1))
+    push = drive**power
+    largest = np.maximum(before**power, push.max(axis=1))
     with np.errstate(invalid="ignore"):
         imbalance = np.where(largest > 0.0, np.abs(push[:, 0] - push[:, 1]) / largest, 0.0)
     return np.stack(
         [
             (begin + high * length) * unit,
             scales.force[rows] * push.max(axis=1),
-            scales.force[rows] * scales.approach[rows] * _stored(approach),
+            scales.force[rows] * scales.approach[rows] * energy,
             imbalance,
         ]
     )
+
+
+def _moment(
+    scene: Scene, rows: Places, courses: Sequence[_Course], at: Places
+) -> Callable[[Array], tuple[Array, Array]]:
+    """What drives both faces (n, 2), and the energy in both (n,), at shares (n,) of the steps of the nodes `at`."""
+    step = at // _PARTS
+    states = np.stack([c.states[k] for c, k in zip(courses, step, strict=True)])
+    if courses[0].forces is None:
+
+        def of_hertz(share: Array) -> tuple[Array, Array]:
+            approach = _values(states, share)
+            return approach, _stored(approach)
+
+        return of_hertz
+    forces = np.stack([c.forces[k] for c, k in zip(courses, step, strict=True) if c.forces is not None])
+    none = np.zeros(2)
+    deepest = np.stack(
+        [c.deepest[k - 1] if k else none for c, k in zip(courses, at, strict=True) if c.deepest is not None]
+    )
+
+    def of_laws(share: Array) -> tuple[Array, Array]:
+        approach, push = _values(states, share), _values(forces, share)
+        return push, _held(scene, rows, push, approach, np.maximum(deepest, approach))
+
+    return of_laws

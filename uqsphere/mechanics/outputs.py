@@ -233,6 +233,18 @@ def at_force(force: Values, known: Mapping[str, Any]) -> Columns:
     return Columns({**columns, "first_peak": columns["p_max"]})
 
 
+def pressed_to(scene: Scene, rows: Places, force: Array) -> dict[str, Array]:
+    """Columns of rows whose faces are pressed to a force [N] by the law that yields; none where nothing does."""
+    if scene.faces is None:
+        return {}
+    face = scene.faces.at(rows)
+    state = face.pressed(face.depth_at(force))
+    return {
+        "alpha_max": state.approach, "p_max": state.centre, "p_mean": state.mean, "p_field": 1.5 * state.mean,
+        "a_max": state.radius,
+    }  # fmt: skip
+
+
 # --- faces that are not alike ---------------------------------------------------------------------------
 
 
@@ -562,18 +574,23 @@ class Path:
         Those of the criterion without `rate_0`, whose factor is one number per sample.
     early : bool
         Only what comes before the first reflected wave counts.
+    power : float
+        Of the force or energy in a quantity without criterion.
     """
 
     over: str
     criterion: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     early: bool = False
+    power: float = 1.0
 
 
 _BY_CRITERION: Final = {quantity: key for key, c in CRITERIA.items() for quantity in (c.quantity, *c.also)}
+#: what the force is by Hertz goes with its third root, yield or not
+_POWERS: Final = {"p_hertz": 1.0 / 3.0}
 #: quantities of interest whose exceedance can mean fracture
 PATHS: Final[dict[str, Path]] = {
-    name: Path(over=entry.follows, criterion=_BY_CRITERION.get(name), early=entry.early)
+    name: Path(over=entry.follows, criterion=_BY_CRITERION.get(name), early=entry.early, power=_POWERS.get(name, 1.0))
     for name, entry in OUTPUTS.items()
     if entry.fracture
 }

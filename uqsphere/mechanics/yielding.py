@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Places
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel: 0.3^40/40 < 1e-22
 _TERMS: Final = 40
@@ -117,9 +117,10 @@ class Face:
     modulus: Array
     effective_radius: Array
 
-    def at(self, row: int) -> Face:
-        """The law of one row, (1,) each."""
-        return Face(**{name: getattr(self, name)[[row]] for name in self.__dataclass_fields__})
+    def at(self, rows: int | Places) -> Face:
+        """The law of some rows, (1,) each of one."""
+        picked = np.atleast_1d(rows)
+        return Face(**{name: getattr(self, name)[picked] for name in self.__dataclass_fields__})
 
     @property
     def softening(self) -> Array:
