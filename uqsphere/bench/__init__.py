@@ -12,11 +12,16 @@ __all__ = ["command_bench"]
 
 
 def command_bench(chosen: argparse.Namespace) -> int:
-    """Measure speed against error."""
+    """Measure speed against error, or hold the model against published measurements."""
+    from uqsphere.bench.measured import run_measured
     from uqsphere.bench.page import run_bench
 
     folder = chosen.out or Path("bench-results")
-    content = run_bench(folder, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr, flush=True))
+    content = (
+        run_measured(folder)
+        if chosen.measured
+        else run_bench(folder, quick=chosen.quick, notice=lambda text: print(text, file=sys.stderr, flush=True))
+    )
     text = content.pop("text")
     if chosen.json:
         print_document(content)

@@ -218,6 +218,7 @@ def _add_others(command: Command) -> None:
     _json(listing)
     bench = command("bench", "speed against error on this machine", "uqsphere.bench")
     bench.add_argument("--quick", action="store_true", help="fewer of everything: a minute instead of ten or more")
+    bench.add_argument("--measured", action="store_true", help="the model beside published measurements instead")
     bench.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: bench-results)")
     _json(bench)
     schema = command("schema", "print the JSON schema of study files, for editors", "uqsphere.cli.studies")
