@@ -10,6 +10,7 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.mechanics.damper import Damper, _reflect, _weights, damper_from_impedance
+from uqsphere.mechanics.dispersion import correct, disperse, first_mode, phase_speed, surface_factors
 from uqsphere.mechanics.field import field_at
 from uqsphere.mechanics.gauges import wave_energies
 from uqsphere.mechanics.history import trace
@@ -175,3 +176,163 @@ def test_wrong_tables_of_a_study_are_refused(study_from, damped, tmp_path, conte
     (tmp_path / "damper.csv").write_text(content)
     with pytest.raises(StudyError, match=words):
         study_from(text=damped)
+
+
+# --- dispersion: Bancroft's table, the limits of long and short waves, an independent equation, packets, the way back
+
+
+EXACT = 1e-12
+
+#: c/c0 over d/wavelength and Poisson's ratio, D. Bancroft, Phys. Rev. 59, 588 (1941), table I
+RATIOS = (0.10, 0.15, 0.20, 0.25, 0.30, 0.35, 0.40)
+BANCROFT = {
+    0.05: (0.99994, 0.99986, 0.99975, 0.99961, 0.99944, 0.99924, 0.99901),
+    0.10: (0.99975, 0.99943, 0.99899, 0.99843, 0.99774, 0.99694, 0.99602),
+    0.15: (0.99941, 0.99868, 0.99766, 0.99638, 0.99482, 0.99302, 0.99097),
+    0.20: (0.99890, 0.99754, 0.99568, 0.99333, 0.99054, 0.98732, 0.98373),
+    0.25: (0.99816, 0.99591, 0.99287, 0.98909, 0.98466, 0.97967, 0.97418),
+    0.30: (0.99710, 0.99362, 0.98899, 0.98337, 0.97691, 0.96979, 0.96214),
+    0.40: (0.99323, 0.98569, 0.97627, 0.96559, 0.95410, 0.94218, 0.93007),
+    0.50: (0.98296, 0.96771, 0.95133, 0.93479, 0.91854, 0.90277, 0.88758),
+    0.60: (0.94487, 0.92436, 0.90502, 0.88681, 0.86964, 0.85341, 0.83806),
+    0.70: (0.86493, 0.85471, 0.84201, 0.82841, 0.81466, 0.80110, 0.78792),
+    0.80: (0.79306, 0.78893, 0.78202, 0.77332, 0.76357, 0.75330, 0.74284),
+    1.00: (0.70196, 0.70058, 0.69768, 0.69344, 0.68814, 0.68203, 0.67537),
+    1.40: (0.62836, 0.62623, 0.62361, 0.62048, 0.61687, 0.61284, 0.60844),
+    2.00: (0.60080, 0.59707, 0.59326, 0.58932, 0.58524, 0.58101, 0.57664),
+}
+#: the same table's limit of short waves
+SHORT = (0.60213, 0.59491, 0.58804, 0.58148, 0.57516, 0.56903, 0.56307)
+STEEL = {"radius": 0.01, "wave_speed": 5172.0, "nu": 0.29}
+
+
+@pytest.mark.parametrize("column", range(len(RATIOS)), ids=[f"nu={nu}" for nu in RATIOS])
+def test_phase_speed_against_bancroft(column: int) -> None:
+    lengths = np.array(list(BANCROFT))
+    published = np.array([row[column] for row in BANCROFT.values()])
+    assert np.abs(phase_speed(np.pi * lengths, RATIOS[column]) - published).max() < 3e-5
+
+
+def rayleigh_speed(nu: float) -> float:
+    """Speed of Rayleigh's wave over c0: the root x = (c/c_T)² of x³ - 8 x² + (24 - 16 eta) x - 16 (1 - eta) = 0."""
+    eta = 0.5 * (1.0 - 2.0 * nu) / (1.0 - nu)
+    roots = np.roots([1.0, -8.0, 24.0 - 16.0 * eta, -16.0 * (1.0 - eta)])
+    real = roots[np.abs(roots.imag) < 1e-9].real
+    return float(np.sqrt(0.5 / (1.0 + nu) * real[(real > 0.0) & (real < 1.0)][0]))
+
+
+def test_short_waves_are_rayleighs() -> None:
+    for nu, published in zip(RATIOS, SHORT, strict=True):
+        assert abs(rayleigh_speed(nu) - published) < 3e-5
+    # the curvature of the surface dies out as 1/k
+    far = np.array([20.0, 40.0, 60.0])
+    gaps = np.abs(phase_speed(far, 0.3) - rayleigh_speed(0.3))
+    assert gaps[-1] < 1e-3
+    assert (np.diff(gaps) < 0.0).all()
+
+
+def test_long_waves_are_those_of_the_thin_bar() -> None:
+    k = np.array([0.02, 0.05, 0.1])
+    for nu in (0.1, 0.3, 0.49):
+        loss = 1.0 - phase_speed(k, nu)
+        # Rayleigh and Love: 1 - nu² k²/4, the next term is of the order of k^4
+        assert np.abs(loss / (0.25 * np.square(nu * k)) - 1.0).max() < 0.02
+    assert phase_speed(0.0, 0.3)[0] == 1.0
+
+
+def test_the_root_is_one_of_the_equation_as_it_is_usually_written() -> None:
+    from scipy import special
+
+    for nu in (0.05, 0.29, 0.45):
+        k = np.array([0.3, 1.0, 1.841, 3.0, 8.0])
+        c = phase_speed(k, nu)
+        shear2 = 0.5 / (1.0 + nu)
+        dilatation2 = (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
+
+        def left(c: np.ndarray, k: np.ndarray = k, a2: float = dilatation2, b2: float = shear2) -> np.ndarray:
+            # Graff, Wave Motion in Elastic Solids (1975), eq. (8.2.40), with complex arguments
+            alpha, beta = (np.sqrt(np.square(k * c) / square - np.square(k) + 0j) for square in (a2, b2))
+            jv = special.jv
+            return np.asarray(
+                2.0 * alpha * (beta**2 + k**2) * jv(1, alpha) * jv(1, beta)
+                - (beta**2 - k**2) ** 2 * jv(0, alpha) * jv(1, beta)
+                - 4.0 * k**2 * alpha * beta * jv(1, alpha) * jv(0, beta)
+            )
+
+        beside = np.abs(left(c * (1.0 + 1e-4)))
+        assert (np.abs(left(c)) < 1e-6 * beside).all()
+
+
+@pytest.mark.parametrize("nu", [0.1, 0.29, 0.4])
+def test_mean_stress_obeys_momentum(nu: float) -> None:
+    # k sigma = rho omega v and v = c eps in the mean of the section: M_2 = (c/c0)², whatever the profile
+    k = np.array([0.2, 0.7, 1.3, 1.841, 2.5, 5.0])
+    speed = phase_speed(k, nu)
+    strain, stress = surface_factors(k, speed, nu)
+    assert np.abs(stress - np.square(speed)).max() < 1e-9
+    long, _ = surface_factors(np.array([1e-3]), phase_speed([1e-3], nu), nu)
+    assert abs(long[0] - 1.0) < 1e-6
+    # the surface is strained less than the middle
+    assert (strain[:3] > 1.0).all()
+
+
+def test_the_table_is_smooth_and_ends_where_the_correction_does() -> None:
+    mode = first_mode(0.29)
+    assert (np.diff(mode.frequency) > 0.0).all()
+    middle = 0.5 * (mode.wave_number[1:-1] + mode.wave_number[2:])
+    exact = phase_speed(middle, 0.29)
+    between, _ = mode.at(middle * exact)
+    assert np.abs(between / middle - 1.0).max() < 1e-8
+    assert mode.band < mode.second_mode
+    assert (mode.factor < 3.0).all()
+    # 20 mm steel bars: the common rule of thumb is a few tenths of c0/(2 pi radius) times 2 pi, some 100 kHz
+    assert 5e4 < mode.limit(0.01, 5172.0) < 3e5
+
+
+def test_correct_then_disperse_gives_the_input_back() -> None:
+    rng = np.random.default_rng(3)
+    for samples in (999, 1024):
+        wave = rng.normal(size=samples) * 1e-4  # noise of every frequency is the hardest input
+        for surface in (True, False):
+            seen = disperse(wave, 5e-7, 0.75, surface=surface, **STEEL)
+            again = correct(seen, 5e-7, 0.75, surface=surface, **STEEL)
+            assert np.abs(again - wave).max() < 1e-10 * np.abs(wave).max()
+            back = disperse(correct(wave, 5e-7, 0.75, surface=surface, **STEEL), 5e-7, 0.75, surface=surface, **STEEL)
+            assert np.abs(back - wave).max() < 1e-10 * np.abs(wave).max()
+
+
+def test_a_packet_travels_with_the_group_velocity() -> None:
+    nu, radius, c0, step, distance = 0.29, 0.01, 5172.0, 1e-7, 0.8
+    k = 1.0
+    around = np.array([k - 1e-4, k + 1e-4])
+    frequency = around * phase_speed(around, nu)
+    group = (frequency[1] - frequency[0]) / (around[1] - around[0]) * c0
+    omega = float(k * phase_speed([k], nu)[0]) * c0 / radius
+    time = step * np.arange(16384)
+    packet = np.exp(-np.square((time - 4e-4) / 8e-5)) * np.cos(omega * time)
+    later = correct(packet, step, distance, radius=radius, wave_speed=c0, nu=nu, surface=False)
+    centre = [float((time * wave**2).sum() / (wave**2).sum()) for wave in (packet, later)]
+    delay = distance / group - distance / c0
+    assert delay > 1e-5
+    assert abs(centre[1] - centre[0] - delay) < 0.01 * delay
+
+
+def test_impulse_is_kept_and_a_sharp_edge_rings() -> None:
+    time = 1e-6 * np.arange(1024)
+    wave = np.where((time > 2e-4) & (time < 4e-4), -1e-4, 0.0)
+    seen = disperse(wave, 1e-6, 1.0, surface=False, **STEEL)
+    assert abs(seen.sum() - wave.sum()) < EXACT
+    assert np.abs(seen).max() > 1.05e-4
+
+
+@pytest.mark.parametrize("nu", [-0.1, 0.5, float("nan")])
+def test_a_ratio_without_meaning_is_refused(nu: float) -> None:
+    with pytest.raises(ValueError, match="Poisson"):
+        phase_speed([1.0], nu)
+
+
+def test_a_bar_without_meaning_is_refused() -> None:
+    with pytest.raises(ValueError, match="positive"):
+        correct(np.zeros(8), 0.0, 1.0, **STEEL)
+    with pytest.raises(ValueError, match="between 0 and 60"):
+        phase_speed([61.0], 0.3)

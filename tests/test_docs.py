@@ -15,7 +15,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import gamma
 from test_broken_studies import BASE
-from test_floors import FLOORS
+from test_imports import FLOORS
 
 from uqsphere import errors
 from uqsphere.cli import build_parser

@@ -9,14 +9,30 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
-from scipy.special import ndtr
+from scipy import integrate, stats
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
 import uqsphere
 from uqsphere.report import build_report
 from uqsphere.report.claims import specimens
 from uqsphere.report.terminal import summary_of
 from uqsphere.study import Study
+from uqsphere.uq.failure_indices import (
+    BY_DIRECTION,
+    BY_INFORMATION,
+    failure_shares,
+    given_failure,
+    indicator_indices,
+    score_gradients,
+    specimens_for_probability,
+    specimens_for_share,
+    sway_estimates,
+)
+from uqsphere.uq.indices import Blocks, uniform_halves
+from uqsphere.uq.joint import Dependence, Joint, conditional_score, make_joint
+from uqsphere.uq.law import make_law
+from uqsphere.uq.points import sobol_points
 
 #: y = a + 2 b, normal; it fails above a normal strength
 BOX = """\
@@ -261,3 +277,268 @@ def test_the_report_shows_the_design_point(tmp_path: Path) -> None:
     page = build_report(tmp_path / "r").read_text(encoding="utf-8")
     assert "The likeliest way to miss the aim" in page
     assert "importance factor" in page
+
+
+# --- drivers of failure: closed forms of linear limits in normal variables, counted failures, and derivatives
+
+
+R = 16
+WEIGHTS = np.array([1.0, 0.6, 0.0])
+STRENGTH = 0.8
+LIMIT = 1.5
+NORM = math.sqrt(float(WEIGHTS @ WEIGHTS) + STRENGTH**2)
+UNIT = make_law("normal", {"mean": 0.0, "sd": 1.0})
+
+
+def probability(z: np.ndarray) -> np.ndarray:
+    """w'z > LIMIT + STRENGTH · s with s normal: failure given the inputs."""
+    return ndtr((z @ WEIGHTS - LIMIT) / STRENGTH)
+
+
+def shared(rho: float) -> float:
+    """P(both of two normals with correlation rho exceed the limit)."""
+    if rho >= 1.0:
+        return float(ndtr(-LIMIT / NORM))
+    both = stats.multivariate_normal(mean=[0.0, 0.0], cov=[[1.0, rho], [rho, 1.0]], abseps=1e-10, releps=1e-10)
+    return float(both.cdf([-LIMIT / NORM] * 2))
+
+
+def exact_indices() -> dict[str, list[float]]:
+    """With g jointly normal, an index is the covariance of two indicators whose correlation is the shared variance."""
+    p = float(ndtr(-LIMIT / NORM))
+    parts = [w * w / NORM**2 for w in (*WEIGHTS, STRENGTH)]
+    scale = p * (1.0 - p)
+    return {
+        "first": [(shared(part) - p * p) / scale for part in parts],
+        "total": [1.0 - (shared(1.0 - part) - p * p) / scale if part else 0.0 for part in parts],
+    }
+
+
+def designed(count: int, seed: int) -> np.ndarray:
+    blocks = Blocks(inputs_count=3)
+    halves = [uniform_halves(blocks, count=count, seed=seed, task="t", replicate=r) for r in range(R)]
+    return ndtri(np.stack([blocks.mix(*pair) for pair in halves]))
+
+
+def test_indices_of_the_indicator_are_those_of_the_bivariate_normal() -> None:
+    found = indicator_indices(probability(designed(2048, 1)))
+    for order, values in exact_indices().items():
+        assert len(found[order]) == 4
+        for estimate, value in zip(found[order], values, strict=True):
+            assert abs(estimate.value - value) <= 4.0 * estimate.std_error + 1e-6
+            assert estimate.half_width < 0.01
+
+
+def test_intervals_of_the_indices_cover() -> None:
+    exact = exact_indices()
+    hits = tries = 0
+    for seed in range(25):
+        found = indicator_indices(probability(designed(64, seed)))
+        for order, values in exact.items():
+            for estimate, value in zip(found[order], values, strict=True):
+                hits += estimate.low - 1e-9 <= value <= estimate.high + 1e-9
+                tries += 1
+    assert 0.90 <= hits / tries <= 0.995
+
+
+def test_a_fixed_strength_has_no_index_and_no_failure_has_none_at_all() -> None:
+    counted = indicator_indices((designed(512, 1) @ WEIGHTS > LIMIT).astype(float))
+    assert counted["first"][3].value == counted["total"][3].value == 0.0
+    # for an indicator half the mean of |1 - 1'| is the half squared difference of Jansen
+    assert counted["total"][0].value > counted["total"][1].value > 0.1
+    assert counted["total"][2].value == 0.0
+    assert "no sample decides" in indicator_indices(np.zeros((4, 8, 4)))["first"][0].reason
+    with pytest.raises(ValueError, match=r"\[0, 1\]"):
+        indicator_indices(np.full((4, 8, 4), 2.0))
+    with pytest.raises(ValueError, match="shape"):
+        indicator_indices(np.zeros((4, 8)))
+
+
+# --- given failure --------------------------------------------------------------------------------------
+
+
+def sampled(n: int, d: int = 3, seed: int = 1) -> np.ndarray:
+    rows = [sobol_points(dimension=d, count=n, seed=seed, task="given", replicate=r) for r in range(R)]
+    return ndtri(np.stack(rows))
+
+
+def test_an_input_given_failure_is_the_skew_normal() -> None:
+    """z given w'z - s > LIMIT: density φ(z) Φ((c z - β)/sqrt(1 - c²))/Φ(-β), c its part of the sum."""
+    z = sampled(2048)
+    beta = LIMIT / NORM
+    for column, weight in enumerate(WEIGHTS):
+        c = weight / NORM
+        found = given_failure(z[:, :, column], probability(z))
+        law = lambda x, c=c: stats.norm.pdf(x) * ndtr((c * x - beta) / math.sqrt(1 - c * c)) / ndtr(-beta)  # noqa: E731
+        mean = c * stats.norm.pdf(beta) / ndtr(-beta)
+        square = integrate.quad(lambda x, law=law: x * x * law(x), -9, 9)[0]
+        assert abs(found.mean.value - mean) <= 4.0 * found.mean.std_error + 1e-9
+        assert abs(found.sd.value - math.sqrt(square - mean**2)) <= 4.0 * found.sd.std_error
+        for p, estimate in found.quantiles.items():
+            apart = integrate.quad(law, -9, estimate.value)[0] - p
+            assert abs(apart) <= 4.0 * estimate.std_error * law(estimate.value)
+            assert estimate.half_width < 0.03
+
+
+def test_intervals_given_failure_cover() -> None:
+    c, beta = WEIGHTS[0] / NORM, LIMIT / NORM
+    mean = c * stats.norm.pdf(beta) / ndtr(-beta)
+    grid = np.linspace(-6.0, 6.0, 4001)
+    density = stats.norm.pdf(grid) * ndtr((c * grid - beta) / math.sqrt(1 - c * c))
+    below = np.cumsum(density) / density.sum()
+    exact = {p: float(np.interp(p, below, grid)) for p in (0.05, 0.5, 0.95)}
+    hits = tries = 0
+    for seed in range(30):
+        z = sampled(128, seed=seed)
+        found = given_failure(z[:, :, 0], probability(z))
+        for estimate, value in [(found.mean, mean), *((found.quantiles[p], q) for p, q in exact.items())]:
+            hits += estimate.low - 2e-3 <= value <= estimate.high + 2e-3
+            tries += 1
+    assert hits / tries >= 0.90
+
+
+def test_too_few_failures_are_not_described() -> None:
+    z = sampled(128)
+    found = given_failure(z[:, :, 0], (z[:, :, 0] > 2.9).astype(float))
+    assert "too few failures" in found.mean.reason
+    assert found.quantiles[0.5].value is None
+
+
+# --- measure first --------------------------------------------------------------------------------------
+
+
+def test_sway_is_the_derivative_of_the_closed_form() -> None:
+    z = sampled(2048)
+    found = sway_estimates(probability(z), z)
+    for estimate, weight in zip(found, WEIGHTS, strict=True):
+        exact = weight / NORM * stats.norm.pdf(LIMIT / NORM)
+        assert abs(estimate.value - exact) <= 4.0 * estimate.std_error + 1e-9
+        assert estimate.half_width < 2e-3
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "clayton", "gumbel", "frank", "student_t"])
+def test_sway_with_ties_is_the_difference_of_two_runs(kind: str) -> None:
+    """Moving the centre of one of two tied inputs, against the same samples with that input moved."""
+    dof = 5.0 if kind == "student_t" else None
+    inputs = make_joint(("a", "b", "c"), (UNIT,) * 3, [Dependence(of=("b", "a"), copula=kind, kendall=0.5, dof=dof)])
+    z = sampled(1024)
+    scores = inputs.scores(z.reshape(-1, 3))
+    found = sway_estimates(probability(scores.reshape(z.shape)), score_gradients(inputs, scores).reshape(z.shape))
+    for column in range(3):
+        h = np.zeros(3)
+        h[column] = 1e-3
+        apart = (probability(scores + h) - probability(scores - h)).reshape(R, -1).mean(axis=1) / 2e-3
+        error = math.hypot(found[column].std_error, float(np.std(apart, ddof=1)) / 4.0)
+        assert abs(found[column].value - apart.mean()) <= 4.0 * error + 1e-7
+
+
+def test_gradients_of_independent_inputs_are_their_scores() -> None:
+    z = sampled(16).reshape(-1, 3)
+    assert np.array_equal(score_gradients(Joint(names=("a", "b", "c"), laws=(UNIT,) * 3), z), z)
+
+
+def test_gradients_agree_with_a_conditional_density() -> None:
+    """Along one member, ln f differs from that of its conditional law by what does not depend on it."""
+    inputs = make_joint(("a", "b"), (UNIT,) * 2, [Dependence(of=("a", "b"), copula="gumbel", kendall=0.4)])
+    copula = inputs.groups[0].copula
+    known = np.array([[0.7]])
+    values, h = np.array([-1.0, 0.2, 1.7]), 1e-3
+
+    def log_conditional(x: np.ndarray) -> np.ndarray:
+        at = [conditional_score(copula, 1, (0,), np.repeat(known, 3, axis=0), x + step) for step in (h, -h)]
+        return np.log((ndtr(at[0]) - ndtr(at[1])) / (2.0 * h))
+
+    slope = -(log_conditional(values + 0.01) - log_conditional(values - 0.01)) / 0.02
+    scores = np.column_stack([np.full(3, 0.7), values])
+    assert np.allclose(score_gradients(inputs, scores)[:, 1], slope, atol=2e-3)
+
+
+def test_numbers_of_tests_follow_the_formulas() -> None:
+    assert [specimens_for_share(s, 0.1) for s in (0.0, 0.1, 0.11, 0.5, 1.0)] == [0, 0, 2, 5, 10]
+    generator = np.random.default_rng(1)
+    # the spread of the probability when a mean is taken from that many tests
+    sway = WEIGHTS[0] / NORM * stats.norm.pdf(LIMIT / NORM)
+    p = float(ndtr(-LIMIT / NORM))
+    n = specimens_for_probability(sway, p, 0.1)
+    means = generator.standard_normal((4000, n)).mean(axis=1)
+    spread = np.std(ndtr((WEIGHTS[0] * means - LIMIT) / NORM)) / p
+    assert spread == pytest.approx(0.1, rel=0.06)
+
+
+# --- what failures hang on: the direction of one way to fail, and what failures in several directions tell
+
+
+def scores(dimension: int, count: int = 2**15) -> np.ndarray:
+    return np.asarray(ndtri(qmc.Sobol(dimension, rng=1).random(count)))
+
+
+@pytest.mark.parametrize("level", [-1.0, 0.0, 2.0])
+def test_a_plane_gives_its_squared_direction_cosines(level: float) -> None:
+    z = scores(3)
+    found = failure_shares(z, (z @ [0.8, -0.6, 0.0] > level).astype(float))
+    assert found is not None
+    assert found[1] == BY_DIRECTION
+    assert found[0] == pytest.approx([0.64, 0.36, 0.0], abs=0.02)
+
+
+@pytest.mark.parametrize("level", [-1.5, 1.5])
+def test_an_integrated_strength_is_an_input_like_the_others(level: float) -> None:
+    z = scores(2)
+    # the strength 0.6 s + 0.8 level_of_s against the demand 0.8 z_0: fails where s < (0.8 z_0 - level)/0.6
+    score = (0.8 * z[:, 0] - level) / 0.6
+    found = failure_shares(z, ndtr(score), score)
+    assert found is not None
+    assert found[1] == BY_DIRECTION
+    assert found[0] == pytest.approx([0.64, 0.0, 0.36], abs=0.01)
+    # counted instead
+    whole = scores(3)
+    counted = failure_shares(whole, (0.8 * whole[:, 0] - 0.6 * whole[:, 2] > level).astype(float))
+    assert counted is not None
+    assert counted[0] == pytest.approx(found[0], abs=0.02)
+
+
+def test_two_opposite_ways_to_fail_hang_on_their_own_input() -> None:
+    """The centre of such failures is the origin but for what else plays a small part."""
+    z = scores(3)
+    found = failure_shares(z, (np.abs(z[:, 1]) + 0.1 * z[:, 0] > 2.0).astype(float))
+    assert found is not None
+    assert found[1] == BY_INFORMATION
+    assert found[0][1] > 0.95
+    assert found[0].sum() == pytest.approx(1.0)
+
+
+def test_a_strength_integrated_tells_as_much_as_one_that_is_counted() -> None:
+    z = scores(3)
+    demand = np.square(z[:, 0])
+    # fails where the strength 3 + 0.8 s is exceeded, whichever the sign of the input
+    score = (demand - 3.0) / 0.8
+    found = failure_shares(z[:, :2], ndtr(score), score)
+    counted = failure_shares(z, (z[:, 2] < score).astype(float))
+    assert found is not None
+    assert counted is not None
+    assert (found[1], counted[1]) == (BY_INFORMATION, BY_INFORMATION)
+    assert found[0] == pytest.approx(counted[0], abs=0.02)
+    assert found[0][0] > 0.7
+
+
+def test_ishigami_fails_by_three_inputs() -> None:
+    """No failure is possible without x1 and x3: a centre of failures had given all of it to x1."""
+    z = scores(3)
+    x = 2.0 * np.pi * (ndtr(z) - 0.5)
+    y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    found = failure_shares(z, (y > 10.0).astype(float))
+    assert found is not None
+    assert found[1] == BY_INFORMATION
+    assert found[0].min() > 0.1
+
+
+def test_nothing_is_said_where_nothing_or_everything_fails() -> None:
+    z = scores(2, 64)
+    assert failure_shares(z, np.zeros(64)) is None
+    assert failure_shares(z, np.ones(64)) is None
+
+
+def test_probabilities_whose_squares_are_beneath_all_numbers_have_no_shares() -> None:
+    z = np.random.default_rng(2).standard_normal((100, 2))
+    assert failure_shares(z, np.full(100, 1e-200)) is None
+    assert failure_shares(z, np.where(z[:, 0] > 0.0, 1e-140, 0.0)) is not None

@@ -7,7 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uqsphere.mechanics.pulses import DEFAULT_VALLEY, PARAMETERS, SHAPES, Pulse, build_pulse, pulse_value
+import uqsphere
+from uqsphere.errors import StudyError
+from uqsphere.mechanics import bars
+from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.pulses import (
+    DEFAULT_VALLEY,
+    PARAMETERS,
+    PRESETS,
+    SHAPES,
+    Pulse,
+    build_pulse,
+    pulse_value,
+    striker_steps,
+)
+from uqsphere.mechanics.scene import Scene
+from uqsphere.quantities import INPUTS
 
 EXACT = 1e-12
 TWO_PEAK = {"t1": [19e-6], "level1": [1.0], "t2": [60e-6], "level2": [0.8]}
@@ -123,3 +138,167 @@ def test_rows_do_not_depend_on_each_other():
 
 def test_every_shape_names_its_parameters():
     assert set(PARAMETERS) == set(SHAPES)
+
+
+# --- pulses of strikers that are no piece of the bar, ramps and the presets of the paper's Fig. 2 -
+
+
+BASE = {
+    "sphere.E": 52e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2650.0,
+    "bars.E": 210e9, "bars.nu": 0.3, "bars.density": 7850.0, "bars.diameter": 0.04,
+    "bars.incident_length": 3.0, "bars.receiving_length": 3.0,
+    "bars.incident_end": 1.0, "bars.receiving_end": 0.0, "striker.length": 0.2, "striker.speed": 2.0,
+}  # fmt: skip
+
+
+def impact(ratio: float, cells: int, turns: int) -> np.ndarray:
+    """Velocity of a bar's end over v0/2 after each cell time, by waves moved cell by cell in striker and bar.
+
+    Contact carries no tension: once it would, the striker is off.
+    """
+    right, left = np.full(cells, 1.0), np.full(cells, 1.0)  # velocity (right + left)/2 of each cell, v0 = 1
+    course, together = [], True
+    for _ in range(turns * cells):
+        # what arrives at the interface from the striker, nothing from the long bar: force Z_s (r - v) = Z v
+        arrives = right[-1]
+        velocity = ratio * arrives / (1.0 + ratio)
+        if together and ratio * (arrives - velocity) < -1e-12:
+            together = False
+        together = together and velocity > 0.0
+        course.append(2.0 * velocity if together else 0.0)
+        back = 2.0 * velocity - arrives if together else arrives
+        free = left[0]
+        right = np.concatenate([[free], right[:-1]])
+        left = np.concatenate([left[1:], [back]])
+    return np.array(course)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 1.0, 1.7, 4.0])
+def test_steps_are_those_of_two_bars_that_meet(ratio):
+    cells, turns = 40, 16
+    found = impact(ratio, cells, turns)
+    pulse = build_pulse("rectangular", [2.0 * cells], {"striker_ratio": [ratio]})
+    times = np.arange(turns * cells) + 0.5
+    # steps below a thousandth of the first are left out
+    np.testing.assert_allclose(pulse_value(pulse, 0, times), found, atol=2.1e-3)
+
+
+@pytest.mark.parametrize(("rise", "fall", "fits"), [(0.8, 0.8, True), (1.0, 1.0, True), (1.2, 0.9, False)])
+def test_ramps_of_steps_may_fill_the_width_and_no_more(rise: float, fall: float, fits: bool) -> None:
+    pulse = build_pulse("trapezoid", [1.0], {"rise": [rise], "fall": [fall], "striker_ratio": [2.0]})
+    assert bool(pulse.valid[0]) is fits
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0, 8.0])
+def test_a_stiff_striker_gives_all_it_has(ratio):
+    """Impulse M_s v0 and energy M_s v0²/2; in units of Z, v0/2 and one step: ratio and ratio."""
+    levels, complete = striker_steps([ratio])
+    assert complete[0]
+    assert levels.sum() == pytest.approx(ratio, rel=6e-3)
+    assert np.square(levels).sum() == pytest.approx(ratio, rel=5e-5)
+
+
+def test_a_striker_like_the_bar_sends_the_plain_pulse():
+    plain = Scene(columns={name: np.array([value]) for name, value in BASE.items()})
+    own = {"striker.E": 210e9, "striker.density": 7850.0, "striker.diameter": 0.04}
+    same = Scene(columns={name: np.array([value]) for name, value in {**BASE, **own}.items()})
+    names = ("p_max", "contact_time", "force_imbalance")
+    one, other = (dynamics.solve(scene, tolerance=1e-9, quantities=names).values for scene in (plain, same))
+    for name in names:
+        np.testing.assert_allclose(other[name], one[name], rtol=1e-9)
+
+
+def test_rows_do_not_know_each_other():
+    """Rows of few steps keep their answers beside rows of many."""
+    diameters = np.array([0.03, 0.04, 0.05, 0.06])
+    columns = {name: np.full(4, value) for name, value in BASE.items()} | {"striker.diameter": diameters}
+    together = dynamics.solve(Scene(columns=columns), tolerance=1e-8, quantities=("p_max",)).values["p_max"]
+    for k in range(4):
+        alone = Scene(columns={name: column[[k]] for name, column in columns.items()})
+        assert dynamics.solve(alone, tolerance=1e-8, quantities=("p_max",)).values["p_max"][0] == together[k]
+
+
+def test_length_and_speed_of_sound_are_the_strikers():
+    columns = {name: np.array([value]) for name, value in BASE.items()}
+    columns |= {"striker.E": np.array([70e9]), "striker.density": np.array([2700.0])}
+    scene = Scene(columns=columns)
+    assert scene.scales.duration[0] == pytest.approx(0.4 / np.sqrt(70e9 / 2700.0))
+    expected = np.sqrt(70e9 * 2700.0) / np.sqrt(210e9 * 7850.0)
+    assert scene.striker_ratio[0] == pytest.approx(expected)
+    assert pulse_value(scene.pulse, 0, np.array([1e-6]))[0] == pytest.approx(2.0 * expected / (1.0 + expected))
+    assert scene.pulse.end[0] == pytest.approx(0.4 / np.sqrt(70e9 / 2700.0))
+    assert bars.impedance(70e9, 2700.0, 0.04) < scene.scales.impedance[0]
+
+
+def test_edges_keep_the_impulse_of_the_steps():
+    numbers = {"rise": [20e-6], "fall": [30e-6], "striker_ratio": [2.5]}
+    pulse = build_pulse("trapezoid", [100e-6], numbers)
+    times = np.linspace(0.0, pulse.end[0], 2_000_001)
+    levels = striker_steps([2.5])[0]
+    assert np.trapezoid(pulse_value(pulse, 0, times), times) == pytest.approx(levels.sum() * 100e-6, rel=1e-9)
+    assert not build_pulse("trapezoid", [20e-6], numbers).valid[0]
+
+
+def test_a_ramp_rises_over_its_rise_and_falls_at_once():
+    pulse = build_pulse("ramp", [100e-6], {"rise": [80e-6]})
+    values = pulse_value(pulse, 0, np.array([0.0, 40e-6, 80e-6, 139.9e-6, 140.1e-6]))
+    np.testing.assert_allclose(values, [0.0, 0.5, 1.0, 1.0, 0.0])
+    times = np.linspace(0.0, 2e-4, 1_000_001)
+    assert np.trapezoid(pulse_value(pulse, 0, times), times) == pytest.approx(100e-6, rel=1e-5)
+
+
+def test_a_very_stiff_striker_is_refused():
+    assert not build_pulse("rectangular", [1e-4], {"striker_ratio": [12.0]}).valid[0]
+    with pytest.raises(ValueError, match="does not follow from the striker"):
+        Scene(columns={name: np.array([1.0]) for name in [*BASE, "striker.E"]}, shape="half_sine")
+
+
+# --- in a study ---------------------------------------------------------------------------------------
+
+
+def test_a_preset_is_its_numbers(study_from):
+    for name, (shape, numbers) in PRESETS.items():
+        study = study_from(f'pulse.preset="{name}"', 'bars.incident_length="3 m"')
+        assert study.options["pulse.shape"] == shape
+        assert {key: study.fixed[f"pulse.{key}"] for key in numbers} == dict(numbers)
+        assert all(f"pulse.{key}" in INPUTS for key in numbers)
+    own = study_from('pulse.preset="short"', "pulse.level2=0.3")
+    assert own.fixed["pulse.level2"] == 0.3
+
+
+def test_presets_have_the_durations_of_the_paper():
+    assert [PRESETS[name][1]["duration"] for name in ("very_short", "short", "long")] == [24.8e-6, 60e-6, 400e-6]
+    second = PRESETS["very_short"][1]["t2"]
+    pulse = build_pulse("two_peak", [24.8e-6], {key: [value] for key, value in PRESETS["very_short"][1].items()})
+    values = pulse_value(pulse, 0, second + np.array([-1e-6, 0.0, 1e-6]))
+    assert second == 19e-6
+    assert values[1] == max(values)
+
+
+def test_a_striker_of_a_material(study_from):
+    study = study_from('striker.material="aluminium"', 'striker.diameter="10 mm"')
+    assert study.materials["striker"] == "aluminium"
+    assert study.fixed["striker.diameter"] == 0.01
+    frame = uqsphere.evaluate(study, {"striker.speed": np.array([5.0])}, quantities=("p_max",), tolerance=1e-6)
+    plain = uqsphere.evaluate(study_from(), {"striker.speed": np.array([5.0])}, quantities=("p_max",), tolerance=1e-6)
+    assert 0.3 * plain["p_max"][0] < frame["p_max"][0] < plain["p_max"][0]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (('pulse.preset="longest"',), "allowed: very_short, short or long"),
+        (('pulse.preset="long"', 'pulse.shape="half_sine"'), "leave shape or preset out"),
+        (('pulse.preset="long"',), "longer than the round trip"),
+        (('striker.material="granite"',), "unknown material"),
+        (('striker.diameter="40 mm"',), "at most 9 is allowed"),
+        (('striker.diameter="20 mm"',), "longer than the round trip"),
+        (('striker.diameter="10 mm"', 'pulse.shape="half_sine"'), "does not follow from the striker"),
+        (('pulse.shape="ramp"',), "rise is missing"),
+        (('pulse.shape="ramp"', 'pulse.rise="200 us"'), "exceeds the width"),
+        (('pulse.shape="ramp"', 'pulse.rise="20 us"', 'pulse.fall="1 us"'), "does not belong to a ramp pulse"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(study_from, overrides, words):
+    with pytest.raises(StudyError, match=words):
+        study_from(*overrides)

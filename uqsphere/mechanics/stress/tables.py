@@ -2,7 +2,7 @@
 
 Every table holds a ratio that depends on nothing else, as coefficients of products of Chebyshev polynomials in
 ln(a/r), nu and 1/m; `tables.json` beside this file holds them, `make_tables.py` computes them anew, and
-tests/test_stress_tables.py compares random points with the series.  The error of every ratio, against the series,
+tests/test_sphere_stress.py compares random points with the series.  The error of every ratio, against the series,
 is below 1e-6 of its value over the whole range (of one force alone: 2e-5 at m = 2 and 1e-4 at m = 50); that of the
 rim below 2e-4, for it bends where the largest tension of a place is one of the past.
 
