@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -84,6 +90,7 @@ HARMLESS = {
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(workers, "LIVES", 2)
+    monkeypatch.setenv("UQSPHERE_TEST", str(tmp_path))
     (tmp_path / "s.toml").write_text(STUDY, "utf-8")
     return tmp_path
 
@@ -93,12 +100,12 @@ def write(place: Path, body: str) -> str:
     return "own.py:f"
 
 
-def left_behind(mark: str = "UQSPHERE_WORKER=") -> list[str]:
-    """Processes that a worker of this one has started."""
+def left_behind(place: Path) -> list[str]:
+    """Processes that were started, by whom ever, in a test that has `place`."""
     found = []
     for entry in Path("/proc").glob("[0-9]*/environ"):
         with contextlib.suppress(OSError):
-            if mark.encode() in entry.read_bytes():
+            if f"UQSPHERE_TEST={place}\0".encode() in entry.read_bytes():
                 found.append(entry.parent.name)
     return found
 
@@ -134,4 +141,100 @@ def test_a_model_that_does_more_than_answer_harms_nothing(
     assert out == ""
     assert ("the model f forked a process" in err) == (name == "fork")
     assert ("noise" in err) == (name == "children")
-    assert left_behind() == []
+    assert left_behind(place) == []
+
+
+def test_what_the_model_prints_is_no_json(place: Path) -> None:
+    """Children of the model and of its libraries write to descriptor 1 themselves."""
+    reference = write(place, HARMLESS["children"])
+    line = [sys.executable, "-m", "uqsphere", "run", "s.toml", "--model", reference, "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["quantities"]["y"]
+    assert "noise" in done.stderr
+
+
+def test_what_a_function_prints_is_no_answer(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The same in this process, where C holds back what it has printed."""
+    import ctypes
+
+    def noisy(rows: dict[str, Any]) -> dict[str, Any]:
+        print("noise")
+        os.system("echo noise")
+        ctypes.CDLL(None).puts(b"noise")
+        return {"y": rows["a"]}
+
+    uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "r", model=noisy)
+    ctypes.CDLL(None).fflush(None)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.count("noise") % 3 == 0 < err.count("noise")
+
+
+def test_a_function_that_forks_goes_on_alone(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A child that comes back would write into the same folder."""
+    processes = set()
+
+    def forks(rows: dict[str, Any]) -> dict[str, Any]:
+        if os.fork() == 0:
+            return {"y": rows["a"] + 1e9}
+        os.wait()
+        processes.add(os.getpid())
+        return {"y": rows["a"]}
+
+    uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "r", model=forks)
+    assert processes == {os.getpid()}
+    assert capfd.readouterr().err.count("forks forked a process that came back") <= 1
+
+
+@pytest.mark.parametrize(("body", "said"), [("os._exit(0)", "ended their process"), ("time.sleep(99)", "time_limit")])
+def test_a_model_that_never_answers_ends_a_run_that_lets_rows_fail(
+    place: Path, body: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "HUNG", 3)
+    overrides = ('analysis.on_failure="bound"', 'analysis.time_limit="0.1 s"')
+    study = uqsphere.load_study(place / "s.toml", overrides)
+    with pytest.raises((ModelError, TooManyFailures)) as raised:
+        uqsphere.run(study, out=place / "r", model=write(place, body), threads=1)
+    assert said in str(raised.value)
+    assert raised.value.exit_code == 4
+
+
+def test_a_model_that_hangs_ends_with_the_time_budget(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Without a limit of time nothing else ends it; what was answered before is kept."""
+    monkeypatch.setattr(workers, "PATIENCE", 0.2)
+    reference = write(place, "time.sleep(3600)")
+    began = time.monotonic()
+    assert main(["run", "s.toml", "--model", reference, "--budget", "1 s"]) == 4
+    assert "does not come back" in capfd.readouterr().err
+    assert time.monotonic() - began < 60.0
+    assert left_behind(place) == []
+
+
+def test_a_file_that_ends_the_process_on_loading(place: Path) -> None:
+    (place / "own.py").write_text("import os\nos._exit(0)\n", "utf-8")
+    with pytest.raises(ModelError, match=r"own\.py:f on loading: its process ended with exit code 0"):
+        uqsphere.run(uqsphere.load_study(place / "s.toml"), out=place / "r", model="own.py:f")
+    assert not (place / "r").exists()
+
+
+def test_verify_tells_a_model_that_is_not_deterministic_from_damage(
+    place: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    body = "return {'y': rows['a'] + np.random.default_rng().normal(size=len(rows['a']))}"
+    reference = write(place, body)
+    assert main(["run", "s.toml", "--model", reference, "--out", "r"]) == 0
+    capfd.readouterr()
+    assert main(["verify", "r", "--model", reference, "--chunks", "2"]) == 4
+    out, err = capfd.readouterr()
+    assert "THE MODEL IS NOT DETERMINISTIC" in out
+    assert "damaged" not in out
+    assert "is not deterministic: r is not damaged" in err
+    # what lies in the file's surroundings has changed: the same twice now, and not as stored
+    (place / "shift").write_text("0")
+    reference = write(place, "return {'y': rows['a'] + float(open('shift').read())}")
+    assert main(["run", "s.toml", "--model", reference, "--out", "s"]) == 0
+    (place / "shift").write_text("1")
+    assert main(["verify", "s", "--model", reference, "--chunks", "2"]) == 5
+    assert "come out differently" in capfd.readouterr().out
