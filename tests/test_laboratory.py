@@ -20,7 +20,7 @@ from uqsphere.records.inverse import Rig
 from uqsphere.records.laboratory import Reading, calibrate, read_test
 from uqsphere.records.pulse import Bar
 from uqsphere.records.record import Wiring, make_record, mend
-from uqsphere.records.table import RecordError, Table, read_table
+from uqsphere.records.table import RecordError, Table, beside, read_table
 
 REAL = os.environ.get("UQSPHERE_RECORDS", "")
 real = pytest.mark.skipif(not REAL, reason="UQSPHERE_RECORDS names no folder of real records")
@@ -258,6 +258,20 @@ def test_columns_by_number_and_gauges_of_a_bar(clean: Made) -> None:
     assert np.allclose(both.strain[:, 2], 0.2 * table.values[:, 3])
 
 
+def test_channels_in_files_of_their_own_have_one_clock(clean: Made) -> None:
+    time, first, second = clean.table.values.T
+    one, two = (Table(names=("t", name), units=("s", ""), values=np.column_stack([time, values])[:last])
+                for name, values, last in (("a", first, None), ("b", second, -7)))  # fmt: skip
+    both = beside(one, two)
+    assert both.names == ("t", "a", "b")
+    assert (both.values == clean.table.values[:-7]).all()
+    assert "the longer one is cut" in both.notes[-1]
+    for wrong in (two.values[:, 0] + 1e-4, 1.5 * two.values[:, 0]):
+        other = replace(two, values=np.column_stack([wrong, two.values[:, 1]]))
+        with pytest.raises(RecordError, match="do not go together"):
+            beside(one, other)
+
+
 BAD = {
     "a PDF": (b"%PDF-1.7\n1,2\n", "this is a PDF"),
     "an archive": (b"PK\x03\x04nothing", "cannot be read"),
@@ -281,7 +295,7 @@ def test_what_is_no_record_says_so(tmp_path: Path, name: str) -> None:
 def test_a_pipe_or_a_device_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
     for path in (tmp_path / "pipe.csv", Path(os.devnull)):
-        with pytest.raises(RecordError, match="not a plain file"):
+        with pytest.raises(RecordError, match="not a regular file"):
             read_table(path)
 
 

@@ -117,11 +117,11 @@ def test_what_cannot_be_used_is_refused_and_says_why(tmp_path: Path, name: str) 
 def test_a_file_that_is_not_there_or_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordError, match="no such file"):
         read_table(tmp_path / "none.csv")
-    with pytest.raises(RecordError, match=r"directory|plain file"):
+    with pytest.raises(RecordError, match="this is a folder"):
         read_table(tmp_path)
     path = write(tmp_path, text_of(noisy()))
     monkeypatch.setattr("uqsphere.records.table.LARGEST_RECORD", 1000)
-    with pytest.raises(RecordError, match="at most 1,000 are read"):
+    with pytest.raises(RecordError, match="MiB"):
         read_table(path)
 
 

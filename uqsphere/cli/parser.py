@@ -168,6 +168,8 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
         metavar="T,A,B",
         help="columns that count, by name or number: time, then signals; gauges of a bar as A+B",
     )
+    parser.add_argument("--with", dest="beside", action="append", default=[], type=Path, metavar="FILE",
+                        help="further channels of the same shot, in a file of their own")  # fmt: skip
     parser.add_argument("--unit", default="", help="unit of the signals, such as microstrain or mV")
     parser.add_argument("--time-unit", default="", help="unit of the time, such as us")
     parser.add_argument("--sample-interval", default="", metavar="TIME", help="for a file without a time")

@@ -84,6 +84,8 @@ def command_records(chosen: argparse.Namespace) -> int:
 
         check_pdf()
     path = chosen.record
+    if chosen.beside and (path.is_dir() or chosen.calibration is not None):
+        raise UsageError("--with adds channels to one record: it goes with no folder and no --calibration")
     try:
         shot = _calibration(chosen, study)
         if path.is_dir():
@@ -124,11 +126,13 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> list[str]:
 def _read(chosen: argparse.Namespace, path: Path, study: Study | None) -> Record:
     """The record, mended, with one signal for every bar or wave."""
     from uqsphere.records.record import make_record, mend
-    from uqsphere.records.table import read_table
+    from uqsphere.records.table import beside, read_table
 
     columns = [name.strip() for name in chosen.columns.split(",")] if chosen.columns else []
     interval = _value(chosen.sample_interval, "time", "--sample-interval") if chosen.sample_interval else 0.0
     read = read_table(path, interval)
+    for other in chosen.beside:
+        read = beside(read, read_table(other, interval))
     signals = (len(columns) or len(read.names)) - 1
     if signals > 1 and study is None:
         raise UsageError(
@@ -275,9 +279,8 @@ def _test(chosen: argparse.Namespace, path: Path, record: Record, study: Study, 
         record = replace(record, strain=record.strain * gains, noise=record.noise * gains,
                          offset=record.offset * gains, spread=record.spread * gains)  # fmt: skip
     rig, receiving = _rig(chosen, columns, study)
-    begin, end = _window(chosen.window)
     bound = _value(chosen.bound, "force", "--bound") if chosen.bound else math.inf
-    read = read_test(record, rig, columns, gain_sd=chosen.gain_sd, begin=begin, end=end, receiving=receiving,
+    read = read_test(record, rig, columns, gain_sd=chosen.gain_sd, window=_window(chosen.window), receiving=receiving,
                      sphere=chosen.specimen == "sphere", bound=bound)  # fmt: skip
     content, rows = _answers(read, columns)
     content = {"kind": "test", "file": path.name, "samples": len(read.forces.time), "step": read.faces.step,

@@ -222,22 +222,7 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
     wirings = [wiring or Wiring()] * signals if wiring is None or isinstance(wiring, Wiring) else list(wiring)
     clock, groups = _pick(table, signals, columns)
     notes = list(table.notes)
-    unit = wirings[0].time_unit or table.units[clock] or "s"
-    if unit not in UNITS["time"]:
-        raise RecordError(f"the unit {unit!r} of the time is not known; allowed: {', '.join(UNITS['time'])}")
-    time = table.values[:, clock] * UNITS["time"][unit]
-    there = np.isfinite(time)
-    if not there.all():
-        notes.append(f"{int((~there).sum())} rows without a time are left out")
-    time = time[there]
-    if len(time) < _FEWEST:
-        raise RecordError(f"found {len(time)} samples, a record has {_FEWEST} at least")
-    time = _ascending(time, notes)
-    if time[-1] - time[0] > _LONGEST:
-        raise RecordError(
-            f"the record lasts {time[-1] - time[0]:.4g} s, more than any test: is its time in another unit? "
-            'Say so, as in time_unit = "us"'
-        )
+    there, time = _clock(table, clock, wirings[0].time_unit, notes)
     raw: list[Array] = []
     names: list[str] = []
     bars: list[tuple[int, ...]] = []
@@ -265,6 +250,27 @@ def make_record(table: Table, signals: int = 1, *, wiring: Wiring | Sequence[Wir
     return Record(start=start, step=step, strain=strain, held=held, noise=none, memory=none + 1.0, offset=none,
                   spread=np.zeros_like(strain), alone=np.array(alone), bars=tuple(bars), names=tuple(names),
                   changes=tuple(Change(step="read", text=note) for note in notes))  # fmt: skip
+
+
+def _clock(table: Table, clock: int, given: str, notes: list[str]) -> tuple[Flags, Array]:
+    """Rows that have a time, and those times [s], growing."""
+    unit = given or table.units[clock] or "s"
+    if unit not in UNITS["time"]:
+        raise RecordError(f"the unit {unit!r} of the time is not known; allowed: {', '.join(UNITS['time'])}")
+    time = table.values[:, clock] * UNITS["time"][unit]
+    there = np.isfinite(time)
+    if not there.all():
+        notes.append(f"{int((~there).sum())} rows without a time are left out")
+    time = time[there]
+    if len(time) < _FEWEST:
+        raise RecordError(f"found {len(time)} samples, a record has {_FEWEST} at least")
+    time = _ascending(time, notes)
+    if time[-1] - time[0] > _LONGEST:
+        raise RecordError(
+            f"the record lasts {time[-1] - time[0]:.4g} s, more than any test: is its time in another unit? "
+            'Say so, as in time_unit = "us"'
+        )
+    return there, time
 
 
 def _ascending(time: Array, notes: list[str]) -> Array:

@@ -22,8 +22,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.errors import AccessError, FolderError
-from uqsphere.files import read_whole
+from uqsphere.errors import AccessError, UsageError
+from uqsphere.files import read_given
 from uqsphere.units import UNITS
 
 #: bytes of a file; 10 million rows of two columns have about a third of this
@@ -112,10 +112,9 @@ def read_bytes(path: Path) -> bytes:
         Where there is no such file, it is no plain file, or larger than `LARGEST_RECORD`.
     """
     try:
-        return read_whole(path.resolve(), LARGEST_RECORD)
-    except (FolderError, AccessError, OSError) as error:
-        said = str(error).partition(": ")[2] or str(error)
-        raise RecordError(f"{path.name}: {said.removeprefix(str(path.resolve())).strip()}") from None
+        return read_given(path, LARGEST_RECORD)
+    except (AccessError, UsageError) as error:
+        raise RecordError(f"{path.name}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def read_table(path: str | Path, interval: float = 0.0) -> Table:
@@ -158,6 +157,33 @@ def read_table(path: str | Path, interval: float = 0.0) -> Table:
     strange = int(np.isnan(table.values).sum())
     notes += [*table.notes, *([f"{strange} cells hold no number"] if strange else [])]
     return replace(table, notes=tuple(notes))
+
+
+def beside(first: Table, other: Table) -> Table:
+    """The signals of two files of one recorder, a channel each, over the time of the first.
+
+    Raises
+    ------
+    RecordError
+        Where their clocks do not go together.
+    """
+    clocks = [table.values[:, 0] * UNITS["time"].get(table.units[0] or "s", 1.0) for table in (first, other)]
+    steps = [float(np.median(np.diff(clock))) for clock in clocks]
+    count = min(map(len, clocks))
+    if (
+        not abs(steps[0] / steps[1] - 1.0) < 1e-3
+        or np.abs(clocks[0][:count] - clocks[1][:count]).max() > 0.5 * steps[0]
+    ):
+        raise RecordError(
+            f"the clocks of the two files do not go together: from {clocks[0][0]:.9g} s in steps of {steps[0]:.6g} s, "
+            f"and from {clocks[1][0]:.9g} s in steps of {steps[1]:.6g} s; bring them to one clock first"
+        )
+    short = [f"the files have {len(clocks[0])} and {len(clocks[1])} samples: the longer one is cut"] * (
+        len(clocks[0]) != len(clocks[1])
+    )
+    return Table(names=(*first.names, *other.names[1:]), units=(*first.units, *other.units[1:]),
+                 values=np.hstack([first.values[:count], other.values[:count, 1:]]),
+                 notes=(*first.notes, *other.notes, *short))  # fmt: skip
 
 
 def _encoding(data: bytes) -> str:
