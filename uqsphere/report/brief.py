@@ -494,7 +494,10 @@ def _between_rivals(answer: Answer) -> tuple[str, str] | None:
     best = int(np.argmin(np.where(fair, count, np.inf)))
     where = f"{two(float(grid[best]) * answer.axis.factor, 1)} {answer.axis.unit}"
     names = " and ".join(n.lower() for n in rivals[:2])
-    return f"{int(count[best])} spheres at {where}", f"None broken rules out {names} (95 % sure)."
+    return (
+        f"{int(count[best])} {'sphere' if count[best] == 1 else 'spheres'} at {where}",
+        f"None broken rules out {names} (95 % sure).",
+    )
 
 
 def _cautions(parts: dict[str, Contents]) -> Iterator[str]:
