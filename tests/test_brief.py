@@ -96,7 +96,7 @@ def test_the_sheet_is_one_sheet_of_paper(folder: Path) -> None:
 def test_the_next_measurement_tells_the_ways_apart(folder: Path) -> None:
     measure = make_brief(read_contents(folder)).measure
     assert measure is not None
-    count, where = measure[0].split(" spheres at ")
+    count, where = re.split(" spheres? at ", measure[0])
     assert 1 <= int(count) <= 40
     assert where.endswith("m/s")
     assert "rules out" in measure[1]

@@ -48,7 +48,7 @@ def command_report(chosen: argparse.Namespace) -> int:
         else:
             written = {"report": str(build_report(folder))}
             if chosen.pdf:
-                written["pdf"] = str(build_pdf(folder))
+                written["pdf"] = str(build_pdf(folder, full=chosen.full))
     if chosen.json:
         print_document(written)
     else:

@@ -103,6 +103,7 @@ def _add_folders(command: Command) -> None:
     report.add_argument(
         "--brief", action="store_true", help="the one sheet alone, as brief.html (with --pdf as brief.pdf)"
     )
+    report.add_argument("--full", action="store_true", help="with --pdf: methods, tables and words in print too")
     export.add_argument("--format", required=True, choices=("csv", "parquet", "json"))
     export.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: DIR/export)")
     verify.add_argument("--chunks", type=int, default=3, metavar="N", help="chunks to evaluate again (default 3)")

@@ -94,13 +94,17 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Chapter:
-    """A part of the page: its anchor, its heading, its words in the list of contents, its blocks, a last remark."""
+    """A part of the page: its anchor, its heading, its words in the list of contents, its blocks, a last remark.
+
+    An annex is closed on the screen until it is asked for, and printed in full reports alone.
+    """
 
     anchor: str
     heading: str
     short: str
     blocks: tuple[Block, ...]
     remark: str = ""
+    annex: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

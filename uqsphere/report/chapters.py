@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from uqsphere.report.assumptions import answer_checks, granted_block, turns
@@ -534,13 +535,17 @@ def methods_chapter(contents: Contents) -> Chapter:
 # A new figure or table is a `Block` in the function of its chapter; a new chapter is an entry of `CHAPTERS`.
 
 
+#: chapters that stand open behind the brief; the others are annexes
+_EVIDENCE: Final = ("decision", "margins", "quantities")
+
+
 def build_chapters(contents: Contents) -> list[Chapter]:
     """The chapters that have something to say, in the order of the page."""
     found = []
     for build in CHAPTERS:
         chapter = build(contents)
         if any(not block.empty for block in chapter.blocks):
-            found.append(chapter)
+            found.append(replace(chapter, annex=chapter.anchor not in _EVIDENCE))
     return found
 
 

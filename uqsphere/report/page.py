@@ -443,8 +443,8 @@ def check_pdf() -> None:
         ) from error
 
 
-def build_pdf(folder: Path) -> Path:
-    """Typeset report.html of a folder as report.pdf; nothing is fetched.
+def build_pdf(folder: Path, *, full: bool = False) -> Path:
+    """Typeset report.html of a folder as report.pdf, with its annexes where it is `full`; nothing is fetched.
 
     Raises
     ------
@@ -456,6 +456,8 @@ def build_pdf(folder: Path) -> Path:
     check_pdf()
     path = folder / "report.pdf"
     text = _VARIABLE.sub(r"\1", (folder / "report.html").read_text(encoding="utf-8"))
+    if full:
+        text = text.replace('<details class="annex">', '<details class="annex" open>')
     write_atomically(path, _printed(typeset(text)))
     return path
 
