@@ -112,7 +112,15 @@ def test_what_moved_and_what_did_not(pair: tuple[Path, Path]) -> None:
     assert miss["relative"] == pytest.approx(0.0178 / 0.0123, rel=1e-9)
     assert by_name[("p_max", "mean")]["verdict"] == "not seen"
     assert found["limits"] == [
-        {"limit": "crushing", "before": True, "after": False, "target_before": 0.02, "target_after": 0.02}
+        {
+            "limit": "crushing",
+            "before": True,
+            "after": False,
+            "verdict_before": "met",
+            "verdict_after": "not met",
+            "target_before": 0.02,
+            "target_after": 0.02,
+        }
     ]
     assert not found["identical"]
     text = comparison_text(compared)

@@ -48,6 +48,7 @@ from uqsphere.report.phrases import (
     call,
     estimate_text,
     limit_name,
+    loud,
     number_text,
     probability_text,
     rounded,
@@ -70,11 +71,13 @@ class Cause(Entry):
 
 
 class LimitPair(Entry):
-    """Whether a limit was met, before and after."""
+    """Whether a limit was met by its own probability, and the verdict on it, before and after."""
 
     limit: str
     before: bool | None
     after: bool | None
+    verdict_before: str
+    verdict_after: str
     target_before: float | None
     target_after: float | None
 
@@ -347,6 +350,8 @@ def compare_folders(before: Path, after: Path) -> Comparison:
             limit=name,
             before=limit.met,
             after=second.limits[name].met,
+            verdict_before=limit.word,
+            verdict_after=second.limits[name].word,
             target_before=limit.target,
             target_after=second.limits[name].target,
         )
@@ -425,7 +430,7 @@ def headline(found: Comparison) -> str:
         + (f", and {found.perhaps} more perhaps" if found.perhaps else "")
         + "."
     )
-    flipped = [entry.limit for entry in found.limits if entry.before is not entry.after]
+    flipped = [entry.limit for entry in found.limits if entry.verdict_before != entry.verdict_after]
     if flipped:
         said += f" The verdict on {', '.join(flipped)} is another one."
     return said
@@ -449,12 +454,7 @@ def _parts(found: Comparison, width: int) -> list[str]:
         parts += ["changed in the study", table(("what", "before", "after"), rows, width), ""]
     else:
         parts += ["nothing was changed in the study", ""]
-    words = {True: "met", False: "NOT MET", None: "undecided"}
-    rows = [
-        (e.limit, words[e.before] if e.target_before is not None else "no target",
-         words[e.after] if e.target_after is not None else "no target")
-        for e in found.limits
-    ]  # fmt: skip
+    rows = [(e.limit, loud(e.verdict_before), loud(e.verdict_after)) for e in found.limits]
     if rows:
         parts += [table(("limit", "verdict before", "verdict after"), rows, width), ""]
     # intervals of both sides stand there where there is room; that of the difference always does
@@ -504,7 +504,6 @@ def _cut(text: str, longest: int = 70) -> str:
 #: bytes of figures on the page, and rows of its longest table
 MOST_INLINED: Final = 2_200_000
 MOST_ROWS: Final = 400
-_WORDS: Final = {True: "met", False: "not met", None: "undecided"}
 
 
 def write_page(before: Path, after: Path, found: Comparison, out: Path) -> Path:
@@ -597,10 +596,7 @@ def _limits(found: Comparison) -> list[dict[str, Any]]:
     boxes = []
     for entry in found.limits:
         name = entry.limit
-        words = [
-            "no target" if target is None else _WORDS[met]
-            for met, target in ((entry.before, entry.target_before), (entry.after, entry.target_after))
-        ]
+        words = entry.verdict_before, entry.verdict_after
         miss = next(c for c in found.changes if c.name == f"limits.{name}" and c.section == "limits")
         texts = [probability_text(side) for side in (miss.before, miss.after)]
         line = f"Probability of missing its aim: {texts[0]} before, {texts[1]} after."

@@ -350,6 +350,15 @@ def without_failed(results: Results) -> str:
     return f"of {listed([symbol(name) for name in names])} {_GOES_ON}; of the rest {_WITHOUT_FAILED}"
 
 
+def loud(verdict: str) -> str:
+    """A verdict as the terminal sets it: what is not as it should be in capitals.
+
+    >>> loud("not met"), loud("met"), loud("no target")
+    ('NOT MET', 'met', 'no target')
+    """
+    return verdict.upper() if verdict.startswith("not ") else verdict
+
+
 def listed(words: list[str]) -> str:
     """a, b and c."""
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""

@@ -16,6 +16,7 @@ from uqsphere.report.phrases import (
     at_most,
     estimate_text,
     failures_text,
+    loud,
     plain_percent,
     probability_range,
     probability_text,
@@ -156,13 +157,12 @@ def _fracture_rows(found: FractureEntry) -> list[tuple[str, ...]]:
 
 def _verdicts(results: Results, width: int) -> list[str]:
     """A line for every limit: the verdict in words first, then probability, target and margin."""
-    words = {"not met": "NOT MET", "not established": "NOT ESTABLISHED"}
     texts: list[str] = []
     # the interval of the margin stands there where there is room for it
     for said, limited in ((estimate_text, None), (rounded, width)):
         rows = []
         for name, limit in results.limits.items():
-            verdict = words.get(limit.word, limit.word)
+            verdict = loud(limit.word)
             target = plain_percent(limit.target) if limit.target is not None else "-"
             margin = limit.margin["median"]
             shown = "-" if margin.value is None else said(margin)
