@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from uqsphere.units import UnitError, parse_value
 
-#: What a material can be used for: the sections of a study.
-KINDS: Final = ("sphere", "bars")
+#: What a material can be used for: the sphere, bars and strikers, whatever else the sphere meets.
+KINDS: Final = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit (the fracture toughness is a plain number of MPa m^0.5 in the file)
 PROPERTIES: Final[dict[str, str]] = {
@@ -34,7 +34,11 @@ FURTHER: Final[dict[str, dict[str, str]]] = {
     "fracture_energy": {"size": "length", "exponent": "number"},
 }
 
-_REQUIRED: Final = {"sphere": ("E", "nu", "density"), "bars": ("E", "nu", "density", "yield_strength")}
+_REQUIRED: Final = {
+    "sphere": ("E", "nu", "density"),
+    "bars": ("E", "nu", "density", "yield_strength"),
+    "plates": ("E", "nu", "density"),
+}
 _TOUGHNESS: Final = "MPa m^0.5"
 
 
@@ -62,7 +66,7 @@ class Property:
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A material of the library, for a sphere or for bars; `rock`: it has several ways to break."""
+    """A material of the library, for a sphere, for bars or for plates; `rock`: it has several ways to break."""
 
     name: str
     kind: str
@@ -73,7 +77,7 @@ class Material:
 
 @cache
 def library() -> dict[str, dict[str, Material]]:
-    """The materials of the package: kind (``"sphere"``, ``"bars"``) -> name -> material.
+    """The materials of the package: kind (of `KINDS`) -> name -> material.
 
     >>> library()["sphere"]["granite"].properties["nu"].value
     0.25
@@ -109,7 +113,9 @@ def load_library(text: str) -> dict[str, dict[str, Material]]:
         data = tomllib.loads(text)
     except ValueError as error:
         raise LibraryError(f"not valid TOML: {error}") from None
-    faults: list[str] = [f"{key}: unknown kind of material (sphere or bars)" for key in data if key not in KINDS]
+    faults: list[str] = [
+        f"{key}: unknown kind of material (one of sphere, bars, plates)" for key in data if key not in KINDS
+    ]
     found: dict[str, dict[str, Material]] = {}
     for kind in KINDS:
         tables = data.get(kind, {})

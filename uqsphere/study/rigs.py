@@ -14,6 +14,8 @@ from uqsphere.study.numbers import Reading
 from uqsphere.study.scene import Scene, require, take_from_library
 from uqsphere.study.tables import BAR_ENDS
 
+#: Young's modulus [Pa] below which a body is rubber, not a solid that Hertz has in mind
+_SOFT: Final = 1e8
 #: tables whose bodies touch the sphere, and are of a material
 PARTNERS: Final = ("target", "anvil", "other", "hammer", "rod", "platens")
 #: kind of a target or an anvil -> the numbers it needs beside E and nu, with an example of each
@@ -149,7 +151,10 @@ def _fill_material(table: str, name: str | None, scene: Scene, findings: Finding
         said = f"unknown material {shown(name)}, known: {one_of(known)}{suggestion(name, known)}"
         findings.add((table, "material"), said)
         return
-    take_from_library(scene, findings, table, library()[kind][name], ("E", "nu", "density", "yield_strength"))
+    found = library()[kind][name]
+    take_from_library(scene, findings, table, found, ("E", "nu", "density", "yield_strength"))
+    if found.properties["E"].value < _SOFT:
+        findings.warn((table, "material"), f"{name} is no elastic solid: {found.properties['E'].note}")
 
 
 def _refuse_of_another_kind(found: TargetTable, table: str, scene: Scene, findings: Findings) -> None:
