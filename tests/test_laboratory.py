@@ -21,6 +21,8 @@ from uqsphere.records.laboratory import Reading, calibrate, read_test
 from uqsphere.records.pulse import Bar
 from uqsphere.records.record import Wiring, make_record, mend
 from uqsphere.records.table import RecordError, Table, beside, read_table
+from uqsphere.runner.deterministic import history_of, history_summary
+from uqsphere.study import load_study
 
 REAL = os.environ.get("UQSPHERE_RECORDS", "")
 real = pytest.mark.skipif(not REAL, reason="UQSPHERE_RECORDS names no folder of real records")
@@ -425,3 +427,11 @@ def test_a_rock_cylinder_is_no_elastic_sphere() -> None:
     read = read_test(record, rig, TITANIUM | ROCK)
     assert read.inverse is None
     assert not read.broke
+
+
+def test_an_elastic_contact_beyond_yield_is_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY.replace("[striker]", 'yield_strength = "790 MPa"\n[striker]'), encoding="utf-8")
+    for speed, told in (("0.02 m/s", False), ("10 m/s", True)):
+        summary = history_summary(history_of(load_study(path, [f'striker.speed="{speed}"'])))
+        assert any("faces beside it yield" in text for _, text in summary["lines"]) == told

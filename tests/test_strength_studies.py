@@ -175,3 +175,10 @@ def test_a_family_over_a_number_that_is_faulty_is_no_second_fault() -> None:
     with pytest.raises(StudyError, match="no unit") as caught:
         load_study(file, ["sphere.radius=10"])
     assert len(caught.value.problems) == 1
+
+
+def test_slow_tests_in_a_quick_rig_are_told_of(load: Load) -> None:
+    slow = 'criterion = "core_tension"'
+    assert any("slow tests in a quick rig" in text for text in load(quantity=slow).warnings)
+    quick = load(quantity=f"{slow}\nrate_0 = '200 1/s'")
+    assert not any("slow tests in a quick rig" in text for text in quick.warnings)
