@@ -54,7 +54,7 @@ from uqsphere.report.phrases import (
     rounded,
     symbol,
 )
-from uqsphere.results import Results
+from uqsphere.results import LimitEntry, Results
 from uqsphere.results.entries import Entry, Est, Manifest, Resolved, read_resolved
 from uqsphere.store import write_outputs
 
@@ -175,19 +175,24 @@ class _Answer:
         return self.name, self.section, self.statistic
 
 
+def _limit_answers(name: str, limit: LimitEntry) -> Iterator[_Answer]:
+    """Probabilities and margins of one limit."""
+    own = partial(_Answer, section="limits", name=f"limits.{name}")
+    missing = "probability of missing the aim"
+    yield own(statistic=missing, chance=True, estimate=limit.miss)
+    for row in limit.assumed:
+        yield own(statistic=f"{missing} {instead_text(row)}", chance=True, estimate=row.miss)
+    if limit.aim == "break":  # else it is the same number
+        yield own(statistic="probability of exceeding the strength", estimate=limit.exceedance)
+    for key, estimate in limit.margin.items():
+        words = "median" if key == "median" else f"{100 * float(key):g} %"
+        yield own(statistic=f"strength over demand, {words}", estimate=estimate)
+
+
 def _answers(results: Results) -> Iterator[_Answer]:
     """Every answer of a run."""
     for name, limit in results.limits.items():
-        own = partial(_Answer, section="limits", name=f"limits.{name}")
-        missing = "probability of missing the aim"
-        yield own(statistic=missing, chance=True, estimate=limit.miss)
-        for row in limit.assumed:
-            yield own(statistic=f"{missing} {instead_text(row)}", chance=True, estimate=row.miss)
-        if limit.aim == "break":  # else it is the same number
-            yield own(statistic="probability of exceeding the strength", estimate=limit.exceedance)
-        for key, estimate in limit.margin.items():
-            words = "median" if key == "median" else f"{100 * float(key):g} %"
-            yield own(statistic=f"strength over demand, {words}", estimate=estimate)
+        yield from _limit_answers(name, limit)
     for name, entry in results.quantities.items():
         own = partial(_Answer, section="quantities", name=name)
         united = partial(own, unit=entry.unit, subject=name if entry.unit else "")

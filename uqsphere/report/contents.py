@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -151,6 +151,18 @@ def _known(values: Iterable[float | None]) -> list[float]:
     return [float(value) for value in values if value is not None]
 
 
+def _asked_for(results: Results) -> Iterator[tuple[str, list[float]]]:
+    """Numbers of quantities, inputs, free scalars and families, by what they are read as."""
+    for name, quantity in results.quantities.items():
+        yield name, _known(e.value for e in (quantity.mean, *quantity.quantiles.values()))
+    for name, law in results.inputs.items():
+        yield name, _known([law.mean])
+    for margin in results.margins.values():
+        yield subject_of(results, margin.solve), _known(e.value for e in margin.values.values())
+        if margin.family:
+            yield margin.family.path, [member.value for member in margin.family.members]
+
+
 def _of_courses(courses: Mapping[str, Any] | None) -> dict[str, list[float]]:
     """The largest pressure, tension and force of the hardest scene, where forces were followed."""
     if courses is None:
@@ -180,16 +192,8 @@ def units_of(*runs: Results, courses: Mapping[str, Any] | None = None) -> dict[s
     first: dict[str, list[float]] = {}
     second: dict[str, list[float]] = {}
     for results in runs:
-        for name, quantity in results.quantities.items():
-            estimates = [quantity.mean, *quantity.quantiles.values()]
-            first.setdefault(name, []).extend(_known(e.value for e in estimates))
-        for name, law in results.inputs.items():
-            first.setdefault(name, []).extend(_known([law.mean]))
-        for margin in results.margins.values():
-            subject = subject_of(results, margin.solve)
-            first.setdefault(subject, []).extend(_known(e.value for e in margin.values.values()))
-            if margin.family:
-                first.setdefault(margin.family.path, []).extend(member.value for member in margin.family.members)
+        for name, values in _asked_for(results):
+            first.setdefault(name, []).extend(values)
         states = results.fracture.states()
         for key, name in _STATE.items():
             estimates = list(states[key].quantiles.values()) if key in states else []

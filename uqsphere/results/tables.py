@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from uqsphere.results import FractureEntry, MeasureEntry, QuantityEntry, Results
@@ -100,16 +100,17 @@ def _limit_rows(results: Results) -> list[Row]:
     return rows
 
 
+def _values(of: Row, values: Mapping[str, Est]) -> list[Row]:
+    """The values of a curve at its probabilities."""
+    return [[*of, p, *_row(e)] for p, e in values.items()]
+
+
 def _margin_tables(results: Results) -> Tables:
     """Values at the probabilities asked for, and the curves; over the energy too where that was asked for."""
     margins = results.margins
     over = {name: entry.against for name, entry in margins.items() if entry.against}
-    values = [
-        [name, entry.solve, entry.unit, p, *_row(e)] for name, entry in margins.items() for p, e in entry.values.items()
-    ]
-    values += [
-        [name, entry.quantity, entry.unit, p, *_row(e)] for name, entry in over.items() for p, e in entry.values.items()
-    ]
+    values = [row for name, entry in margins.items() for row in _values([name, entry.solve, entry.unit], entry.values)]
+    values += [row for name, entry in over.items() for row in _values([name, entry.quantity, entry.unit], entry.values)]
     curves: list[Row] = [[name, *point] for name, entry in margins.items() for point in entry.curve]
     family: tuple[str, ...] = ()
     if any(entry.family for entry in margins.values()):
@@ -119,7 +120,7 @@ def _margin_tables(results: Results) -> Tables:
         for name, entry in margins.items():
             for member in entry.family.members:
                 of = [entry.family.path, member.value]
-                values += [[name, entry.solve, entry.unit, p, *_row(e), *of] for p, e in member.values.items()]
+                values += [[*row, *of] for row in _values([name, entry.solve, entry.unit], member.values)]
                 curves += [[name, *point, *of] for point in member.curve]
     curves += [["any", *point, *("" for _ in family)] for point in results.fracture.curve]
     found: Tables = {

@@ -233,12 +233,10 @@ def first_look(work: Work) -> Pilot:
         return Pilot(chosen="black box", why="the model is the user's own")
     inputs = work.all_inputs.only(work.scene_names)
     count = pilot_points(study.analysis.budget.evaluations) if work.scene_names else 1
-    compared = max(count // 2, 1)
     points = draw(inputs, seed=study.seed, task="pilot", start=0, count=count, replicates=1)
     values = {name: points.input(name)[0] for name in work.scene_names}
-    scene = scene_of(study, values, count)
-    few = scene_of(study, {name: column[:compared] for name, column in values.items()}, min(compared, count))
-
+    scene, half = scene_of(study, values, count), max(count // 2, 1)
+    few = scene_of(study, {name: column[:half] for name, column in values.items()}, half)
     look = _Look(work=work, few=few)
     full = look.solve(scene, "full", study.model.tolerance, None)
     same = _first(full, len(few))
@@ -249,7 +247,7 @@ def first_look(work: Work) -> Pilot:
     ]
     candidates = tuple(look.candidate(fidelity, same, row_cost(full), scatter) for fidelity in tried)
     taken = _choose(candidates, bound) if asked == "auto" else None
-    chosen = taken.fidelity if taken else ("full" if asked == "auto" else asked)
+    chosen = taken.fidelity if taken else asked.replace("auto", "full")
     measured = _measured(taken, candidates) if chosen != "full" else look.own_error(same, scatter) if count > 1 else {}
     return Pilot(
         chosen=chosen,

@@ -460,8 +460,8 @@ def plan_run(study: Study) -> dict[str, Any]:
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     way = choose_way(study)
     parts = forecast(study, way.affordable, way.surrogate)
-    cost = study.analysis.cost
-    known = not study.black_box or cost is not None or way.surrogate or "auto" not in study.analysis.methods
+    told = study.analysis.cost is not None or "auto" not in study.analysis.methods
+    known = not study.black_box or told or way.surrogate
     plan: dict[str, Any] = {
         "evaluations": int(min(sum(part.likely for part in parts), way.affordable)),
         "processors": processors,
@@ -477,18 +477,24 @@ def plan_run(study: Study) -> dict[str, Any]:
     if study.services:
         plan["services"] = {name: plan_run(service) for name, service in study.services.items()}
     if study.black_box:
-        plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
-        plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
-        if cost is not None:
-            overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
-            plan["seconds"] = round(plan["evaluations"] * cost + overhead, 1)
-            _time_parts(plan, cost, {})
-        return plan
-    numbers = _scene_numbers(study)
-    plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
-    _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, _beside(study))
-    plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
+        _time_black_box(study, plan, way)
+    else:
+        numbers = _scene_numbers(study)
+        plan["scene"] = {name: number for name, number in numbers.items() if name != "steps"}
+        _time_parts(plan, (numbers["steps"] or 0.0) * _STEP_SECONDS / processors, _beside(study))
+        plan["seconds"] = round(_START + sum(part["seconds"] for part in plan["parts"]), 1)
     return plan
+
+
+def _time_black_box(study: Study, plan: dict[str, Any], way: Way) -> None:
+    """Give the plan of a black box where the choice turns, and its seconds where the cost of an evaluation is given."""
+    plan["crossover_seconds_per_evaluation"] = float(f"{way.crossover:.2g}")
+    plan["balance_seconds_per_evaluation"] = float(f"{way.balance:.2g}")
+    cost = study.analysis.cost
+    if cost is not None:
+        overhead = OVERHEAD + FITS * len(study.analysis.quantities) if way.surrogate else OVERHEAD
+        plan["seconds"] = round(plan["evaluations"] * cost + overhead, 1)
+        _time_parts(plan, cost, {})
 
 
 def _beside(study: Study) -> dict[str, float]:

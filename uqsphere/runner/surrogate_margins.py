@@ -8,7 +8,7 @@ inputs and the free scalar together, evenly spread over its range, and a surroga
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -182,21 +182,24 @@ def _answer(work: Work, limit: Limit, one: Response, demands: _Demands, runs: in
     told = along(np.unique([*grid, *close]))
     tables = np.array([known[float(value)] for value in grid])
     values = {p: _value(p, told[0].values[p], told[1].values[p], told[2].values[p], runs) for p in targets}
-    curve = [
-        [row[0], row[1], min(r[2] for r in rows), max(r[3] for r in rows)]
-        for row, *rest in zip(*(one.curve for one in drawn), strict=True)
-        for rows in [[row, *rest]]
-    ]
     missed = [f"{p:g}: {e.reason}" for p, e in values.items() if e.value is None and e.reason]
     family = work.study.margins.family
     if family is not None:
         missed.append(f"the curves over {family.path} are not drawn off a surrogate")
     return MarginAnswer(
         values=values,
-        curve=curve,
+        curve=_widest(drawn),
         missed=missed,
         lognormal=fit_lognormal_curve(grid, tables[:, 0], evaluations=runs),
     )
+
+
+def _widest(drawn: Sequence[Fragility]) -> list[list[float]]:
+    """The first curve with a band that holds those of all."""
+    return [
+        [rows[0][0], rows[0][1], min(r[2] for r in rows), max(r[3] for r in rows)]
+        for rows in zip(*(one.curve for one in drawn), strict=True)
+    ]
 
 
 def _about(grid: Array, value: float) -> list[float]:

@@ -313,17 +313,23 @@ def _against(answer: Estimate, same: Estimate, other: Estimate) -> Estimate:
 
     The uncertainty of the answer and that of the rows are then added.
     """
-    known = [e for e in (answer, same, other) if e.value is not None and e.low is not None and e.high is not None]
-    if len(known) < 3 or answer.value == same.value:
+    logits = [_logits(e) for e in (answer, same, other)]
+    if answer.value == same.value or not np.isfinite(logits).all():
         return other
-    logits = [[_logit_of(p) for p in (e.low or 0.0, e.value or 0.0, 1.0 if e.high is None else e.high)] for e in known]
-    if not np.isfinite(logits).all() or logits[0][2] - logits[0][0] >= logits[1][2] - logits[1][0]:
+    if logits[0][2] - logits[0][0] >= logits[1][2] - logits[1][0]:
         return other
     value = logits[2][1] + logits[0][1] - logits[1][1]
     half = [math.hypot(*(abs(row[end] - row[1]) for row in logits)) for end in (0, 2)]
     low, middle, high = (probability_of_logit(x) for x in (value - half[0], value, value + half[1]))
     return replace(other, value=middle, low=low, high=high, std_error=0.25 * (high - low),
                    method=f"{other.method}, put right by the answer's own method")  # fmt: skip
+
+
+def _logits(estimate: Estimate) -> list[float]:
+    """Logits of the low end, the value and the high end; nan where there are none."""
+    if estimate.value is None or estimate.low is None or estimate.high is None:
+        return [math.nan] * 3
+    return [_logit_of(p) for p in (estimate.low, estimate.value, estimate.high)]
 
 
 def _logit_of(p: float) -> float:

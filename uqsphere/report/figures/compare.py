@@ -272,11 +272,8 @@ def index_picture(before: Contents, after: Contents, quantity: str) -> Picture |
     """Total indices (Shapley effects where inputs depend) of both runs, joined by a line."""
     from matplotlib.lines import Line2D
 
-    tables = []
-    for contents in (before, after):
-        entry = contents.results.sensitivity.get(quantity, IndexEntry())
-        tables.append(entry.shapley or entry.total)
-    kinds = {bool(c.results.sensitivity.get(quantity, IndexEntry()).shapley) for c in (before, after)}
+    entries = [contents.results.sensitivity.get(quantity, IndexEntry()) for contents in (before, after)]
+    tables, kinds = [entry.shapley or entry.total for entry in entries], {bool(entry.shapley) for entry in entries}
     names = [n for n, e in tables[0].items() if e.value is not None and tables[1].get(n, Est()).value is not None]
     if not names or len(kinds) > 1:
         return None

@@ -205,11 +205,8 @@ def pair_finding(contents: Contents, quantity: str) -> str:
     words = f"{begin(a, short_input(a))} and {short_input(b)} together carry {share_text(largest)} of the variance"
     text = f"{words} of {symbol(quantity)} beyond what each does alone"
     others = len(seen) - 1
-    if not others:
-        return text + "; no other pair is seen."
-    return (
-        text + f"; {others} more pair{'s' if others > 1 else ''} are seen." if others > 1 else text + "; one more is."
-    )
+    more = {0: "no other pair is seen", 1: "one more is"}.get(others, f"{others} more pairs are seen")
+    return f"{text}; {more}."
 
 
 def pair_table(contents: Contents, quantity: str) -> Table | None:

@@ -122,12 +122,7 @@ def _margin(
         curve=found.answer(()).curve,
         missed=[*found.missed(), *(f"at {at}: {text}" for at, texts in lacking.items() for text in texts)],
         lognormal=found.lognormal(),
-        family=[
-            {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": member}
-            if isinstance(member, str)
-            else member.member(value)
-            for value, member in members.items()
-        ],
+        family=[_member(value, member) for value, member in members.items()],
         about=describe_margin(work, sampled, Where(limit=limit, probability=decisive(work, limit), found=found)),
         against=(against and energy_curve(found.rows, limit, against, asked_probabilities(work, limit))) or None,
         band=found.band,
@@ -135,6 +130,13 @@ def _margin(
         bands={at: one.band for at, one in drawn.items() if one.band is not None},
         steps={at: one.coarse for at, one in drawn.items() if one.coarse is not None},
     )
+
+
+def _member(value: float, found: CurveFound | str) -> dict[str, Any]:
+    """The curve at one value of the family, or why there is none."""
+    if isinstance(found, str):
+        return {"value": value, "values": {}, "curve": [], "lognormal": None, "reason": found}
+    return found.member(value)
 
 
 def decisive(work: Work, limit: Limit) -> float:
