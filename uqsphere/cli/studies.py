@@ -17,10 +17,12 @@ def warn(study: Study) -> None:
     """Say what a user should know of a study, and of its services what was not said yet."""
     for text in study.warnings:
         say(f"warning: {text}")
+    said = set(study.warnings)
     for name, service in study.services.items():
         for text in service.warnings:
-            if text not in study.warnings:
+            if text not in said:
                 say(f"warning: service {plain(name)}: {text}")
+        said |= set(service.warnings)
 
 
 def command_new(chosen: argparse.Namespace) -> int:

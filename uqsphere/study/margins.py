@@ -137,7 +137,7 @@ def _known_solve(
     if solve in numbers and not findings.clean(numbers[solve]):
         return False
     kind = "input of this study" if black_box else "number of this scene"
-    names = [*scene.readings, *limits, *([] if black_box else [ENERGY])]
+    names = [*scene.readings, *limits, *([ENERGY] if SPEED in scene.readings else [])]
     known = one_of(names[:30]) if names else "none"
     findings.add(place, f"{shown(solve)} is no {kind}, which has {known}{suggestion(solve, names)}")
     return False
